@@ -1,0 +1,99 @@
+"""Build script for both worlds: pip, and colcon (ament_python)."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "trajeval_ros"
+HERE = Path(__file__).parent
+
+
+def read_version() -> str:
+    """Read the version from the source, so that building needs no numpy."""
+    source = (HERE / PACKAGE / "__init__.py").read_text(encoding="utf-8")
+    match = re.search(r'^__version__ = "([^"]+)"$', source, re.MULTILINE)
+    if match is None:
+        raise RuntimeError(f"no __version__ in {PACKAGE}/__init__.py")
+    return match.group(1)
+
+
+def read_long_description() -> str:
+    """Read the README, which a package index shows as the project's page."""
+    readme = HERE / "README.md"
+    return readme.read_text(encoding="utf-8") if readme.is_file() else ""
+
+
+PLOT = ["matplotlib>=3.8"]
+RERUN = [
+    "rerun-sdk==0.39.*; python_version < '3.11'",
+    "rerun-sdk>=0.41; python_version >= '3.11'",
+]
+CLUSTER = ["distributed>=2024.1"]
+# Community builds of ROS 2 for Linux on x86-64, for machines without a ROS installation.
+ROS = [
+    f"{name}; sys_platform == 'linux' and platform_machine == 'x86_64'"
+    for name in (
+        "ros-rclpy[fastrtps]==9.1.2",
+        "ros-nav-msgs",
+        "ros-geometry-msgs",
+        "ros-std-msgs",
+        "ros-std-srvs",
+        "ros-diagnostic-msgs",
+        "ros-rosgraph-msgs",
+    )
+]
+TEST = ["pytest>=8", "hypothesis>=6.100"]
+LINT = ["ruff>=0.15", "mypy>=1.15"]
+
+setup(
+    name="trajeval-ros",
+    version=read_version(),
+    description="Evaluate VIO and SLAM trajectories, live and recorded, by one set of definitions",
+    long_description=read_long_description(),
+    long_description_content_type="text/markdown",
+    author="trajeval_ros maintainers",
+    author_email="maintainers@trajeval-ros.example",
+    maintainer="trajeval_ros maintainers",
+    maintainer_email="maintainers@trajeval-ros.example",
+    license="Apache-2.0",
+    keywords="ros2 slam vio odometry trajectory evaluation ate rpe benchmark",
+    classifiers=[
+        "Development Status :: 3 - Alpha",
+        "Environment :: Console",
+        "Intended Audience :: Science/Research",
+        "Operating System :: OS Independent",
+        "Programming Language :: Python :: 3",
+        "Programming Language :: Python :: 3.10",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
+        "Programming Language :: Python :: 3.14",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
+    python_requires=">=3.10,<3.15",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={"": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    zip_safe=False,
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "rosbags>=0.10",
+        "typer>=0.9",
+        "rich>=13",
+    ],
+    extras_require={
+        "plot": PLOT,
+        "rerun": RERUN,
+        "cluster": CLUSTER,
+        "ros": ROS,
+        "test": TEST,
+        "dev": [*PLOT, *TEST, *LINT],
+    },
+    entry_points={"console_scripts": [f"trajeval = {PACKAGE}.cli.app:main"]},
+)
