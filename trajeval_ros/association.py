@@ -1,0 +1,347 @@
+"""Association: which groundtruth belongs to which estimated state.
+
+`linear` interpolates the groundtruth at the estimate's stamps, never across a gap and never
+beyond its ends. `nearest` pairs one to one, closest first. The other methods reproduce a
+tool or a benchmark: `rpg` and `evo` by name, and `index` pairs row by row.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros import lie
+from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory, add_counts
+
+Indices = NDArray[np.int64]
+_ROUNDS = 8
+_LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
+_LATEST_CLOCK_S = 5e9  # the year 2128
+METHODS = ("linear", "nearest", "rpg", "evo", "index")
+
+
+@dataclass(frozen=True)
+class AssociationRule:
+    """How pairs are made; a pair needs a groundtruth close in time.
+
+    Attributes:
+        method: One of `METHODS`.
+        max_time_difference_s: Largest difference of stamps in a pair, for the nearest kinds.
+        max_gap_s: Longest step between two groundtruth states to interpolate across.
+        time_offset_s: Added to the estimate's stamps before pairing.
+    """
+
+    method: str = "linear"
+    max_time_difference_s: float = 0.02
+    max_gap_s: float = 0.5
+    time_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no rule can mean."""
+        if self.method not in METHODS:
+            raise SettingsError(
+                f"there is no association {self.method!r}; use one of {', '.join(METHODS)}"
+            )
+        for name in ("max_time_difference_s", "max_gap_s"):
+            if not 0.0 < getattr(self, name) <= _LONGEST_S:
+                raise SettingsError(
+                    f"{name} must be above 0 and at most {_LONGEST_S:g}, not {getattr(self, name)}"
+                )
+        if not abs(self.time_offset_s) <= _LATEST_CLOCK_S:
+            raise SettingsError(
+                f"the time offset must be within {_LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Pairs of states, row by row, and what is left over.
+
+    Attributes:
+        rule: How they were made.
+        groundtruth: N groundtruth states at the pairs' stamps.
+        estimate: N estimated states, in their own frame.
+        estimate_coverage: Share of the estimate's usable states that are in a pair.
+        groundtruth_coverage: Share of the groundtruth's time that pairs span, gaps left out.
+        dropped: Number of estimated states that are in no pair, by reason.
+    """
+
+    rule: AssociationRule
+    groundtruth: Trajectory
+    estimate: Trajectory
+    estimate_coverage: float
+    groundtruth_coverage: float
+    dropped: dict[str, int]
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.estimate)
+
+
+def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
+    """Pair the states of two trajectories by their stamps.
+
+    Raises:
+        NoMatchError: Nothing pairs; says both time ranges and the likely cause.
+        InputError: Pairing by row, but the numbers of rows differ.
+    """
+    groundtruth.require_usable()
+    estimate.require_usable()
+    offset = round(rule.time_offset_s * NANOSECONDS)
+    shifted = dataclasses.replace(estimate, stamps=estimate.stamps + offset)
+    by_row = rule.method == "index" or not (groundtruth.stamped and estimate.stamped)
+    if by_row:
+        rule = dataclasses.replace(rule, method="index")
+        truth, rows, dropped = _by_index(groundtruth, estimate)
+    elif rule.method == "linear":
+        truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
+    else:
+        truth_rows, rows = _NEAREST[rule.method](groundtruth, shifted, rule)
+        truth = groundtruth[truth_rows]
+        unmatched = len(estimate) - _distinct(rows, len(estimate))
+        dropped = {"no_groundtruth_within_max_time_difference": unmatched}
+    if len(rows) == 0:
+        raise NoMatchError(_explain_no_match(groundtruth, shifted, rule, dropped))
+    pairs = shifted[rows]
+    # A row of a file without stamps happened when its groundtruth did.
+    stamps = truth.stamps if by_row and groundtruth.stamped else pairs.stamps
+    return Association(
+        rule=rule,
+        groundtruth=dataclasses.replace(truth, stamps=stamps),
+        estimate=dataclasses.replace(pairs, stamps=stamps),
+        estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
+        groundtruth_coverage=_coverage(groundtruth, stamps, rule.max_gap_s),
+        dropped=add_counts(estimate.dropped, dropped),
+    )
+
+
+def _interpolated(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
+) -> tuple[Trajectory, Indices, dict[str, int]]:
+    """Interpolate the groundtruth at the estimate's stamps, linearly and by slerp."""
+    times, stamps = groundtruth.stamps, estimate.stamps
+    after = np.searchsorted(times, stamps, side="left")
+    exact = after < len(times)
+    exact[exact] = times[after[exact]] == stamps[exact]
+    early, late = after == 0, after == len(times)
+    inside = ~(early | late)
+    gap = np.zeros(len(stamps), dtype=bool)
+    step = times[after[inside]] - times[after[inside] - 1]
+    gap[inside] = step > round(rule.max_gap_s * NANOSECONDS)
+    keep = exact | (inside & ~gap)
+    rows = np.flatnonzero(keep)
+    dropped = {
+        "before_groundtruth": int(np.count_nonzero(early & ~exact)),
+        "after_groundtruth": int(np.count_nonzero(late)),
+        "in_groundtruth_gap": int(np.count_nonzero(gap & ~exact)),
+    }
+    # A state on a groundtruth's stamp takes that state alone, also at the first one.
+    end = after[rows]
+    start = np.where(exact[rows], end, end - 1)
+    span = np.where(exact[rows], 1, times[end] - times[start])
+    fraction = (stamps[rows] - times[start]) / span
+    return _between(groundtruth, start, end, fraction, stamps[rows]), rows, dropped
+
+
+def _between(
+    trajectory: Trajectory,
+    start: Indices,
+    end: Indices,
+    fraction: NDArray[np.float64],
+    stamps: Indices,
+) -> Trajectory:
+    """Return states at fractions in [0, 1] of the way from one state to another."""
+
+    def mix(column: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+        if column is None:
+            return None
+        mixed: NDArray[np.float64] = column[start] + fraction[:, None] * (
+            column[end] - column[start]
+        )
+        return mixed
+
+    quaternions = trajectory.quaternions
+    positions = mix(trajectory.positions)
+    assert positions is not None
+    return dataclasses.replace(
+        trajectory,
+        stamps=stamps,
+        positions=positions,
+        rotations=None
+        if quaternions is None
+        else Rotation.from_quat(lie.slerp(quaternions[start], quaternions[end], fraction)),
+        velocities=mix(trajectory.velocities),
+        gyroscope_biases=mix(trajectory.gyroscope_biases),
+        accelerometer_biases=mix(trajectory.accelerometer_biases),
+        covariances=None,
+    )
+
+
+def _one_to_one(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
+) -> tuple[Indices, Indices]:
+    """Pair greedily, closest first, each state once (TUM's and the authors' toolbox's rule).
+
+    `rpg` leaves out the limit itself and compares stamps as the toolbox reads them.
+    """
+    limit = rule.max_time_difference_s
+    truth_times: NDArray[Any] = groundtruth.stamps
+    times: NDArray[Any] = estimate.stamps
+    reach: float = round(limit * NANOSECONDS)
+    if rule.method == "rpg":
+        truth_times, times, reach = _float_seconds(truth_times), _float_seconds(times), limit
+    truth_order = np.argsort(truth_times, kind="stable")
+    in_order = truth_times[truth_order]
+    low = np.searchsorted(in_order, times - reach, side="left")
+    count = np.searchsorted(in_order, times + reach, side="right") - low
+    row = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    truth = truth_order[low[row] + place]
+    difference = np.abs(truth_times[truth] - times[row])
+    if rule.method == "rpg":
+        close = difference < limit
+        row, truth, difference = row[close], truth[close], difference[close]
+    order = np.lexsort((truth, row, difference))
+    row, truth = row[order], truth[order]
+    taken_row: Indices = np.full(len(estimate), -1, dtype=np.int64)
+    taken_truth = np.zeros(len(groundtruth), dtype=bool)
+    # A pair that comes first for both of its states is accepted, which rules out all others of
+    # these states; what is left has new first pairs. A few rounds settle usual recordings ...
+    for _ in range(_ROUNDS):
+        if not len(row):
+            break
+        rank = np.arange(len(row))
+        first_of_row = np.full(len(estimate), len(row))
+        first_of_truth = np.full(len(groundtruth), len(row))
+        np.minimum.at(first_of_row, row, rank)
+        np.minimum.at(first_of_truth, truth, rank)
+        both = (first_of_row[row] == rank) & (first_of_truth[truth] == rank)
+        taken_row[row[both]] = truth[both]
+        taken_truth[truth[both]] = True
+        free = (taken_row[row] < 0) & ~taken_truth[truth]
+        row, truth = row[free], truth[free]
+    # ... and chains of rivals, such as equal rates half a period apart, go one by one.
+    for one, other in zip(row.tolist(), truth.tolist(), strict=True):
+        if taken_row[one] < 0 and not taken_truth[other]:
+            taken_row[one] = other
+            taken_truth[other] = True
+    rows = np.flatnonzero(taken_row >= 0)
+    return taken_row[rows], rows
+
+
+def _evo(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
+) -> tuple[Indices, Indices]:
+    """Pair as evo does: each state of the shorter trajectory with the other's nearest one.
+
+    Stamps are compared as evo reads them.
+    """
+    driven_by_truth = len(groundtruth) < len(estimate)
+    short, long = (groundtruth, estimate) if driven_by_truth else (estimate, groundtruth)
+    short_s, long_s = _float_seconds(short.stamps), _float_seconds(long.stamps)
+    order = np.argsort(long_s, kind="stable")
+    times = long_s[order]
+    after = np.clip(np.searchsorted(times, short_s), 1, max(len(times) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    closer_after = np.abs(times[after] - short_s) < np.abs(times[before] - short_s)
+    nearest = np.where(closer_after, after, before)
+    close = np.abs(times[nearest] - short_s) <= rule.max_time_difference_s
+    short_rows, long_rows = np.flatnonzero(close), order[nearest[close]]
+    return (short_rows, long_rows) if driven_by_truth else (long_rows, short_rows)
+
+
+_NEAREST = {"nearest": _one_to_one, "rpg": _one_to_one, "evo": _evo}
+
+
+def _float_seconds(stamps: Indices) -> NDArray[np.float64]:
+    """Return stamps as the tools to be reproduced read them, seconds to 2.4e-7.
+
+    A difference at the very limit then falls to the same side as theirs.
+    """
+    seconds: NDArray[np.float64] = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
+    return seconds
+
+
+def _by_index(
+    groundtruth: Trajectory, estimate: Trajectory
+) -> tuple[Trajectory, Indices, dict[str, int]]:
+    if len(groundtruth) != len(estimate):
+        raise InputError(
+            f"{groundtruth.name or 'the groundtruth'} has {len(groundtruth)} poses and "
+            f"{estimate.name or 'the estimate'} {len(estimate)}, and without stamps in both they "
+            "can only be paired row by row; give files of equal length, or with stamps (for "
+            "KITTI files: a times file beside each)"
+        )
+    return groundtruth, np.arange(len(estimate)), {}
+
+
+def _distinct(rows: Indices, count: int) -> int:
+    """Return how many different ones of `count` rows are named."""
+    named = np.zeros(count, dtype=bool)
+    named[rows] = True
+    return int(np.count_nonzero(named))
+
+
+def _coverage(groundtruth: Trajectory, stamps: Indices, max_gap_s: float) -> float:
+    """Return the share of the groundtruth's intervals (gaps left out) that pairs span, by time.
+
+    Pairs at most `max_gap_s` apart span the time between them; one pair alone spans none.
+    """
+    gap = round(max_gap_s * NANOSECONDS)
+    truth_steps = np.diff(np.sort(groundtruth.stamps))
+    pair_steps = np.diff(np.sort(stamps))
+    # Sparse groundtruth, or sparse keyframes, are no gap: their own usual step is allowed.
+    truth_gap = max(gap, 2 * int(np.median(truth_steps))) if len(truth_steps) else gap
+    pair_gap = max(gap, 2 * int(np.median(pair_steps))) if len(pair_steps) else gap
+    total = truth_steps[truth_steps <= truth_gap].sum()
+    spanned = pair_steps[pair_steps <= pair_gap].sum()
+    return min(1.0, float(spanned / total)) if total > 0 else 1.0
+
+
+def _explain_no_match(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
+) -> str:
+    def span(trajectory: Trajectory) -> tuple[float, float]:
+        return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
+
+    truth, other = span(groundtruth), span(estimate)
+    text = (
+        "no pose of the estimate has a groundtruth: the groundtruth covers "
+        f"{_clock(*truth)}, the estimate {_clock(*other)}"
+    )
+    if dropped.get("in_groundtruth_gap") == len(estimate):
+        return f"{text}; all fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
+    if truth[0] <= other[1] and other[0] <= truth[1]:
+        return (
+            f"{text}; they overlap, but no stamps are within {rule.max_time_difference_s:g} s: "
+            "use association linear, or a larger max time difference"
+        )
+    thousands = math.log10(max(truth[1], 1e-9) / max(other[1], 1e-9)) / 3.0
+    as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
+    if as_other_unit or max(truth[1], other[1]) > _LATEST_CLOCK_S:
+        return f"{text}; the units of the stamps seem to differ (seconds, milliseconds, ...?)"
+    if min(truth[1], other[1]) < 1e7 and max(truth[1], other[1]) > 1e8:
+        return f"{text}; one counts from zero (simulated time?), the other is a clock's time"
+    apart = max(truth[0] - other[1], other[0] - truth[1])
+    shift = truth[0] - other[0]
+    return (
+        f"{text}, {apart:.6g} s apart; if the clocks differ by a constant, give it as the time "
+        f"offset (starting together would be {shift:.6f} s)"
+    )
+
+
+def _clock(start: float, end: float) -> str:
+    text = f"{start:.3f} to {end:.3f} s"
+    if 1e8 < start < 2e10:
+        day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+        text += f" ({day} UTC)"
+    return text

@@ -1,0 +1,220 @@
+"""Absolute and relative errors of paired states: eq. (21) to (27) of the tutorial.
+
+Groundtruth states are (p, R, v), estimated ones (p', R', v'); the rotation error is
+E = R R'^T in the groundtruth's world. `plain` errors are differences, p - p'. The tutorial's
+own form, eq. (23), p - E p', depends on where the world's origin is and is offered by name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros import lie
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteErrors:
+    """Errors of N aligned states; a column that can't be had is None, never zeros.
+
+    Attributes:
+        position_m: (N,), length of the position error.
+        rotation_deg: (N,), angle of E.
+        yaw_deg: (N,), absolute twist of E about gravity.
+        tilt_deg: (N,), angle between E e_z and e_z: roll and pitch.
+        velocity_mps: (N,), length of the velocity error.
+        gyroscope_bias: (N,), rad/s, length of the difference, in the body.
+        accelerometer_bias: (N,), m/s^2, length of the difference, in the body.
+    """
+
+    position_m: Array
+    rotation_deg: Array | None = None
+    yaw_deg: Array | None = None
+    tilt_deg: Array | None = None
+    velocity_mps: Array | None = None
+    gyroscope_bias: Array | None = None
+    accelerometer_bias: Array | None = None
+
+
+def absolute_errors(
+    groundtruth: Trajectory, aligned: Trajectory, form: str = "plain", *, rotation: bool = True
+) -> AbsoluteErrors:
+    """Return the errors of an aligned estimate, state by state: eq. (23).
+
+    Args:
+        groundtruth: N states.
+        aligned: N states, paired with the groundtruth's and aligned with them, eq. (14).
+        form: `plain` or `tutorial`; the latter needs rotations on both sides.
+        rotation: False withholds all that depends on an undetermined rotation.
+    """
+    positions = aligned.positions
+    velocities = aligned.velocities if rotation else None
+    truth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
+    angle = yaw = tilt = None
+    if truth_q is not None and aligned_q is not None and rotation:
+        angle, yaw, tilt = lie.by_blocks(
+            lambda true, other: _rotation_errors(_between(true, other)), truth_q, aligned_q
+        )
+        if form == "tutorial":
+            between = _between(truth_q, aligned_q)
+            positions = lie.rotate(between, positions)
+            velocities = None if velocities is None else lie.rotate(between, velocities)
+    return AbsoluteErrors(
+        position_m=_lengths(groundtruth.positions - positions),
+        rotation_deg=angle,
+        yaw_deg=yaw,
+        tilt_deg=tilt,
+        velocity_mps=_differences(groundtruth.velocities, velocities),
+        gyroscope_bias=_differences(groundtruth.gyroscope_biases, aligned.gyroscope_biases),
+        accelerometer_bias=_differences(
+            groundtruth.accelerometer_biases, aligned.accelerometer_biases
+        ),
+    )
+
+
+def _between(truth_q: Array, aligned_q: Array) -> Array:
+    """Return the rotation errors E = R R'^T of eq. (23), (N, 4)."""
+    return lie.multiply(truth_q, lie.conjugate(aligned_q))
+
+
+def _rotation_errors(between: Array) -> tuple[Array, Array, Array]:
+    """Return angle, absolute yaw and tilt of E, degrees."""
+    return (
+        np.degrees(lie.angle(between)),
+        np.degrees(np.abs(lie.yaw(between))),
+        np.degrees(lie.tilt(between)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeErrors:
+    """Errors (27) at the ends of K sub-trajectories of one length.
+
+    Attributes:
+        starts: (K,) index of the pair of states that each begins with.
+        ends: (K,) index of the pair that it ends with.
+        position_m: (K,), length of the position error at the end.
+        rotation_deg: (K,), angle of E at the end.
+        yaw_deg: (K,), absolute twist about gravity.
+        tilt_deg: (K,), roll and pitch; None where the plane leaves none.
+        velocity_mps: (K,), length of the velocity error at the end, or None.
+    """
+
+    starts: Indices
+    ends: Indices
+    position_m: Array
+    rotation_deg: Array
+    yaw_deg: Array
+    tilt_deg: Array | None
+    velocity_mps: Array | None = None
+
+
+def relative_errors(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    starts: Indices,
+    ends: Indices,
+    gauge: Gauge,
+    scale: float = 1.0,
+    form: str = "gauge",
+) -> RelativeErrors:
+    """Return the errors at the ends of sub-trajectories that are aligned at their starts.
+
+    Args:
+        groundtruth: N states with rotations.
+        estimate: N states with rotations, paired with the groundtruth's, in their own frame.
+        starts: (K,) indices of first states.
+        ends: (K,) indices of last states.
+        gauge: What each alignment by the first state may change, eq. (19) and (20).
+        scale: The global alignment's, since one state has none.
+        form: `gauge`: aligned by the gauge, plain difference at the end. `se3`: aligned by
+            SE(3) whatever the gauge, which is the error of relative poses (KITTI, rpg).
+            `tutorial`: aligned by the gauge, eq. (26) to the letter. `euler`: as `se3`, with
+            yaw and tilt as Euler angles of the error in the estimate's own world, as
+            rpg_trajectory_evaluation has them.
+
+    Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
+    the first state's rotation would be an absolute one.
+    """
+    truth_q, other_q = groundtruth.quaternions, estimate.quaternions
+    assert truth_q is not None
+    assert other_q is not None
+    truth_v, other_v = groundtruth.velocities, estimate.velocities
+    have_velocities = truth_v is not None and other_v is not None
+    about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
+
+    def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
+        first = _between(truth_q[s], other_q[s])  # eq. (19)
+        if about_gravity:
+            first = _twist(first)  # eq. (20)
+        # eq. (14) with the first state's alignment, relative to that state's position.
+        step = scale * lie.rotate(first, estimate.positions[e] - estimate.positions[s])
+        between = _between(truth_q[e], lie.multiply(first, other_q[e]))
+        angle, yaw, tilt = _rotation_errors(between)
+        difference = groundtruth.positions[e] - groundtruth.positions[s] - step
+        if form == "tutorial":
+            aligned = groundtruth.positions[s] + step
+            difference = groundtruth.positions[e] - lie.rotate(between, aligned)
+        elif form == "euler":
+            yaw, tilt = _euler_in_estimate_world(truth_q, other_q, s, e)
+        errors = (_lengths(difference), angle, yaw, tilt)
+        if not have_velocities:
+            return errors
+        assert truth_v is not None
+        assert other_v is not None
+        velocity = scale * lie.rotate(first, other_v[e])
+        if form == "tutorial":
+            velocity = lie.rotate(between, velocity)
+        return (*errors, _lengths(truth_v[e] - velocity))
+
+    return RelativeErrors(starts, ends, *lie.by_blocks(at_ends, starts, ends))
+
+
+def _twist(quaternions: Array) -> Array:
+    """Return the rotation about z that is closest to each of the rotations: eq. (20)."""
+    twist = quaternions * np.array([0.0, 0.0, 1.0, 1.0])
+    length = np.sqrt(np.einsum("ni,ni->n", twist, twist))
+    # Half a turn about a level axis leaves the yaw open; none is as good as any.
+    open_yaw = length < 1e-9
+    twist[open_yaw] = [0.0, 0.0, 0.0, 1.0]
+    length[open_yaw] = 1.0
+    unit: Array = twist / length[:, None]
+    return unit
+
+
+def _euler_in_estimate_world(
+    truth_q: Array, other_q: Array, starts: Indices, ends: Indices
+) -> tuple[Array, Array]:
+    """Return |yaw| and hypot(pitch, roll) of relative poses' error, degrees, as the toolbox.
+
+    The relative rotation's error is turned into the unaligned estimate's world at the end
+    state, then read as intrinsic z-y-x Euler angles.
+    """
+    if not len(starts):  # Jazzy's scipy has no Euler angles of no rotations
+        return np.empty(0), np.empty(0)
+    truth_step = lie.multiply(lie.conjugate(truth_q[starts]), truth_q[ends])
+    other_step = lie.multiply(lie.conjugate(other_q[starts]), other_q[ends])
+    error = lie.multiply(lie.conjugate(truth_step), other_step)
+    in_world = lie.multiply(lie.multiply(other_q[ends], error), lie.conjugate(other_q[ends]))
+    angles = Rotation.from_quat(in_world).as_euler("ZYX")
+    yaw, tilt = np.abs(angles[:, 0]), np.hypot(angles[:, 1], angles[:, 2])
+    return np.degrees(yaw), np.degrees(tilt)
+
+
+def _lengths(vectors: Array) -> Array:
+    lengths: Array = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return lengths
+
+
+def _differences(groundtruth: Array | None, estimate: Array | None) -> Array | None:
+    if groundtruth is None or estimate is None:
+        return None
+    return _lengths(groundtruth - estimate)

@@ -1,0 +1,275 @@
+"""The whole evaluation of one estimate: associate, align, measure. Reads like the tutorial."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.alignment import Alignment, align, align_first, position_weights
+from trajeval_ros.association import Association, associate
+from trajeval_ros.diagnosis import warnings_of
+from trajeval_ros.errors import (
+    AbsoluteErrors,
+    RelativeErrors,
+    absolute_errors,
+    relative_errors,
+)
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.protocol import Protocol
+from trajeval_ros.statistics import Statistics, statistics_of
+from trajeval_ros.sub_trajectories import Length, select
+from trajeval_ros.trajectory import Trajectory, travelled_distance
+
+Array = NDArray[np.float64]
+
+ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """The relative errors of all sub-trajectories of one length.
+
+    Attributes:
+        length: As asked for.
+        length_m: Its value in metres; None where the length is a duration.
+        duration_s: Its value in seconds; None where it is a distance.
+        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
+        errors: Sub-trajectory by sub-trajectory.
+        statistics: By metric; None where there is nothing to tell.
+    """
+
+    length: Length
+    length_m: float | None
+    duration_s: float | None
+    mean_length_m: float | None
+    errors: RelativeErrors
+    statistics: dict[str, Statistics | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """How wrong an estimate is, with everything that the numbers depend on.
+
+    Attributes:
+        protocol: The settings.
+        groundtruth: All groundtruth states, cleaned.
+        estimate: All estimated states, cleaned, in their own frame.
+        association: The pairs, the estimate's in its own frame.
+        alignment: From the estimate's frame to the groundtruth's.
+        aligned: The paired estimated states, aligned.
+        absolute: Errors pair by pair.
+        ate: Their statistics by metric; None where a metric can't be had.
+        segments: Relative errors by length; None where they can't be had at all.
+        pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
+            sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
+        warnings: What a reader of the numbers must know, one sentence each.
+    """
+
+    protocol: Protocol
+    groundtruth: Trajectory
+    estimate: Trajectory
+    association: Association
+    alignment: Alignment
+    aligned: Trajectory
+    absolute: AbsoluteErrors
+    ate: dict[str, Statistics | None]
+    segments: tuple[Segments, ...] | None
+    pooled: dict[str, Statistics | None]
+    warnings: tuple[str, ...]
+
+
+def evaluate(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
+) -> Evaluation:
+    """Evaluate an estimated trajectory against groundtruth.
+
+    Raises:
+        InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
+    protocol = protocol or Protocol()
+    if protocol.in_order:
+        groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
+    if protocol.gauge is Gauge.PLANAR:
+        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
+
+    pairs = associate(groundtruth, estimate, protocol.association)
+    alignment = _align(pairs, protocol)
+    aligned = alignment.similarity.trajectory(pairs.estimate)
+
+    if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
+        why = alignment.undetermined or "one side has positions only"
+        raise InputError(
+            f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
+            "use ATE form plain"
+        )
+    absolute = absolute_errors(
+        pairs.groundtruth, aligned, protocol.ate_form, rotation=not alignment.undetermined
+    )
+    if protocol.gauge is Gauge.PLANAR:
+        absolute = dataclasses.replace(absolute, tilt_deg=None)
+    ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
+    segments = _relative(pairs, groundtruth, alignment, protocol)
+    evaluation = Evaluation(
+        protocol=protocol,
+        groundtruth=groundtruth,
+        estimate=estimate,
+        association=pairs,
+        alignment=alignment,
+        aligned=aligned,
+        absolute=absolute,
+        ate=ate,
+        segments=segments,
+        pooled=_pooled(segments or ()),
+        warnings=(),
+    )
+    return dataclasses.replace(evaluation, warnings=warnings_of(evaluation))
+
+
+def _align(pairs: Association, protocol: Protocol) -> Alignment:
+    """Align by all matched states, or the first few: Table I of the tutorial."""
+    truth, estimate = pairs.groundtruth, pairs.estimate
+    if protocol.align_states == 1:
+        return align_first(
+            protocol.gauge,
+            truth.positions[0],
+            None if truth.rotations is None else truth.rotations[0],
+            estimate.positions[0],
+            None if estimate.rotations is None else estimate.rotations[0],
+        )
+    first = slice(protocol.align_states)
+    p, q = truth.positions[first], estimate.positions[first]
+    alignment = align(protocol.gauge, p, q)
+    if protocol.align_weights == "covariance":
+        covariances = _known_covariances(estimate)[first]
+        for _ in range(2):  # the size of the errors, a part of the weights, depends on them
+            moved = alignment.similarity.positions(q)
+            error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
+            alignment = align(protocol.gauge, p, q, position_weights(covariances, error))
+    return alignment
+
+
+def _known_covariances(estimate: Trajectory) -> Array:
+    covariances = estimate.covariances
+    if covariances is not None:
+        variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
+        if (np.isfinite(variances) & (variances > 0.0)).all():
+            return covariances
+    raise InputError(
+        f"{estimate.name or 'the estimate'} has no position covariance for every state, so the "
+        "alignment can't be weighted by it; use alignment weighting none"
+    )
+
+
+def _relative(
+    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
+) -> tuple[Segments, ...] | None:
+    """Measure the errors (27) of all sub-trajectories of all lengths."""
+    if not protocol.lengths or not _have_rotations(pairs):
+        return None
+    truth = pairs.groundtruth
+    distance, time = travelled_distance(truth.positions), truth.seconds
+    if any(length.unit == "s" for length in protocol.lengths) and (np.diff(time) < 0.0).any():
+        raise InputError(
+            "the pairs step back in time, so no sub-trajectory can be chosen by its duration; "
+            "use protocol default, which sorts, or lengths in metres"
+        )
+    segments = []
+    for length in protocol.lengths:
+        value = length.value
+        if length.unit == "%":
+            value = _share_of_path(length.value, distance[-1], groundtruth, protocol)
+        along = time if length.unit == "s" else distance
+        starts, ends = select(along, value, protocol.selection)
+        errors = relative_errors(
+            truth,
+            pairs.estimate,
+            starts,
+            ends,
+            protocol.gauge,
+            alignment.similarity.scale,
+            protocol.re_form,
+        )
+        if protocol.gauge is Gauge.PLANAR:
+            errors = dataclasses.replace(errors, tilt_deg=None)
+        in_metres = length.unit != "s"
+        segments.append(
+            Segments(
+                length=length,
+                length_m=float(value) if in_metres else None,
+                duration_s=None if in_metres else float(value),
+                mean_length_m=float(np.mean(distance[ends] - distance[starts]))
+                if len(ends)
+                else None,
+                errors=errors,
+                statistics=_segment_statistics(errors, float(value) if in_metres else None),
+            )
+        )
+    return tuple(segments)
+
+
+def _share_of_path(
+    percent: float, matched_m: float, groundtruth: Trajectory, protocol: Protocol
+) -> float:
+    """Return a share of the path in metres; the toolbox's is of all groundtruth, in full cm."""
+    if protocol.selection.rule == "toolbox":
+        share = percent / 100.0 * groundtruth.path_length_m
+        return float(np.trunc(100.0 * share) / 100.0)
+    return percent / 100.0 * matched_m
+
+
+def _segment_statistics(
+    errors: RelativeErrors, length_m: float | None
+) -> dict[str, Statistics | None]:
+    position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
+    percent = per_metre = None
+    if length_m is not None and position is not None and rotation is not None:
+        percent, per_metre = position.scaled(100.0 / length_m), rotation.scaled(1.0 / length_m)
+    return {
+        "position_m": position,
+        "position_percent": percent,
+        "rotation_deg": rotation,
+        "rotation_deg_per_m": per_metre,
+        "yaw_deg": statistics_of(errors.yaw_deg),
+        "tilt_deg": statistics_of(errors.tilt_deg),
+        "velocity_mps": statistics_of(errors.velocity_mps),
+    }
+
+
+def _pooled(segments: tuple[Segments, ...]) -> dict[str, Statistics | None]:
+    by_metre = [(each.errors, each.length_m) for each in segments if each.length_m]
+    if not by_metre:
+        return {"position_percent": None, "rotation_deg_per_m": None}
+    percent = [errors.position_m * (100.0 / length) for errors, length in by_metre]
+    per_metre = [errors.rotation_deg / length for errors, length in by_metre]
+    return {
+        "position_percent": statistics_of(np.concatenate(percent)),
+        "rotation_deg_per_m": statistics_of(np.concatenate(per_metre)),
+    }
+
+
+def _have_rotations(pairs: Association) -> bool:
+    return pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+
+
+def _on_plane(trajectory: Trajectory) -> Trajectory:
+    """Return the states projected on the xy plane: no height, and the heading alone."""
+    flat = np.array([1.0, 1.0, 0.0])
+    quaternions = trajectory.quaternions
+    rotations = None
+    if quaternions is not None:
+        # Vertical bodies have no heading; their quaternions' z and w vanish together.
+        heading = quaternions * np.array([0.0, 0.0, 1.0, 1.0])
+        heading[np.hypot(heading[:, 2], heading[:, 3]) < 1e-9] = [0.0, 0.0, 0.0, 1.0]
+        rotations = Rotation.from_quat(heading)
+    return dataclasses.replace(
+        trajectory,
+        positions=trajectory.positions * flat,
+        rotations=rotations,
+        velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
+    )

@@ -1,0 +1,109 @@
+"""Batched quaternion arithmetic: what scipy lacks, or does slower than a memory-bound loop.
+
+Quaternions are xyzw, Hamilton, unit, of shape (..., 4); all functions broadcast.
+`Rotation` stays the type that the package passes around. These functions serve the two places
+where it costs too much: products of long batches and spherical interpolation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+# Rows of a few columns that stay in a core's cache: twice as fast as whole columns at a time.
+_BLOCK = 8192
+
+
+def by_blocks(function: Callable[..., tuple[Array, ...]], *columns: NDArray[Any]) -> list[Array]:
+    """Return what `function` returns for columns of N rows each, worked out block by block."""
+    count = len(columns[0])
+    results: list[Array] = []
+    for begin in range(0, max(count, 1), _BLOCK):
+        rows = slice(begin, begin + _BLOCK)
+        parts = function(*(column[rows] for column in columns))
+        results = results or [np.empty((count, *part.shape[1:])) for part in parts]
+        for result, part in zip(results, parts, strict=True):
+            result[rows] = part
+    return results
+
+
+def conjugate(quaternion: Array) -> Array:
+    """Return the inverse rotation of a unit quaternion (..., 4)."""
+    inverse: Array = quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
+    return inverse
+
+
+def multiply(left: Array, right: Array) -> Array:
+    """Return the Hamilton product (..., 4): rotate by `right`, then by `left`."""
+    x1, y1, z1, w1 = np.moveaxis(left, -1, 0)
+    x2, y2, z2, w2 = np.moveaxis(right, -1, 0)
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
+    product[..., 1] = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2
+    product[..., 2] = w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2
+    product[..., 3] = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
+    return product
+
+
+def rotate(quaternion: Array, vector: Array) -> Array:
+    """Return the vectors (..., 3) rotated by the quaternions (..., 4)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    a, b, c = np.moveaxis(vector, -1, 0)
+    # v + 2 w (u x v) + 2 u x (u x v), u the vector part.
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    rotated = np.empty((*np.broadcast_shapes(quaternion.shape[:-1], vector.shape[:-1]), 3))
+    rotated[..., 0] = a + w * d + y * f - z * e
+    rotated[..., 1] = b + w * e + z * d - x * f
+    rotated[..., 2] = c + w * f + x * e - y * d
+    return rotated
+
+
+def angle(quaternion: Array) -> Array:
+    """Return the rotation angle (...) in [0, pi] rad; exact for tiny angles and near pi."""
+    half: Array = np.arctan2(
+        np.sqrt(np.einsum("...i,...i->...", quaternion[..., :3], quaternion[..., :3])),
+        np.abs(quaternion[..., 3]),
+    )
+    return 2.0 * half
+
+
+def yaw(quaternion: Array) -> Array:
+    """Return the signed twist about gravity, the z axis (...), in [-pi, pi] rad."""
+    z, w = quaternion[..., 2], quaternion[..., 3]
+    # q and -q are one rotation; of the two, the one with w >= 0 twists by at most half a turn.
+    twist: Array = 2.0 * np.arctan2(np.where(w < 0.0, -z, z), np.abs(w))
+    return twist
+
+
+def tilt(quaternion: Array) -> Array:
+    """Return the angle (...) in [0, pi] rad between the z axis and its image: roll and pitch."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    half: Array = np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w))
+    return 2.0 * half
+
+
+def slerp(start: Array, end: Array, fraction: Array) -> Array:
+    """Interpolate (N, 4) unit quaternions at the fractions (N,) in [0, 1], the short way round."""
+    cosine = np.einsum("ni,ni->n", start, end)
+    sign = np.where(cosine < 0.0, -1.0, 1.0)
+    # 2 atan2(|a-b|, |a+b|) instead of arccos: consecutive poses are a tiny angle apart.
+    short_end = end * sign[:, None]
+    difference, total = short_end - start, short_end + start
+    half_angle = 2.0 * np.arctan2(
+        np.sqrt(np.einsum("ni,ni->n", difference, difference)),
+        np.sqrt(np.einsum("ni,ni->n", total, total)),
+    )
+    sine = np.sin(half_angle)
+    nearly_equal = sine < 1e-9
+    divisor = np.where(nearly_equal, 1.0, sine)
+    weight_start = np.where(
+        nearly_equal, 1.0 - fraction, np.sin((1.0 - fraction) * half_angle) / divisor
+    )
+    weight_end = np.where(nearly_equal, fraction, np.sin(fraction * half_angle) / divisor)
+    mixed = weight_start[:, None] * start + weight_end[:, None] * short_end
+    unit: Array = mixed / np.sqrt(np.einsum("ni,ni->n", mixed, mixed))[:, None]
+    return unit

@@ -1,0 +1,93 @@
+"""Protocols: named bundles of settings, so that a published number can be had again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from trajeval_ros.association import AssociationRule
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.sub_trajectories import Length, Selection
+
+ATE_FORMS = ("plain", "tutorial")
+RE_FORMS = ("gauge", "se3", "tutorial", "euler")
+
+
+def metres(*values: float) -> tuple[Length, ...]:
+    """Return lengths in metres."""
+    return tuple(Length(value, "m") for value in values)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """All settings of an evaluation. `dataclasses.replace` makes a variant.
+
+    Attributes:
+        name: The bundle that it started from.
+        gauge: What the alignment may change.
+        modality: The sensor set that the gauge was chosen by, if so.
+        align_states: Align by the first so many matched states; None for all.
+        align_weights: `none`, or `covariance` to weigh states by their own position covariances.
+        association: How pairs are made.
+        in_order: Sort states by stamp and drop repeated stamps first.
+        ate_form: `plain`, or `tutorial` for eq. (23) to the letter.
+        re_form: See `errors.relative_errors`.
+        lengths: Of sub-trajectories; empty for no relative error.
+        selection: How a sub-trajectory's end is chosen.
+    """
+
+    name: str = "default"
+    gauge: Gauge = Gauge.SE3
+    modality: str | None = None
+    align_states: int | None = None
+    align_weights: str = "none"
+    association: AssociationRule = field(default_factory=AssociationRule)
+    in_order: bool = True
+    ate_form: str = "plain"
+    re_form: str = "gauge"
+    lengths: tuple[Length, ...] = metres(8, 16, 24, 32, 40)
+    selection: Selection = field(default_factory=Selection)
+
+    def __post_init__(self) -> None:
+        """Refuse settings that mean nothing."""
+        if self.align_states is not None and self.align_states < 1:
+            raise SettingsError(f"align states must be all or at least 1, not {self.align_states}")
+        for name, value, known in (
+            ("ATE form", self.ate_form, ATE_FORMS),
+            ("RE form", self.re_form, RE_FORMS),
+            ("alignment weighting", self.align_weights, ("none", "covariance")),
+        ):
+            if value not in known:
+                raise SettingsError(f"there is no {name} {value!r}; use one of {', '.join(known)}")
+
+
+PROTOCOLS: dict[str, Protocol] = {
+    "default": Protocol(),
+    # uzh-rpg/rpg_trajectory_evaluation at 8c8ceec: what its code does, not its paper.
+    "rpg": Protocol(
+        name="rpg",
+        association=AssociationRule("rpg", max_time_difference_s=0.02),
+        in_order=False,
+        re_form="euler",
+        lengths=tuple(Length(percent, "%") for percent in (10, 20, 30, 40, 50)),
+        selection=Selection("toolbox"),
+    ),
+    # evo 1.38: evo_ape. Its relative error is of another kind, so none is computed by default.
+    "evo": Protocol(
+        name="evo",
+        association=AssociationRule("evo", max_time_difference_s=0.01),
+        in_order=False,
+        re_form="se3",
+        lengths=(),
+    ),
+    # The KITTI odometry devkit: frames pair by number, nothing is aligned.
+    "kitti": Protocol(
+        name="kitti",
+        gauge=Gauge.NONE,
+        association=AssociationRule("index"),
+        in_order=False,
+        re_form="se3",
+        lengths=metres(100, 200, 300, 400, 500, 600, 700, 800),
+        selection=Selection("first-past", every=10),
+    ),
+}

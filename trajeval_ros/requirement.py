@@ -1,0 +1,86 @@
+"""Requirements on results, such as `ate.position_m.rmse < 0.3`: gates for scripts and CI."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from trajeval_ros.exceptions import SettingsError
+
+_COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_PATTERN = re.compile(r"\s*([\w.%]+?)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A bound on one number of every run in a result.
+
+    Attributes:
+        path: Keys from the run down, joined by dots. A sub-trajectory length is a key of `re`:
+            `re.8m.position_percent.mean`, `re.1s.rotation_deg.p95`.
+        comparison: `<`, `<=`, `>` or `>=`.
+        bound: What the number is compared with.
+    """
+
+    path: str
+    comparison: str
+    bound: float
+
+    @classmethod
+    def parse(cls, text: str) -> Requirement:
+        """Read `ate.position_m.rmse < 0.3`."""
+        match = _PATTERN.fullmatch(text)
+        try:
+            if match is None:
+                raise ValueError
+            return cls(match[1], match[2], float(match[3]))
+        except ValueError:
+            raise SettingsError(
+                f"can't read the requirement {text!r}; write it as 'ate.position_m.rmse < 0.3'"
+            ) from None
+
+    def __str__(self) -> str:
+        """Write it as `parse` reads it."""
+        return f"{self.path} {self.comparison} {self.bound:g}"
+
+    def unmet(self, run: Mapping[str, Any]) -> str:
+        """Return why a run of a result doesn't meet it; empty if it does.
+
+        Raises:
+            SettingsError: The path names nothing that results have.
+        """
+        value: Any = run
+        for key in self.path.split("."):
+            if value is None:
+                break
+            value = self._step(value, key)
+        if value is None:
+            return f"{self} can't hold: {self.path} was not computed"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            keys = f"; add one of {', '.join(value)}" if isinstance(value, Mapping) else ""
+            raise SettingsError(f"{self.path} is no number{keys}")
+        if _COMPARISONS[self.comparison](value, self.bound):
+            return ""
+        return f"{self} does not hold: it is {value:.6g}"
+
+    def _step(self, value: Any, key: str) -> Any:
+        known = value
+        if isinstance(value, Mapping) and "segments" in value:
+            known = {segment_key(each): each for each in value["segments"]}
+        if not isinstance(known, Mapping) or key not in known:
+            names = list(known) if isinstance(known, Mapping) else []
+            near = get_close_matches(key, names, n=1) or names[:1]
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise SettingsError(f"results have no {key!r} in {self.path!r}{hint}")
+        return known[key]
+
+
+def segment_key(segment: Mapping[str, Any]) -> str:
+    """Return the name of a length in a requirement's path: 8m or 1s."""
+    if "length_m" in segment:
+        return f"{segment['length_m']:g}m".replace(".", "_")
+    return f"{segment['duration_s']:g}s".replace(".", "_")

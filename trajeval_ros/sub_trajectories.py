@@ -1,0 +1,105 @@
+"""Sub-trajectories: which pairs of states (start, end) are a given length apart.
+
+Tutorial, section IV-B, eq. (25). Lengths are measured along the path through the matched
+groundtruth positions, or in time. Selection is a binary search per start: O(N log N).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import SettingsError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path."""
+
+    value: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        """Refuse lengths that no sub-trajectory can have."""
+        if self.unit not in ("m", "s", "%"):
+            raise SettingsError(f"a length is in m, s or %, not {self.unit!r}")
+        if not (np.isfinite(self.value) and self.value > 0.0):
+            raise SettingsError(f"a length must be positive, not {self.value:g}{self.unit}")
+
+    @classmethod
+    def parse(cls, text: str) -> Length:
+        """Read "8", "8m", "1s" or "10%"."""
+        match = re.fullmatch(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(m|s|%)?\s*", text)
+        if match is None:
+            raise SettingsError(
+                f"{text!r} is no length; write 8 or 8m (metres), 1s (seconds) or 10% (of the path)"
+            )
+        try:
+            return cls(float(match[1]), match[2] or "m")
+        except ValueError:
+            raise SettingsError(f"{text!r} is no length") from None
+
+    def __str__(self) -> str:
+        """Write it as `parse` reads it."""
+        return f"{self.value:g}{self.unit}"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The rule by which the end of a sub-trajectory is chosen.
+
+    Attributes:
+        rule: `nearest`: the state whose distance is nearest to the length, within 1 % of it or
+            half the local spacing of states, whichever is more, but never more than 20 %.
+            `toolbox`: nearest, within 20 %, as rpg_trajectory_evaluation does.
+            `first-past`: the first state beyond the length, as the KITTI devkit does.
+        every: Take each n-th state as a start.
+    """
+
+    rule: str = "nearest"
+    every: int = 1
+
+
+LARGEST_DEVIATION = 0.2
+TOLERANCE = 0.01
+
+
+def select(along: Array, length: float, selection: Selection) -> tuple[Indices, Indices]:
+    """Return the starts and ends (K,) of all sub-trajectories of that length.
+
+    Args:
+        along: (N,) distance travelled, metres, or time, seconds, at each state; not decreasing.
+        length: In the unit of `along`.
+        selection: How an end is chosen.
+    """
+    starts = np.arange(0, len(along), selection.every)
+    target = along[starts] + length
+    if selection.rule == "first-past":
+        ends = np.searchsorted(along, target, side="right")
+        found = ends < len(along)
+        return starts[found], ends[found]
+    after = np.searchsorted(along, target, side="left")
+    within = np.minimum(after, len(along) - 1)
+    before = np.maximum(within - 1, starts)
+    # Of states at the same place (a robot at rest) the first one ends the sub-trajectory.
+    before = np.maximum(np.searchsorted(along, along[before], side="left"), starts)
+    after_is_nearer = np.abs(along[within] - target) < np.abs(along[before] - target)
+    ends = np.where(after_is_nearer, within, before)
+    deviation = np.abs(along[ends] - target)
+    if selection.rule == "toolbox":
+        accepted = deviation < LARGEST_DEVIATION * length
+    else:
+        spacing = along[within] - along[np.maximum(within - 1, 0)]
+        tolerance = np.minimum(
+            np.maximum(TOLERANCE * length, spacing / 2.0), LARGEST_DEVIATION * length
+        )
+        # The comparison must not depend on rounding in the running sum of the distance.
+        accepted = deviation <= tolerance * (1.0 + 1e-9)
+        accepted &= ends > starts
+    return starts[accepted], ends[accepted]

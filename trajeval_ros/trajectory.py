@@ -1,0 +1,225 @@
+"""A trajectory as columns: stamps, positions, rotations and what else was measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import InputError
+
+NANOSECONDS = 1_000_000_000
+_COLUMNS = ("positions", "velocities", "gyroscope_biases", "accelerometer_biases", "covariances")
+_ROW_SHAPES = {"covariances": (6, 6)}
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States of a moving body over time, in one fixed frame. Nothing in it is ever changed.
+
+    Build one from raw numbers with `from_columns`, which drops what can't be a pose.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds.
+        positions: (N, 3), metres, of the body in the frame.
+        rotations: N rotations from the body to the frame; None for a position-only sensor.
+        velocities: (N, 3), m/s, in the frame, or None.
+        gyroscope_biases: (N, 3), rad/s, in the body, or None.
+        accelerometer_biases: (N, 3), m/s^2, in the body, or None.
+        covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
+            the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
+        frame: Name of the fixed frame, "" if unknown.
+        child_frame: Name of the body's frame, "" if unknown.
+        name: What a table calls it.
+        stamped: False if the file had no stamps; then they count the rows, one second apart.
+        dropped: Number of rows that were dropped, by reason.
+        notes: What the reader recognised or repaired, one sentence each, for the user.
+    """
+
+    stamps: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    rotations: Rotation | None = None
+    velocities: NDArray[np.float64] | None = None
+    gyroscope_biases: NDArray[np.float64] | None = None
+    accelerometer_biases: NDArray[np.float64] | None = None
+    covariances: NDArray[np.float64] | None = None
+    frame: str = ""
+    child_frame: str = ""
+    name: str = ""
+    stamped: bool = True
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the shapes, so that a wrong column fails where it was made."""
+        count = len(self.stamps)
+        if self.stamps.dtype != np.int64:
+            raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            shape = (count, *_ROW_SHAPES.get(name, (3,)))
+            if column is not None and column.shape != shape:
+                raise ValueError(f"{name} has shape {column.shape}, expected {shape}")
+        if self.rotations is not None and (self.rotations.single or len(self.rotations) != count):
+            raise ValueError(f"rotations must be a batch of {count}")
+
+    @classmethod
+    def from_columns(
+        cls,
+        stamps: NDArray[np.int64],
+        positions: ArrayLike,
+        quaternions: ArrayLike | None = None,
+        **columns: object,
+    ) -> Trajectory:
+        """Make a trajectory from raw numbers; rows that aren't poses are dropped and counted.
+
+        Args:
+            stamps: (N,) int64, nanoseconds.
+            positions: (N, 3), metres.
+            quaternions: (N, 4), xyzw, of any length but zero; None for a position-only sensor.
+            **columns: Any other attribute of `Trajectory`.
+
+        Rows with a NaN or infinity in position or quaternion are dropped as `not_finite`,
+        quaternions of (nearly) zero length as `zero_quaternion`. Velocities or biases that aren't
+        finite throughout are left out, with a note. A covariance that is not finite stays, for
+        whoever uses it to judge.
+        """
+        position_rows = np.asarray(positions, dtype=np.float64)
+        finite = np.isfinite(position_rows).all(axis=1)
+        nonzero = np.ones(len(stamps), dtype=bool)
+        quaternion_rows: NDArray[np.float64] | None = None
+        if quaternions is not None:
+            quaternion_rows = np.asarray(quaternions, dtype=np.float64)
+            finite &= np.isfinite(quaternion_rows).all(axis=1)
+            nonzero = np.einsum("ni,ni->n", quaternion_rows, quaternion_rows) > 1e-12
+        keep = finite & nonzero
+        dropped = {
+            "not_finite": int(np.count_nonzero(~finite)),
+            "zero_quaternion": int(np.count_nonzero(finite & ~nonzero)),
+        }
+        if not keep.all():
+            stamps, position_rows = stamps[keep], position_rows[keep]
+            quaternion_rows = None if quaternion_rows is None else quaternion_rows[keep]
+            columns = {
+                name: value[keep] if isinstance(value, np.ndarray) else value
+                for name, value in columns.items()
+            }
+        rotations = None
+        if quaternion_rows is not None:
+            rotations = Rotation.from_quat(quaternion_rows.reshape(-1, 4))
+        trajectory = cls(stamps, position_rows, rotations, **columns)  # type: ignore[arg-type]
+        return dataclasses.replace(
+            trajectory, dropped=add_counts(trajectory.dropped, dropped)
+        )._with_finite_columns()
+
+    def _with_finite_columns(self) -> Trajectory:
+        bad = [
+            name
+            for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
+            if (column := getattr(self, name)) is not None and not np.isfinite(column).all()
+        ]
+        if not bad:
+            return self
+        note = f"the {' and '.join(bad).replace('_', ' ')} are not finite throughout and left out"
+        columns: dict[str, Any] = dict.fromkeys(bad)
+        return dataclasses.replace(self, **columns, notes=(*self.notes, note))
+
+    def __len__(self) -> int:
+        """Return the number of states."""
+        return len(self.stamps)
+
+    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Trajectory:
+        """Return the states of a slice, a mask or an array of indices; of all of them, self."""
+        if isinstance(rows, np.ndarray) and len(rows) == len(self):
+            everything = rows if rows.dtype == bool else rows == np.arange(len(self))
+            if everything.all():
+                return self
+        picked = {
+            name: column[rows]
+            for name in ("stamps", "rotations", *_COLUMNS)
+            if (column := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **picked)
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """Time since the first state, (N,), seconds."""
+        since: NDArray[np.float64] = (self.stamps - self.stamps[0]) / NANOSECONDS
+        return since
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the earliest to the latest state, seconds."""
+        return float(self.stamps.max() - self.stamps.min()) / NANOSECONDS if len(self) else 0.0
+
+    @property
+    def travelled(self) -> NDArray[np.float64]:
+        """Distance travelled up to each state along the straight lines between them, (N,), m."""
+        return travelled_distance(self.positions)
+
+    @property
+    def path_length_m(self) -> float:
+        """Length of the path through all states, metres."""
+        return float(self.travelled[-1]) if len(self) else 0.0
+
+    @property
+    def quaternions(self) -> NDArray[np.float64] | None:
+        """The rotations as xyzw rows, (N, 4)."""
+        return None if self.rotations is None else np.asarray(self.rotations.as_quat())
+
+    def in_order(self) -> Trajectory:
+        """Return the states sorted by stamp, of equal stamps only the first; says what it did."""
+        steps = np.diff(self.stamps)
+        if (steps > 0).all():
+            return self
+        order = np.argsort(self.stamps, kind="stable")
+        first = np.concatenate([[True], np.diff(self.stamps[order]) > 0])
+        duplicates = int(np.count_nonzero(~first))
+        backwards = int(np.count_nonzero(steps < 0))
+        notes = list(self.notes)
+        if backwards:
+            notes.append(
+                f"{self.name or 'the trajectory'} steps back in time at {backwards} "
+                f"place{'s' if backwards > 1 else ''}; its poses were sorted by stamp"
+            )
+        ordered = self[order[first]]
+        return dataclasses.replace(
+            ordered,
+            notes=tuple(notes),
+            dropped=add_counts(self.dropped, {"duplicate_stamp": duplicates}),
+        )
+
+    def require_usable(self) -> None:
+        """Check that there is a state, and that all are finite.
+
+        Raises:
+            InputError: There is none, or one that isn't; `from_columns` drops such rows.
+        """
+        name = self.name or "the trajectory"
+        if not len(self):
+            why = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
+            raise InputError(f"{name} has no usable pose" + (f" (dropped: {why})" if why else ""))
+        if not np.isfinite(self.positions).all():
+            raise InputError(f"{name} has positions that are not finite; drop those states")
+
+
+def travelled_distance(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance travelled up to each of the positions (N, 3), (N,), metres."""
+    steps = np.diff(positions, axis=0)
+    lengths = np.sqrt(np.einsum("ni,ni->n", steps, steps))
+    return np.concatenate([[0.0], np.cumsum(lengths)])[: len(positions)]
+
+
+def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
+    """Return the sums by key, without the zeros."""
+    total: dict[str, int] = {}
+    for each in counts:
+        for reason, count in each.items():
+            if count:
+                total[reason] = total.get(reason, 0) + count
+    return total
