@@ -1,0 +1,1 @@
+"""Everything that touches files: trajectories in, results out."""

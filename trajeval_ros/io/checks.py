@@ -1,0 +1,60 @@
+"""What every reader checks before it calls its columns a trajectory."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+
+_UNIT_TOLERANCE = 0.01  # of a quaternion's length; files with few decimals stay within
+_EPOCH = 10**17  # ns: stamps above are times since 1970, among which a zero is no time
+_MOST_NAMES = 12  # in one sentence
+
+
+def nearest(wanted: str, names: Collection[str]) -> str:
+    """Return the names that exist, those that resemble the wanted one first."""
+    near = difflib.get_close_matches(wanted, sorted(names), n=_MOST_NAMES, cutoff=0.0)
+    more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
+    return ", ".join(near) + more if near else "none"
+
+
+def check_stamps(stamps: NDArray[np.int64], where: str) -> NDArray[np.bool_]:
+    """Return which of the stamps (N,) are times: a zero among times since 1970 is none.
+
+    Raises:
+        InputError: All are zero, or all are the same.
+    """
+    if len(stamps) and not stamps.any():
+        raise InputError(
+            f"{where}: all stamps are zero; have the time of each measurement written with it"
+        )
+    if len(stamps) > 1 and (stamps == stamps[0]).all():
+        raise InputError(
+            f"{where}: all {len(stamps)} stamps are the same, so there is no time to match poses "
+            "by; have the time of each measurement written with it"
+        )
+    if len(stamps) and np.median(stamps) > _EPOCH:
+        return np.asarray(stamps != 0)
+    return np.ones(len(stamps), dtype=bool)
+
+
+def judge_rotations(
+    quaternions: NDArray[np.float64] | None,
+) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+    """Return the quaternions (N, 4), xyzw, if they say anything, and what to tell about them."""
+    if quaternions is None:
+        return None, ("there are no rotations: rotation metrics are withheld",)
+    if len(quaternions) > 1 and not quaternions[:, :3].any():
+        return None, ("all rotations are identity: rotation metrics are withheld",)
+    squares = np.einsum("ni,ni->n", quaternions, quaternions)
+    odd = (np.abs(squares - 1.0) > 2.0 * _UNIT_TOLERANCE) & (squares > 1e-12)
+    if not odd.any():
+        return quaternions, ()
+    lengths = np.sqrt(squares[odd])
+    worst = float(lengths[np.abs(lengths - 1.0).argmax()])
+    note = f"{len(lengths)} quaternions were normalised; the worst had the length {worst:.3g}"
+    return quaternions, (note,)

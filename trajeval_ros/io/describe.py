@@ -1,0 +1,188 @@
+"""What a source holds: for people who have a file and wonder what to evaluate in it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+LONG_GAP_S = 0.5  # over which association doesn't interpolate
+_TRUTH = re.compile(
+    r"(^|[^a-z])(gt|truth|ground_?truth|vicon|mocap|optitrack|qualisys|leica|rtk|reference)"
+    r"([^a-z]|$)"
+)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A trajectory in a few numbers.
+
+    Attributes:
+        source: The SOURCE that names it.
+        kind: Type of its messages, or format of the file.
+        poses: Number of states.
+        rate_hz: One over the median step; 0 if there is none.
+        first_ns: Earliest stamp.
+        last_ns: Latest stamp.
+        path_length_m: Length of its path.
+        frame: Fixed frame, "" if unknown.
+        child_frame: Frame of the body, "" if unknown.
+        holds: What else than positions it has.
+        gaps: Number of steps longer than `LONG_GAP_S`.
+        longest_gap_s: The longest step, seconds.
+        could_be: "groundtruth", "estimate" or "estimate or groundtruth".
+        notes: What its reader recognised, and how many rows were dropped.
+        problem: Why it can't be evaluated, "" if it can.
+    """
+
+    source: str
+    kind: str
+    poses: int
+    rate_hz: float = 0.0
+    first_ns: int = 0
+    last_ns: int = 0
+    path_length_m: float = 0.0
+    frame: str = ""
+    child_frame: str = ""
+    holds: tuple[str, ...] = ()
+    gaps: int = 0
+    longest_gap_s: float = 0.0
+    could_be: str = ""
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class EdgeSummary:
+    """A transform of the TF tree: of the child frame in the parent frame."""
+
+    topic: str
+    parent: str
+    child: str
+    is_static: bool
+    count: int
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a source holds.
+
+    Attributes:
+        path: The file or directory.
+        trajectories: What could be evaluated.
+        edges: The TF tree.
+        others: (topic, type, number of messages) without poses.
+        notes: What had to be worked around.
+    """
+
+    path: Path
+    trajectories: tuple[Summary, ...]
+    edges: tuple[EdgeSummary, ...] = ()
+    others: tuple[tuple[str, str, int], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def describe(source: str, *, advance: Advance | None = None) -> Description:
+    """Return what a SOURCE holds; of a bag without topic, all of its topics.
+
+    Raises:
+        InputError: It can't be read at all.
+    """
+    parts = parse_source(source)
+    if parts.is_bag and not parts.topic:
+        try:
+            return _describe_bag(source, parts.path, advance)
+        except OSError as error:
+            raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
+    trajectory = read_trajectory(source, advance=advance)
+    return Description(parts.path, (_summarize(source, trajectory),))
+
+
+def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
+    """Return what the topics of a bag hold."""
+    from trajeval_ros.io.bags import Bag
+    from trajeval_ros.io.topics import read_edges, read_topic
+
+    trajectories = []
+    others = []
+    edges: dict[tuple[str, str, str], EdgeSummary] = {}
+    with Bag(path, advance) as bag:
+        for topic in bag.topics:
+            name = f"{source}:{topic.name}"
+            if topic.holds_poses and topic.count:
+                try:
+                    trajectories.append(_summarize(name, read_topic(bag, topic)))
+                except InputError as error:
+                    trajectories.append(Summary(name, topic.type, topic.count, problem=str(error)))
+            elif topic.holds_transforms and not topic.name.endswith("_static"):
+                for (parent, child), edge in read_edges(bag, topic.name)[0].items():
+                    edges[topic.name, parent, child] = EdgeSummary(
+                        topic.name,
+                        parent,
+                        child,
+                        edge.is_static,
+                        len(edge.stamps),
+                        _rate_hz(edge.stamps),
+                    )
+            elif not topic.holds_transforms:
+                others.append((topic.name, topic.type, topic.count))
+        notes = tuple(bag.notes)
+    tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
+    return Description(path, tuple(trajectories), tuple(tree), tuple(others), notes)
+
+
+def _summarize(source: str, trajectory: Trajectory) -> Summary:
+    """Return a trajectory in a few numbers."""
+    ordered = trajectory.in_order()
+    steps = np.diff(ordered.stamps) / NANOSECONDS
+    columns = {
+        "rotation": trajectory.rotations,
+        "velocity": trajectory.velocities,
+        "gyroscope bias": trajectory.gyroscope_biases,
+        "accelerometer bias": trajectory.accelerometer_biases,
+        "covariance": trajectory.covariances,
+    }
+    holds = tuple(name for name, column in columns.items() if column is not None)
+    kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
+    dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
+    unstamped = not trajectory.stamped
+    return Summary(
+        source=source,
+        kind=kind,
+        poses=len(ordered),
+        rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),
+        first_ns=int(ordered.stamps[0]),
+        last_ns=int(ordered.stamps[-1]),
+        path_length_m=ordered.path_length_m,
+        frame=ordered.frame,
+        child_frame=ordered.child_frame,
+        holds=holds,
+        gaps=0 if unstamped else int(np.count_nonzero(steps > LONG_GAP_S)),
+        longest_gap_s=0.0 if unstamped else float(steps.max(initial=0.0)),
+        could_be=_could_be(source, trajectory),
+        notes=(*notes, *dropped),
+    )
+
+
+def _could_be(source: str, trajectory: Trajectory) -> str:
+    """Return a guess, by the name and by what an estimator alone knows."""
+    if _TRUTH.search(source.lower()) or _TRUTH.search(trajectory.frame.lower()):
+        return "groundtruth"
+    if trajectory.covariances is not None or (
+        trajectory.velocities is not None and trajectory.gyroscope_biases is None
+    ):
+        return "estimate"
+    return "estimate or groundtruth"
+
+
+def _rate_hz(stamps: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
+    """Return one over the median step, 0 if there is none."""
+    steps = np.diff(stamps)
+    return NANOSECONDS / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 0.0

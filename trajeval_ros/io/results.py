@@ -1,0 +1,198 @@
+"""result.json and errors.npz: what an evaluation leaves behind for other programs.
+
+The schema is `trajeval/1`; docs/result.md describes every field. Two evaluations of the same
+input give the same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros import __version__
+from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.statistics import Statistics
+from trajeval_ros.trajectory import Trajectory
+
+SCHEMA = "trajeval/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One evaluated estimate and where it came from.
+
+    Attributes:
+        source: The SOURCE that the user named.
+        read: The estimate as it was read, before cleaning.
+        evaluation: Its evaluation.
+    """
+
+    source: str
+    read: Trajectory
+    evaluation: Evaluation
+
+
+def result_of(source: str, groundtruth: Trajectory, runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the result of evaluating one or more estimates against one groundtruth.
+
+    Args:
+        source: The groundtruth's SOURCE.
+        groundtruth: As it was read.
+        runs: One for each estimate, evaluated by the same protocol.
+    """
+    protocol = runs[0].evaluation.protocol
+    inputs = {source: fingerprint(groundtruth)}
+    inputs.update({run.source: fingerprint(run.read) for run in runs})
+    return {
+        "schema": SCHEMA,
+        "groundtruth": {
+            "source": source,
+            "poses": len(groundtruth),
+            "duration_s": groundtruth.duration_s,
+            "path_length_m": runs[0].evaluation.groundtruth.path_length_m,
+            "frame": groundtruth.frame,
+            "child_frame": groundtruth.child_frame,
+            "notes": list(runs[0].evaluation.groundtruth.notes),
+        },
+        "runs": [_run(run) for run in runs],
+        "provenance": {
+            "version": __version__,
+            "protocol": protocol.name,
+            "settings": {
+                "align_weights": protocol.align_weights,
+                "in_order": protocol.in_order,
+                "lengths": [str(length) for length in protocol.lengths],
+                "selection": dataclasses.asdict(protocol.selection),
+            },
+            "inputs": inputs,
+        },
+    }
+
+
+def _run(run: Run) -> dict[str, Any]:
+    evaluation = run.evaluation
+    protocol, pairs = evaluation.protocol, evaluation.association
+    similarity = evaluation.alignment.similarity
+    return {
+        "estimate": {
+            "source": run.source,
+            "name": run.read.name,
+            "poses": len(run.read),
+            "duration_s": run.read.duration_s,
+            "frame": run.read.frame,
+            "child_frame": run.read.child_frame,
+            "notes": list(evaluation.estimate.notes),
+        },
+        "association": {
+            **dataclasses.asdict(pairs.rule),
+            "pairs": len(pairs),
+            "estimate_coverage": pairs.estimate_coverage,
+            "groundtruth_coverage": pairs.groundtruth_coverage,
+            "dropped": pairs.dropped,
+        },
+        "alignment": {
+            "gauge": protocol.gauge.value,
+            "modality": protocol.modality,
+            "states": "all" if protocol.align_states is None else protocol.align_states,
+            "states_used": evaluation.alignment.states_used,
+            "scale": similarity.scale,
+            "rotation_xyzw": similarity.rotation_xyzw.tolist(),
+            "translation_m": similarity.translation.tolist(),
+        },
+        "ate": {
+            "form": protocol.ate_form,
+            **{metric: _statistics(value) for metric, value in evaluation.ate.items()},
+        },
+        "re": None
+        if evaluation.segments is None
+        else {
+            "form": protocol.re_form,
+            "segments": [_segment(each) for each in evaluation.segments],
+            "pooled": {name: _statistics(value) for name, value in evaluation.pooled.items()},
+        },
+        "calibration": None,
+        "consistency": None,
+        "probabilistic": None,
+        "warnings": list(evaluation.warnings),
+    }
+
+
+def _segment(segment: Segments) -> dict[str, Any]:
+    size = (
+        {"duration_s": segment.duration_s}
+        if segment.length_m is None
+        else {"length_m": segment.length_m}
+    )
+    return {
+        **size,
+        "pairs": len(segment.errors.ends),
+        "mean_length_m": segment.mean_length_m,
+        **{metric: _statistics(value) for metric, value in segment.statistics.items()},
+    }
+
+
+def _statistics(statistics: Statistics | None) -> dict[str, float | int] | None:
+    return None if statistics is None else dataclasses.asdict(statistics)
+
+
+def fingerprint(trajectory: Trajectory) -> str:
+    """Return the sha256 of the pose columns: stamps, positions, xyzw, little-endian."""
+    digest = hashlib.sha256()
+    digest.update(np.ascontiguousarray(trajectory.stamps, dtype="<i8").data)
+    digest.update(np.ascontiguousarray(trajectory.positions, dtype="<f8").data)
+    if trajectory.quaternions is not None:
+        digest.update(np.ascontiguousarray(trajectory.quaternions, dtype="<f8").data)
+    return digest.hexdigest()
+
+
+def to_json(result: dict[str, Any]) -> str:
+    """Return the result as text; a NaN in it is a defect and raises ValueError."""
+    return json.dumps(result, indent=2, allow_nan=False) + "\n"
+
+
+def write_errors(path: Path, runs: Sequence[Run]) -> None:
+    """Write stamps and errors of every pair and sub-trajectory, run by run, as an npz archive.
+
+    Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
+    `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
+    """
+    arrays: dict[str, Any] = {}
+    for run in runs:
+        name, evaluation = run.read.name, run.evaluation
+        arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
+        arrays |= _columns(name, evaluation.absolute)
+        for segment in evaluation.segments or ():
+            arrays |= _columns(f"{name}.{segment.length}", segment.errors)
+    with path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def _columns(prefix: str, errors: Any) -> dict[str, Any]:
+    return {
+        f"{prefix}.{field.name}": column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: under a temporary name, then renamed."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` make a file under a temporary name beside `path`, then give it that name."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        write(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

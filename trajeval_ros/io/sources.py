@@ -1,0 +1,126 @@
+"""SOURCE -> Trajectory: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`, recognised by content."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.text import read_text
+from trajeval_ros.trajectory import Trajectory
+
+Advance = Callable[[int, int], None]
+
+_BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_BAG_ENDINGS = (".mcap", ".db3", ".bag")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source, taken apart.
+
+    Attributes:
+        path: A file, or the directory of a rosbag2.
+        topic: Topic with its leading slash, "" if none was given.
+        frames: (parent, child) of a transform, or None.
+        is_bag: Whether the path holds a bag.
+    """
+
+    path: Path
+    topic: str
+    frames: tuple[str, str] | None
+    is_bag: bool
+
+
+def read_trajectory(source: str, *, advance: Advance | None = None) -> Trajectory:
+    """Read the trajectory that a SOURCE names.
+
+    Args:
+        source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`, or
+            `BAG:/tf:PARENT.CHILD`.
+        advance: Called with what is done and with all there is (bytes of a text, messages of a
+            bag), now and then.
+
+    Raises:
+        InputError: It can't be read; the message says what is wrong, where, and how to mend it.
+    """
+    parts = parse_source(source)
+    try:
+        if not parts.is_bag:
+            return read_text(parts.path, advance)
+        from trajeval_ros.io.topics import read_bag
+
+        return read_bag(parts.path, parts.topic, parts.frames, advance)
+    except OSError as error:
+        raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
+
+
+def parse_source(source: str) -> Source:
+    """Take a SOURCE apart; the part before a colon is the path as soon as that exists.
+
+    Raises:
+        InputError: There is no such path, or the frames aren't `PARENT.CHILD`.
+    """
+    path, rest = _split_path(source)
+    try:
+        is_bag = path.is_dir() or _begins_as_bag(path)
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror or error}") from error
+    if not rest:
+        return Source(path, "", None, is_bag)
+    if not is_bag:
+        raise InputError(f"{path} is no bag, so it has no topic {rest}; name the file alone")
+    topic, _, frames = rest.partition(":")
+    topic = "/" + topic.lstrip("/")
+    if not frames and topic not in ("/tf", "/tf_static"):
+        return Source(path, topic, None, is_bag)
+    return Source(path, topic, _parse_frames(topic, frames), is_bag)
+
+
+def _split_path(source: str) -> tuple[Path, str]:
+    """Return the existing path that a source begins with, and what follows its colon."""
+    pieces = source.split(":")
+    for count in range(len(pieces), 0, -1):
+        path = Path(":".join(pieces[:count]))
+        try:
+            if path.exists():
+                return path, ":".join(pieces[count:])
+        except (OSError, ValueError):  # a name too long, a zero byte
+            continue
+    missing = Path(pieces[0])
+    raise InputError(f"{missing} does not exist{_nearest_name(missing)}")
+
+
+def _nearest_name(missing: Path) -> str:
+    """Return what to say about the file in the same directory that has the nearest name."""
+    try:
+        names = [entry.name for entry in missing.parent.iterdir()]
+    except OSError:
+        return f", nor does the directory {missing.parent}"
+    near = difflib.get_close_matches(missing.name, names, n=1)
+    return f"; did you mean {missing.with_name(near[0])}?" if near else "; check the path"
+
+
+def _begins_as_bag(path: Path) -> bool:
+    """Return whether a file is a bag of any kind, by its first bytes."""
+    with path.open("rb") as file:
+        beginning = file.read(16)
+    if not beginning and path.suffix in _BAG_ENDINGS:
+        raise InputError(f"{path} is empty; was the recording stopped before it was written?")
+    return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))
+
+
+def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
+    """Return parent and child of `PARENT.CHILD`."""
+    parent, dot, child = frames.partition(".")
+    parent, child = parent.strip("/"), child.strip("/")
+    if not (parent and dot and child):
+        raise InputError(
+            f"{topic} holds transforms between many frames; name two as in "
+            f"BAG:{topic}:PARENT.CHILD, for example {topic}:map.base_link; `trajeval info BAG` "
+            "lists them"
+        )
+    return parent, child
