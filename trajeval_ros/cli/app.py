@@ -1,0 +1,72 @@
+"""The entry point: the verbs, and one line instead of a traceback for a user's mistake."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from trajeval_ros import __version__
+from trajeval_ros.cli.evaluate import evaluate
+from trajeval_ros.cli.info import info
+from trajeval_ros.cli.simulate import simulate
+from trajeval_ros.exceptions import TrajevalError
+
+app = typer.Typer(
+    name="trajeval",
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode="markdown",
+)
+app.command()(evaluate)
+app.command()(info)
+app.command()(simulate)
+
+# click's class of usage errors, which newer typer bundles and older typer imports.
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Evaluate VIO and SLAM trajectories: how wrong, by which definition, over how much."""
+    if version:
+        print(f"trajeval_ros {__version__}")
+        raise typer.Exit
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status: 0, 1 unmet requirement, 2 bad input."""
+    try:
+        status = app(args=arguments, standalone_mode=False)
+        sys.stdout.flush()
+    except TrajevalError as error:
+        return _fail(str(error))
+    except _UsageError as error:
+        message: str = error.format_message()  # type: ignore[attr-defined]
+        return _fail(f"{message} (try trajeval --help)")
+    except BrokenPipeError:
+        # Whoever read the output has seen enough, as `head` does.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{(error.strerror or str(error)).lower()}")
+    except (KeyboardInterrupt, typer.Abort):
+        print("trajeval: interrupted", file=sys.stderr)
+        return 130
+    return status if isinstance(status, int) else 0
+
+
+def _fail(sentence: str) -> int:
+    print(f"trajeval: {' '.join(sentence.split())}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""The relative error by length of sub-trajectory, as box plots: Fig. 8 of the tutorial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.report import canvas
+from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
+from trajeval_ros.sub_trajectories import Length
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PANEL_IN = 3.2
+_COUNT_POINTS = 9.0
+_MOST_COUNT_ROWS = 4
+_UNITS = {"m": "m", "s": "s", "%": "% of the path"}
+_METRICS = {
+    "position_m": "position error [m]",
+    "position_percent": "position error [% of length]",
+    "rotation_deg": "rotation error [deg]",
+}
+
+
+def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
+    """Draw the distribution of position and rotation error over each length."""
+    lengths = evaluations[0].protocol.lengths
+    in_metres = all(length.unit != "s" for length in lengths)
+    metrics = [metric for metric in _METRICS if in_metres or metric != "position_percent"]
+    title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
+    everything = [segments for each in evaluations for segments in each.segments or ()]
+    if not any(len(segments.errors.ends) for segments in everything):
+        figure = canvas.new_figure(_PANEL_IN * len(metrics), 0.8)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_title(title)
+        canvas.say_instead(axes, _why_nothing(evaluations))
+        return figure
+    count_rows = len(evaluations) if len(evaluations) <= _MOST_COUNT_ROWS else 1
+    figure = canvas.new_figure(
+        _PANEL_IN * len(metrics), 3.5 + 0.13 * count_rows, layout="constrained"
+    )
+    figure.suptitle(
+        f"{title}\nboxes: median and quartiles; whiskers: 5 % to 95 %; "
+        "below: number of sub-trajectories"
+    )
+    for metric, axes in zip(metrics, figure.subplots(1, len(metrics)), strict=True):
+        for place, evaluation in enumerate(evaluations):
+            _draw_boxes(axes, evaluation.segments or (), metric, place, len(evaluations))
+        _write_counts(axes, evaluations)
+        axes.set_ylabel(_METRICS[metric])
+        axes.set_ylim(bottom=0.0)
+        _label_lengths(axes, lengths, count_rows)
+    _add_legend(figure, names)
+    return figure
+
+
+def _draw_boxes(
+    axes: Axes, all_segments: Sequence[Segments], metric: str, place: int, of: int
+) -> None:
+    colour, dashes = canvas.line_style(place)
+    line = {"color": colour, "linewidth": 0.8}
+    width = 0.8 / of
+    shift = width * (place - (of - 1) / 2.0)
+    boxes: list[dict[str, Any]] = []
+    positions = []
+    for group, segments in enumerate(all_segments):
+        errors = _errors(segments, metric)
+        if len(errors):
+            low, first, median, third, high = np.percentile(errors, [5, 25, 50, 75, 95])
+            boxes.append({"whislo": low, "q1": first, "med": median, "q3": third, "whishi": high})
+            positions.append(group + shift)
+    axes.bxp(
+        boxes,
+        positions=positions,
+        widths=0.85 * width,
+        showfliers=False,
+        patch_artist=True,
+        manage_ticks=False,
+        boxprops={
+            "facecolor": canvas.tint(colour),
+            "edgecolor": colour,
+            "linewidth": 0.8,
+            "linestyle": dashes,
+        },
+        whiskerprops=line,
+        capprops=line,
+        medianprops={"color": "black", "linewidth": 1.1},
+    )
+
+
+def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
+    """Write below each length how many sub-trajectories there are; of many estimates the range."""
+    for group in range(len(evaluations[0].protocol.lengths)):
+        counts = [
+            len(each.segments[group].errors.ends) if each.segments else 0 for each in evaluations
+        ]
+        colours = [canvas.line_style(place)[0] for place in range(len(counts))]
+        texts = [str(count) for count in counts]
+        if len(set(counts)) == 1 or len(counts) > _MOST_COUNT_ROWS:
+            least, most = min(counts), max(counts)
+            texts, colours = [str(least) if least == most else f"{least}–{most}"], ["0.35"]
+        for row, (text, colour) in enumerate(zip(texts, colours, strict=True)):
+            axes.annotate(
+                text,
+                (group, 0.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0.0, -15.0 - _COUNT_POINTS * row),
+                textcoords="offset points",
+                ha="center",
+                va="top",
+                fontsize=6.5,
+                color=colour,
+            )
+
+
+def _errors(segments: Segments, metric: str) -> NDArray[np.float64]:
+    if metric == "position_percent":
+        assert segments.length_m is not None
+        return segments.errors.position_m * (100.0 / segments.length_m)
+    errors: NDArray[np.float64] = getattr(segments.errors, metric)
+    return errors
+
+
+def _label_lengths(axes: Axes, lengths: Sequence[Length], count_rows: int) -> None:
+    units = {length.unit for length in lengths}
+    same = len(units) == 1
+    axes.set_xticks(
+        range(len(lengths)),
+        [f"{length.value:g}" if same else str(length) for length in lengths],
+    )
+    axes.set_xlim(-0.6, len(lengths) - 0.4)
+    axes.grid(visible=False, axis="x")
+    axes.tick_params(axis="x", length=0)
+    unit = f" [{_UNITS[units.pop()]}]" if same else ""
+    axes.set_xlabel(f"length of sub-trajectory{unit}", labelpad=5.0 + _COUNT_POINTS * count_rows)
+
+
+def _add_legend(figure: Figure, names: Sequence[str]) -> None:
+    from matplotlib.patches import Patch
+
+    patches = []
+    for place, name in enumerate(names):
+        colour, dashes = canvas.line_style(place)
+        patches.append(
+            Patch(facecolor=canvas.tint(colour), edgecolor=colour, linestyle=dashes, label=name)
+        )
+    figure.legend(
+        handles=patches,
+        loc="outside lower center",
+        ncols=canvas.legend_columns(names, figure.get_figwidth()),
+    )
+
+
+def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
+    if all(each.segments is None for each in evaluations):
+        reasons = dict.fromkeys(positions_only(each) for each in evaluations)
+        return f"Withheld: {'; '.join(reasons)}."
+    longest = max(each.association.groundtruth.path_length_m for each in evaluations)
+    lengths = ", ".join(str(length) for length in evaluations[0].protocol.lengths)
+    return f"No sub-trajectory of {lengths}: the matched path is {longest:.1f} m long."

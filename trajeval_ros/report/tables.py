@@ -1,0 +1,188 @@
+"""The verdict in three lines and the tables behind it, for a terminal or a pipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from trajeval_ros.diagnosis import reasons
+from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.statistics import Statistics
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
+ABSOLUTE = {
+    "position_m": "position [m]",
+    "rotation_deg": "rotation [deg]",
+    "yaw_deg": "yaw [deg]",
+    "tilt_deg": "tilt [deg]",
+    "velocity_mps": "velocity [m/s]",
+    "gyroscope_bias": "gyroscope bias [rad/s]",
+    "accelerometer_bias": "accelerometer bias [m/s^2]",
+}
+RELATIVE = {
+    "position_m": "position [m]",
+    "position_percent": "position [%]",
+    "rotation_deg": "rotation [deg]",
+    "rotation_deg_per_m": "rotation [deg/m]",
+    "yaw_deg": "yaw [deg]",
+    "tilt_deg": "tilt [deg]",
+    "velocity_mps": "velocity [m/s]",
+}
+METHODS = {
+    "linear": "groundtruth interpolated, never across more than {0.max_gap_s:g} s",
+    "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
+    "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
+    "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
+    "index": "paired row by row",
+}
+RE_FORMS = {
+    "gauge": "first state aligned by the gauge, plain difference at the end",
+    "se3": "relative poses, SE(3) at the first state",
+    "tutorial": "eq. (26) to the letter",
+    "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
+}
+
+
+def console(stream: object = None) -> Console:
+    """Return a console: styled and as wide as the terminal, or plain and unwrapped in a pipe."""
+    from rich.console import Console
+
+    output = sys.stdout if stream is None else stream
+    terminal = Console(file=output, highlight=False, markup=False)  # type: ignore[arg-type]
+    if terminal.is_terminal:
+        return terminal
+    return Console(file=output, width=10_000, highlight=False, markup=False, no_color=True)  # type: ignore[arg-type]
+
+
+def verdict(evaluation: Evaluation) -> list[str]:
+    """Return the three lines that answer: how wrong, by which definition, over how much."""
+    position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
+    assert position is not None
+    name = evaluation.estimate.name or "estimate"
+    turned = "rotation withheld" if rotation is None else f"{rotation.rmse:.4g} deg rotation"
+    protocol, pairs = evaluation.protocol, evaluation.association
+    states = evaluation.alignment.states_used
+    how = "first state" if states == 1 else f"first {states} states"
+    if protocol.align_states is None:
+        how = f"all {states} states"
+    modality = f" for {protocol.modality}" if protocol.modality else ""
+    weights = ", weighted by covariance" if protocol.align_weights == "covariance" else ""
+    scale = (
+        f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
+    )
+    return [
+        f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})",
+        f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
+        f"{how}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
+        f"  {len(pairs)} pairs cover {100 * pairs.estimate_coverage:.1f} % of the estimate's "
+        f"poses and {100 * pairs.groundtruth_coverage:.1f} % of the groundtruth's time "
+        f"({pairs.groundtruth.path_length_m:.1f} m)" + _dropped(evaluation),
+    ]
+
+
+def _drift(evaluation: Evaluation) -> str:
+    """Return the drift over the longest sub-trajectories that there are, in words."""
+    for segment in reversed(evaluation.segments or ()):
+        drift = segment.statistics["position_percent"]
+        if drift is not None:
+            return f"); drift {drift.mean:.3g} % of {segment.length_m:.4g} m (mean"
+    return ""
+
+
+def _dropped(evaluation: Evaluation) -> str:
+    dropped = evaluation.association.dropped
+    return f"; dropped: {reasons(dropped)}" if dropped else ""
+
+
+def absolute_table(evaluations: Sequence[Evaluation]) -> Table:
+    """Return the table of absolute errors, a row per estimate and metric."""
+    form = evaluations[0].protocol.ate_form
+    table = _table(f"Absolute trajectory error, {form} form")
+    table.add_column("estimate")
+    table.add_column("error")
+    for statistic in STATISTICS:
+        table.add_column(statistic, justify="right")
+    table.add_column("pairs", justify="right")
+    for evaluation in evaluations:
+        name = evaluation.estimate.name
+        for metric, label in ABSOLUTE.items():
+            statistics = evaluation.ate[metric]
+            if statistics is not None:
+                table.add_row(name, label, *_numbers(statistics), str(statistics.count))
+                name = ""
+    return table
+
+
+def relative_table(evaluations: Sequence[Evaluation]) -> Table | None:
+    """Return the table of relative errors, a row per estimate and length; None if there are none.
+
+    Means and medians side by side: a few bad sub-trajectories rule the mean.
+    """
+    metrics = [
+        metric
+        for metric in RELATIVE
+        if any(each.statistics[metric] for e in evaluations for each in e.segments or ())
+    ]
+    if not metrics:
+        return None
+    table = _table(f"Relative error, mean (median): {RE_FORMS[evaluations[0].protocol.re_form]}")
+    for heading in ("estimate", "length"):
+        table.add_column(heading)
+    for metric in metrics:
+        table.add_column(RELATIVE[metric], justify="right")
+    table.add_column("count", justify="right")
+    for evaluation in evaluations:
+        name = evaluation.estimate.name
+        for segment in evaluation.segments or ():
+            cells = [_mean_and_median(segment.statistics[metric]) for metric in metrics]
+            table.add_row(name, length_text(segment), *cells, str(len(segment.errors.ends)))
+            name = ""
+        pooled = evaluation.pooled["position_percent"]
+        if pooled is not None and len(evaluation.segments or ()) > 1:
+            cells = [_mean_and_median(evaluation.pooled.get(metric)) for metric in metrics]
+            table.add_row(name, "all", *cells, str(pooled.count))
+    return table
+
+
+def length_text(segment: Segments) -> str:
+    """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
+    if segment.length_m is None:
+        return f"{segment.duration_s:g} s"
+    return f"{segment.length_m:.4g} m"
+
+
+def _table(title: str) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD if sys.stdout.isatty() else None,
+        pad_edge=False,
+    )
+
+
+def _numbers(statistics: Statistics) -> list[str]:
+    return [_number(getattr(statistics, name)) for name in STATISTICS]
+
+
+def _mean_and_median(statistics: Statistics | None) -> str:
+    if statistics is None:
+        return "-"
+    return f"{_number(statistics.mean)} ({_number(statistics.median)})"
+
+
+def _number(value: float) -> str:
+    """Return four significant digits, never an exponent for what people measure."""
+    if value == 0.0 or abs(value) < 5e-7:
+        return "0"
+    if abs(value) >= 1000.0:
+        return f"{value:.1f}"
+    return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
