@@ -1,0 +1,62 @@
+"""What all tests share: recordings and reference numbers beside the repository, and settings."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.trajectory import Trajectory
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))  # for `from strategies import ...` under pytest's importlib mode
+SHARED = HERE.parents[1] / "shared"
+
+_COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("repeatable", derandomize=True, max_examples=25, **_COMMON)
+settings.register_profile("search", max_examples=500, **_COMMON)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+
+def _shared_folder(name: str) -> Path:
+    folder = SHARED / name
+    if not folder.is_dir():
+        pytest.skip(f"../shared/{name} is not beside the repository")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings, which are not part of the repository."""
+    return _shared_folder("data")
+
+
+@pytest.fixture(scope="session")
+def reference() -> Callable[[str], Any]:
+    """Return a reader of reference numbers: `reference("evo")` is evo.json."""
+    folder = _shared_folder("reference")
+
+    @functools.cache
+    def read(name: str) -> Any:
+        return json.loads((folder / f"{name}.json").read_text())
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def recording(shared_data: Path) -> Callable[[str], Trajectory]:
+    """Return a reader of recordings by their path below the data folder, each read once."""
+
+    @functools.cache
+    def read(name: str) -> Trajectory:
+        return read_trajectory(str(shared_data / name))
+
+    return read

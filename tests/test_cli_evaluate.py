@@ -1,0 +1,282 @@
+"""`trajeval evaluate` as a user meets it: its output, its exit status, its one-line refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros.cli.app import main
+
+START = 1_700_000_000.0
+
+
+def write_tum(
+    path: Path, *, count: int = 400, rate: float = 20.0, start: float = START, scale: float = 1.0
+) -> Path:
+    """Write a loop of 40 m with a slowly turning body; `scale` makes an estimate of it."""
+    time = np.arange(count) / rate
+    turn = 2.0 * np.pi * time / time[-1]
+    columns = [
+        start + time,
+        6.0 * scale * np.cos(turn),
+        6.0 * scale * np.sin(turn),
+        scale * np.sin(3.0 * turn),
+        np.zeros(count),
+        np.zeros(count),
+        np.sin(turn / 2.0),
+        np.cos(turn / 2.0),
+    ]
+    np.savetxt(path, np.column_stack(columns), fmt="%.9f")
+    return path
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> list[str]:
+    groundtruth = write_tum(tmp_path / "groundtruth.txt", count=4000, rate=200.0)
+    estimate = write_tum(tmp_path / "estimate.txt", scale=1.01)
+    return ["evaluate", "-g", str(groundtruth), "-e", str(estimate)]
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run a command that must fail with status 2 and one line on stderr; return that line."""
+    status = main(arguments)
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    assert lines[0].startswith("trajeval: ")
+    assert "Traceback" not in captured.err
+    return lines[0]
+
+
+def test_the_verdict_comes_first_then_the_tables(
+    pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*pair, "--modality", "stereo-inertial"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("estimate: ATE 0.06")
+    assert "yaw and translation, 4-DoF) for stereo-inertial, all 400 states" in lines[1]
+    assert "100.0 % of the estimate's poses" in lines[2]
+    assert any("position [m]" in line and "400" in line for line in lines)
+    assert any("8 m" in line for line in lines)
+
+
+def test_without_a_gauge_the_default_is_announced(
+    pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(pair) == 0
+    assert "gauge se3 by default" in capsys.readouterr().out
+
+
+def test_json_goes_alone_to_standard_output_and_twice_the_same(
+    pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*pair, "--json", "-"]) == 0
+    first = capsys.readouterr().out
+    assert main([*pair, "--json", "-"]) == 0
+    assert capsys.readouterr().out == first
+    result = json.loads(first)
+    assert result["schema"] == "trajeval/1"
+    assert len(result["runs"]) == 1
+    ate = result["runs"][0]["ate"]
+    assert list(ate["position_m"]) == [
+        "rmse", "mean", "median", "std", "min", "max", "p95", "count",
+    ]  # fmt: skip
+    assert ate["velocity_mps"] is None
+    assert result["runs"][0]["alignment"]["gauge"] == "se3"
+
+
+def test_quiet_says_nothing_and_writes_what_was_asked_for(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "result.json"
+    assert main([*pair, "--quiet", "--json", str(file)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""
+    assert json.loads(file.read_text())["runs"][0]["association"]["pairs"] == 400
+
+
+def test_output_folder_holds_results_errors_and_figures(pair: list[str], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the plot extra is not installed")
+    folder = tmp_path / "some" / "result"
+    assert main([*pair, "--quiet", "--output", str(folder)]) == 0
+    names = {file.name for file in folder.iterdir()}
+    assert {"result.json", "errors.npz", "trajectory_top.png", "relative_error.png"} <= names
+    assert [each.name for each in folder.parent.iterdir()] == ["result"]
+    result = json.loads((folder / "result.json").read_text())
+    errors = np.load(folder / "errors.npz")
+    rmse = np.sqrt(np.mean(errors["estimate.position_m"] ** 2))
+    assert rmse == pytest.approx(result["runs"][0]["ate"]["position_m"]["rmse"], rel=1e-12)
+    assert len(errors["estimate.8m.starts"]) == result["runs"][0]["re"]["segments"][0]["pairs"]
+
+
+def test_several_estimates_are_told_apart_by_their_folders(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other").mkdir()
+    other = write_tum(tmp_path / "other" / "estimate.txt", scale=1.05)
+    assert main([*pair, "-e", str(other), "--json", "-"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert [run["estimate"]["name"].split("/")[-2:] for run in runs][1] == ["other", "estimate"]
+    assert runs[0]["estimate"]["name"] != runs[1]["estimate"]["name"]
+    assert runs[0]["ate"]["position_m"]["rmse"] < runs[1]["ate"]["position_m"]["rmse"]
+
+
+@pytest.mark.parametrize(
+    ("bound", "status"),
+    [
+        ("ate.position_m.rmse < 0.5", 0),
+        ("ate.position_m.rmse < 0.01", 1),
+        ("re.8m.position_percent.mean <= 5", 0),
+        ("association.estimate_coverage >= 1", 0),
+        ("ate.velocity_mps.rmse < 100", 1),
+    ],
+)
+def test_requirements_decide_the_exit_status(
+    pair: list[str], bound: str, status: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*pair, "--quiet", "--require", bound]) == status
+    assert (bound.split()[0] in capsys.readouterr().err) == (status == 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--require", "ate.position.rmse < 1"], "did you mean 'position_m'"),
+        (["--require", "ate.position_m < 1"], "is no number; add one of rmse"),
+        (["--require", "nonsense"], "write it as"),
+        (["--gauge", "se4"], "none, translation, yaw, planar, se3, sim3"),
+        (["--gauge", "se3", "--modality", "mono"], "modality mono means gauge sim3"),
+        (["--modality", "sonar"], "use one of mono"),
+        (["--protocol", "kiti"], "did you mean kitti?"),
+        (["--lengths", "8,banana"], "'banana' is no length"),
+        (["--lengths", "-3"], "-3"),
+        (["--align-states", "0"], "all or a number"),
+        (["--gauge", "sim3", "--align-states", "1"], "one state has no scale"),
+        (["--max-gap", "-1"], "must be above 0"),
+        (["--ate-form", "best"], "plain, tutorial"),
+        (["--gage", "se3"], "--gauge"),
+    ],
+)
+def test_a_wrong_option_gets_one_sentence(
+    pair: list[str],
+    options: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    target = tmp_path / "never.json"
+    line = refused([*pair, "--json", str(target), *options], capsys)
+    assert words in line
+    assert not target.exists()
+
+
+GOOD = "1.0 0 0 0 0 0 0 1\n2.0 1 0 0 0 0 0 1\n3.0 1 1 0 0 0 0.1 1\n4.0 0 2 1 0 0 0.2 1\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "does not exist"),
+        ("", "empty"),
+        (GOOD + "5.0 1 2", "line 5"),
+        (GOOD + "5.0 1 x 3 0 0 0 1\n", "line 5"),
+        ("1.0 nan 0 0 0 0 0 1\n" * 3, ""),
+        ("1.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0 1\n1.0 2 0 0 0 0 0.1 1\n", "stamp"),
+        (GOOD.replace("1.0 0", "0.0 0", 1).replace("2.0", "0.0").replace("3.0", "0.0")
+         .replace("4.0", "0.0"), "stamp"),
+        ("1700000001.0 0 0 0 0 0 0 1\n", ""),
+        ("\x00\x01\x02\x03" * 64, ""),
+    ],
+    ids=["missing", "empty", "half a line", "letters", "all NaN", "all stamps equal",
+         "all stamps zero", "one pose", "binary"],
+)  # fmt: skip
+def test_a_bad_estimate_gets_one_sentence(
+    pair: list[str],
+    content: str | None,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bad = tmp_path / "bad.txt"
+    if content is not None:
+        bad.write_text(content)
+    output = tmp_path / "result"
+    line = refused([*pair[:3], "-e", str(bad), "--output", str(output)], capsys)
+    assert "bad" in line
+    assert words.lower() in line.lower()
+    assert not output.exists()
+
+
+def test_clocks_that_never_meet_are_explained(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulated = write_tum(tmp_path / "simulated.txt", start=0.0)
+    assert "simulated time" in refused([*pair[:3], "-e", str(simulated)], capsys)
+    shifted = write_tum(tmp_path / "shifted.txt", start=START + 3600.0)
+    line = refused([*pair[:3], "-e", str(shifted)], capsys)
+    assert "time offset" in line
+    offset = re.search(r"would be (-?[\d.]+) s", line)
+    assert offset is not None
+    assert main([*pair[:3], "-e", str(shifted), "-q", "--time-offset", offset[1]]) == 0
+
+
+def test_nanoseconds_and_seconds_meet(pair: list[str], tmp_path: Path) -> None:
+    rows = np.loadtxt(pair[4])
+    lines = [
+        f"{round(row[0] * 1e9)} " + " ".join(f"{value:.9f}" for value in row[1:]) for row in rows
+    ]
+    (tmp_path / "nanoseconds.txt").write_text("\n".join(lines))
+    result = tmp_path / "result.json"
+    arguments = [*pair[:3], "-e", str(tmp_path / "nanoseconds.txt"), "-q", "--json", str(result)]
+    assert main(arguments) == 0
+    run = json.loads(result.read_text())["runs"][0]
+    assert run["association"]["pairs"] == 400
+    assert any("nanoseconds" in note for note in run["estimate"]["notes"])
+
+
+def test_it_works_elsewhere_with_a_home_that_cannot_be_written(
+    pair: list[str], tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    environment = {**os.environ, "HOME": "/proc/nowhere", "XDG_CACHE_HOME": "/proc/nowhere"}
+    environment["PYTHONPATH"] = str(Path(__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-m", "trajeval_ros", *pair],
+        cwd=elsewhere,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "ATE" in done.stdout
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_plain_text_in_a_pipe(pair: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(pair) == 0
+    output = capsys.readouterr().out
+    assert "\x1b" not in output
+    assert output.isascii()
+
+
+def test_help_teaches_by_example(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    assert main(["evaluate", "--help"]) == 0
+    output = capsys.readouterr().out
+    assert "--modality stereo-inertial" in output
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"trajeval_ros \d+\.\d+\.\d+\n", capsys.readouterr().out)

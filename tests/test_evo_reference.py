@@ -1,0 +1,69 @@
+"""evo's absolute pose error, number by number."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from trajeval_ros.evaluation import evaluate
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.protocol import PROTOCOLS
+from trajeval_ros.trajectory import Trajectory
+
+Recording = Callable[[str], Trajectory]
+Reference = Callable[[str], Any]
+
+FILES = {
+    "tum fr2_desk_groundtruth.txt fr2_desk_ORB.txt": (
+        "tum/fr2_desk_groundtruth.txt",
+        "tum/fr2_desk_ORB.txt",
+    ),
+    "kitti KITTI_00_gt.txt KITTI_00_ORB.txt": ("kitti/KITTI_00_gt.txt", "kitti/KITTI_00_ORB.txt"),
+    "euroc V102_groundtruth.csv V102.txt": (
+        "euroc/groundtruth/V1_02_asl.csv",
+        "euroc/V1_02_estimate.txt",
+    ),
+}
+TOPICS = ("ORB-SLAM", "S-PTAM")
+GAUGES = {"": Gauge.NONE, "-a ": Gauge.SE3, "-as ": Gauge.SIM3}
+METRICS = {"trans_part": "position_m", "angle_deg": "rotation_deg"}
+
+
+def assert_evos(
+    groundtruth: Trajectory, estimate: Trajectory, command: str, flags: str, numbers: Any
+) -> None:
+    protocol = dataclasses.replace(PROTOCOLS["evo"], gauge=GAUGES[flags])
+    result = evaluate(groundtruth, estimate, protocol)
+    for relation, metric in METRICS.items():
+        wanted = f"evo_ape {command} {flags}-r {relation}"
+        (theirs,) = [each for each in numbers["results"] if each["cmd"] == wanted]
+        ours = result.ate[metric]
+        assert ours is not None
+        assert ours.count == len(result.association) == theirs["n"]
+        for name in ("rmse", "mean", "median", "std", "min", "max"):
+            expected = pytest.approx(theirs["stats"][name], rel=1e-8)
+            assert getattr(ours, name) == expected, (metric, name)
+
+
+@pytest.mark.parametrize("flags", GAUGES)
+@pytest.mark.parametrize("command", FILES, ids=["fr2_desk", "KITTI_00", "V1_02"])
+def test_absolute_errors_are_evos(
+    command: str, flags: str, recording: Recording, reference: Reference
+) -> None:
+    groundtruth, estimate = (recording(name) for name in FILES[command])
+    assert_evos(groundtruth, estimate, command, flags, reference("evo"))
+
+
+@pytest.mark.parametrize("flags", GAUGES)
+@pytest.mark.parametrize("topic", TOPICS)
+def test_absolute_errors_of_topics_in_a_bag_are_evos(
+    topic: str, flags: str, recording: Recording, reference: Reference
+) -> None:
+    groundtruth, estimate = (
+        recording(f"bags/ROS_example.bag:{each}") for each in ("groundtruth", topic)
+    )
+    command = f"bag ROS_example.bag groundtruth {topic}"
+    assert_evos(groundtruth, estimate, command, flags, reference("evo"))

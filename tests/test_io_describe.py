@@ -1,0 +1,79 @@
+"""`trajeval info`: what is in a source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from strategies import make_groundtruth
+
+from trajeval_ros.cli.info import info
+from trajeval_ros.io.describe import describe
+from trajeval_ros.io.write_bag import ODOMETRY, POSE_STAMPED, write_bag
+
+
+def test_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = make_groundtruth(0)
+    bag = tmp_path / "bag"
+    write_bag(bag, {"/vicon/pose": (truth, POSE_STAMPED), "/vio": (truth, ODOMETRY)})
+    vicon, vio = describe(str(bag)).trajectories
+    assert vicon.could_be == "groundtruth"
+    assert vio.could_be == "estimate"
+    assert vicon.poses == len(truth)
+    assert vicon.rate_hz == pytest.approx(10.0, rel=0.1)
+    assert (vicon.first_ns, vicon.last_ns) == (truth.stamps[0], truth.stamps[-1])
+    assert vicon.path_length_m == pytest.approx(truth.path_length_m)
+    assert vio.holds == ("rotation", "velocity")
+    info(str(bag))
+    printed = capsys.readouterr().out
+    assert f"trajeval evaluate -g {bag}:/vicon/pose -e {bag}:/vio" in printed
+
+
+def test_tf_and_what_holds_no_poses(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bags = shared_data / "bags"
+    description = describe(str(bags / "tf_example"))
+    assert {(edge.parent, edge.child, edge.is_static) for edge in description.edges} == {
+        ("odom", "base_footprint", False),
+        ("base_footprint", "base_link", True),
+    }
+    services = describe(str(bags / "rosbag2_fixtures/topics_and_services.mcap"))
+    assert not services.trajectories
+    assert len(services.others) == 5
+    info(str(bags / "nav2_turtlebot.mcap"))
+    assert "odom -> base_link" in capsys.readouterr().out
+
+
+def test_a_text_file(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = str(shared_data / "tum/fr2_desk_groundtruth.txt")
+    (summary,) = describe(source).trajectories
+    assert summary.kind == "TUM"
+    assert summary.could_be == "groundtruth"
+    assert summary.gaps == 6
+    assert summary.longest_gap_s == pytest.approx(11.99, abs=0.01)
+    info(source)
+    printed = capsys.readouterr().out
+    assert "303.0 Hz" in printed
+    assert "duplicate_stamp" in printed
+
+
+def test_without_stamps(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    info(str(shared_data / "kitti/KITTI_00_ORB.txt"))
+    assert "no stamps" in capsys.readouterr().out
+
+
+def test_a_topic_that_cannot_be_evaluated_is_still_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from test_io_bags import pose_stamped, write
+
+    messages = [
+        (topic, POSE_STAMPED, row, pose_stamped(row * (topic == "/good"), float(row)))
+        for row in range(1, 4)
+        for topic in ("/bad", "/good")
+    ]
+    bag = write(tmp_path / "bag", messages)
+    bad, good = describe(str(bag)).trajectories
+    assert "all stamps are zero" in bad.problem
+    assert not good.problem
+    info(str(bag))
+    assert "all stamps are zero" in capsys.readouterr().out

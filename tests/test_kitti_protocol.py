@@ -1,0 +1,138 @@
+"""The KITTI odometry devkit's rule, written out frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from strategies import Array, make_groundtruth
+
+from trajeval_ros.evaluation import evaluate
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.protocol import PROTOCOLS
+from trajeval_ros.trajectory import Trajectory
+
+LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)
+
+
+def poses_of(trajectory: Trajectory) -> Array:
+    assert trajectory.rotations is not None
+    poses = np.tile(np.eye(4), (len(trajectory), 1, 1))
+    poses[:, :3, :3] = trajectory.rotations.as_matrix()
+    poses[:, :3, 3] = trajectory.positions
+    return poses
+
+
+def devkit(truth: Array, estimate: Array) -> dict[int, list[tuple[float, float]]]:
+    """Return (translation error, rotation error in rad) of each sequence by its length."""
+    distance = [0.0]
+    for before, after in pairwise(truth):
+        distance.append(distance[-1] + float(np.linalg.norm(after[:3, 3] - before[:3, 3])))
+    errors: dict[int, list[tuple[float, float]]] = {length: [] for length in LENGTHS}
+    for first in range(0, len(truth), 10):
+        for length in LENGTHS:
+            last = next(
+                (i for i in range(first, len(truth)) if distance[i] > distance[first] + length),
+                None,
+            )
+            if last is None:
+                continue
+            true_step = np.linalg.inv(truth[first]) @ truth[last]
+            step = np.linalg.inv(estimate[first]) @ estimate[last]
+            error = np.linalg.inv(step) @ true_step
+            cosine = 0.5 * (np.trace(error[:3, :3]) - 1.0)
+            angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            errors[length].append((float(np.linalg.norm(error[:3, 3])), angle))
+    return errors
+
+
+def test_relative_errors_are_the_devkits_on_sequence_00(
+    recording: Callable[[str], Trajectory],
+) -> None:
+    groundtruth = recording("kitti/KITTI_00_gt.txt")
+    estimate = recording("kitti/KITTI_00_ORB.txt")
+    result = evaluate(groundtruth, estimate, PROTOCOLS["kitti"])
+    expected = devkit(poses_of(groundtruth), poses_of(estimate))
+    assert result.segments is not None
+    assert [each.length_m for each in result.segments] == list(LENGTHS)
+    for segments in result.segments:
+        assert segments.length_m is not None
+        theirs = np.array(expected[int(segments.length_m)])
+        assert len(segments.errors.ends) == len(theirs) > 0
+        np.testing.assert_allclose(segments.errors.position_m, theirs[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(
+            segments.errors.rotation_deg, np.degrees(theirs[:, 1]), rtol=1e-6, atol=1e-6
+        )
+        percent = segments.statistics["position_percent"]
+        per_metre = segments.statistics["rotation_deg_per_m"]
+        assert percent is not None
+        assert per_metre is not None
+        assert percent.mean == pytest.approx(100.0 * np.mean(theirs[:, 0]) / segments.length_m)
+        rotation = np.degrees(np.mean(theirs[:, 1])) / segments.length_m
+        assert per_metre.mean == pytest.approx(rotation, rel=1e-6)
+
+
+def test_the_score_is_the_mean_over_all_sequences_of_all_lengths(
+    recording: Callable[[str], Trajectory],
+) -> None:
+    groundtruth = recording("kitti/KITTI_00_gt.txt")
+    estimate = recording("kitti/KITTI_00_ORB.txt")
+    pooled = evaluate(groundtruth, estimate, PROTOCOLS["kitti"]).pooled
+    errors = np.array(
+        [
+            (translation / length, angle / length)
+            for length, each in devkit(poses_of(groundtruth), poses_of(estimate)).items()
+            for translation, angle in each
+        ]
+    )
+    translation, rotation = pooled["position_percent"], pooled["rotation_deg_per_m"]
+    assert translation is not None
+    assert rotation is not None
+    assert translation.count == rotation.count == len(errors)
+    assert translation.mean == pytest.approx(100.0 * errors[:, 0].mean(), rel=1e-9)
+    assert rotation.mean == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
+
+
+def test_relative_errors_are_the_devkits_on_the_unrepaired_matrices(
+    recording: Callable[[str], Trajectory], shared_data: object
+) -> None:
+    # The files have few digits; making their matrices rotations must not change the score.
+    groundtruth = recording("kitti/KITTI_00_gt.txt")
+    estimate = recording("kitti/KITTI_00_ORB.txt")
+    raw = []
+    for name in ("gt", "ORB"):
+        rows = np.loadtxt(f"{shared_data}/kitti/KITTI_00_{name}.txt").reshape(-1, 3, 4)
+        last = np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))
+        raw.append(np.concatenate([rows, last], axis=1))
+    theirs = [error for each in devkit(*raw).items() for error in _per_metre(*each)]
+    result = evaluate(groundtruth, estimate, PROTOCOLS["kitti"])
+    ours = [
+        error
+        for each in result.segments or ()
+        for error in each.errors.position_m / (each.length_m or np.nan)
+    ]
+    assert np.mean(ours) == pytest.approx(np.mean(theirs), rel=1e-5)
+
+
+def _per_metre(length: int, errors: list[tuple[float, float]]) -> list[float]:
+    return [translation / length for translation, _ in errors]
+
+
+def test_frames_pair_by_number_and_nothing_is_aligned() -> None:
+    groundtruth = dataclasses.replace(make_groundtruth(1, 60), stamped=False)
+    shifted = dataclasses.replace(
+        groundtruth,
+        positions=groundtruth.positions + [3.0, 0.0, 0.0],
+        stamps=groundtruth.stamps + 7,
+    )
+    result = evaluate(groundtruth, shifted, PROTOCOLS["kitti"])
+    assert PROTOCOLS["kitti"].gauge is Gauge.NONE
+    assert len(result.association) == 60
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].min == pytest.approx(3.0)
+    with pytest.raises(InputError, match="row by row"):
+        evaluate(groundtruth, shifted[:59], PROTOCOLS["kitti"])

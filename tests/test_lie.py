@@ -1,0 +1,185 @@
+"""Quaternion arithmetic against scipy's, and where scipy is not asked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+from strategies import Array, seeds
+
+from trajeval_ros import lie
+
+
+def rotations(seed: int, count: int = 50) -> Rotation:
+    return Rotation.random(count, random_state=seed % 2**31)
+
+
+def quaternions(seed: int, count: int = 50) -> Array:
+    """Return random unit quaternions of either sign."""
+    sign = np.random.default_rng(seed).choice([-1.0, 1.0], size=(count, 1))
+    return rotations(seed, count).as_quat() * sign
+
+
+def assert_same_rotations(ours: Array, theirs: Array) -> None:
+    cosine = np.abs(np.einsum("...i,...i->...", ours, theirs))
+    np.testing.assert_allclose(cosine, 1.0, rtol=0, atol=1e-14)
+
+
+@given(a=seeds, b=seeds)
+def test_products_are_scipys(a: int, b: int) -> None:
+    ours = lie.multiply(quaternions(a), quaternions(b))
+    assert_same_rotations(ours, (rotations(a) * rotations(b)).as_quat())
+
+
+@given(a=seeds, b=seeds, c=seeds)
+def test_products_are_associative_with_an_inverse_and_an_identity(a: int, b: int, c: int) -> None:
+    p, q, r = quaternions(a), quaternions(b), quaternions(c)
+    identity = np.array([0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(
+        lie.multiply(lie.multiply(p, q), r), lie.multiply(p, lie.multiply(q, r)), atol=1e-14
+    )
+    np.testing.assert_allclose(
+        lie.multiply(p, lie.conjugate(p)), np.tile(identity, (50, 1)), atol=1e-14
+    )
+    np.testing.assert_array_equal(lie.multiply(p, identity), p)
+    np.testing.assert_array_equal(lie.multiply(identity, p), p)
+
+
+@given(a=seeds, b=seeds)
+def test_rotating_is_scipys_and_a_homomorphism(a: int, b: int) -> None:
+    vectors = np.random.default_rng(b).normal(size=(50, 3))
+    p, q = quaternions(a), quaternions(b)
+    np.testing.assert_allclose(lie.rotate(p, vectors), rotations(a).apply(vectors), atol=1e-13)
+    np.testing.assert_allclose(
+        lie.rotate(lie.multiply(p, q), vectors), lie.rotate(p, lie.rotate(q, vectors)), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("left", [(4,), (1, 4), (5, 4), (3, 1, 4)])
+@pytest.mark.parametrize("right", [(4,), (5, 4), (3, 5, 4)])
+def test_products_broadcast(left: tuple[int, ...], right: tuple[int, ...]) -> None:
+    random = np.random.default_rng(0)
+    p, q = random.normal(size=left), random.normal(size=right)
+    product = lie.multiply(p, q)
+    full_p = np.broadcast_to(p, product.shape).reshape(-1, 4)
+    full_q = np.broadcast_to(q, product.shape).reshape(-1, 4)
+    singly = [lie.multiply(a, b) for a, b in zip(full_p, full_q, strict=True)]
+    np.testing.assert_allclose(product.reshape(-1, 4), singly, atol=1e-15)
+
+
+@pytest.mark.parametrize("vector", [(3,), (5, 3)])
+@pytest.mark.parametrize("quaternion", [(4,), (5, 4)])
+def test_rotating_broadcasts(quaternion: tuple[int, ...], vector: tuple[int, ...]) -> None:
+    random = np.random.default_rng(1)
+    q, v = random.normal(size=quaternion), random.normal(size=vector)
+    rotated = lie.rotate(q, v)
+    assert rotated.shape == np.broadcast_shapes(quaternion[:-1], vector[:-1]) + (3,)
+    last_q = q if q.ndim == 1 else q[-1]
+    last_v = v if v.ndim == 1 else v[-1]
+    np.testing.assert_allclose(np.atleast_2d(rotated)[-1], lie.rotate(last_q, last_v), atol=1e-15)
+
+
+@given(seed=seeds)
+def test_angles_are_scipys(seed: int) -> None:
+    np.testing.assert_allclose(
+        lie.angle(quaternions(seed)), rotations(seed).magnitude(), rtol=1e-13
+    )
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-15, 1e-12, 1e-9, 1e-8, 1e-6, 1e-3, 1.0, 3.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_tiny_and_common_angles_are_exact(size: float, sign: float) -> None:
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    quaternion = sign * np.append(axis * np.sin(size / 2.0), np.cos(size / 2.0))
+    tolerance = 1e-14 if size > 1e-150 else 1.0  # squares of smaller numbers underflow to zero
+    np.testing.assert_allclose(lie.angle(quaternion), size, rtol=tolerance)
+
+
+@pytest.mark.parametrize("short_of_half_turn", [0.0, 1e-12, 1e-9, 1e-6])
+def test_angles_near_half_a_turn_are_exact(short_of_half_turn: float) -> None:
+    half = short_of_half_turn / 2.0
+    quaternion = np.array([0.6 * np.cos(half), 0.0, 0.8 * np.cos(half), np.sin(half)])
+    assert np.pi - lie.angle(quaternion) == pytest.approx(short_of_half_turn, abs=1e-15)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-3, 1.0, 3.1])
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_yaw_is_the_signed_twist_and_tilt_the_swing(
+    size: float, direction: float, sign: float
+) -> None:
+    sine, cosine = np.sin(size / 2.0), np.cos(size / 2.0)
+    about_z = sign * np.array([0.0, 0.0, direction * sine, cosine])
+    about_level = sign * np.array([0.6 * sine, direction * 0.8 * sine, 0.0, cosine])
+    np.testing.assert_allclose(lie.yaw(about_z), direction * size, rtol=1e-13)
+    np.testing.assert_allclose(lie.tilt(about_level), size, rtol=1e-13)
+    assert lie.tilt(about_z) == 0.0
+    assert lie.yaw(about_level) == pytest.approx(0.0, abs=1e-15)
+
+
+@given(seed=seeds, turn=st.floats(-3.1, 3.1))
+def test_yaw_adds_up_and_tilt_does_not_see_turns_about_gravity(seed: int, turn: float) -> None:
+    q = quaternions(seed)
+    about_z = np.array([0.0, 0.0, np.sin(turn / 2.0), np.cos(turn / 2.0)])
+    turned = lie.multiply(about_z, q)
+    apart = lie.yaw(turned) - lie.yaw(q) - turn
+    np.testing.assert_allclose(np.cos(apart), 1.0, atol=1e-9)
+    np.testing.assert_allclose(lie.tilt(turned), lie.tilt(q), atol=1e-12)
+    assert (np.abs(lie.yaw(q)) <= np.pi).all()
+
+
+@given(seed=seeds)
+def test_tilt_is_the_angle_between_the_vertical_and_its_image(seed: int) -> None:
+    image = rotations(seed).apply([0.0, 0.0, 1.0])
+    level = np.hypot(image[:, 0], image[:, 1])
+    np.testing.assert_allclose(
+        lie.tilt(quaternions(seed)), np.arctan2(level, image[:, 2]), atol=1e-12
+    )
+
+
+@given(seed=seeds)
+def test_half_the_angles_cosine_is_that_of_yaw_times_that_of_tilt(seed: int) -> None:
+    q = quaternions(seed)
+    np.testing.assert_allclose(
+        np.cos(lie.angle(q) / 2.0),
+        np.cos(lie.yaw(q) / 2.0) * np.cos(lie.tilt(q) / 2.0),
+        atol=1e-12,
+    )
+
+
+@given(a=seeds, size=st.sampled_from([0.0, 1e-14, 1e-10, 1e-9, 1e-8, 1e-4, 0.1, 1.0, 3.0, 3.1415]))
+def test_interpolation_is_scipys_slerp(a: int, size: float) -> None:
+    random = np.random.default_rng(a)
+    axis = random.normal(size=3)
+    start = Rotation.random(random_state=a % 2**31)
+    end = Rotation.from_rotvec(axis / np.linalg.norm(axis) * size) * start
+    fractions = np.concatenate([[0.0, 1.0], random.uniform(size=20)])
+    expected = Slerp([0.0, 1.0], Rotation.concatenate([start, end]))(fractions)
+    sign = random.choice([-1.0, 1.0], size=(2, 22, 1))
+    ours = lie.slerp(sign[0] * start.as_quat(), sign[1] * end.as_quat(), fractions)
+    apart = (Rotation.from_quat(ours) * expected.inv()).magnitude()
+    np.testing.assert_allclose(apart, 0.0, atol=2e-15 if size < 3.0 else 1e-11)
+    np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1.0, atol=1e-15)
+
+
+@given(a=seeds, b=seeds)
+def test_interpolation_turns_evenly_from_start_to_end(a: int, b: int) -> None:
+    start, end = quaternions(a), quaternions(b)
+    fraction = np.random.default_rng(a).uniform(size=50)
+    whole = lie.angle(lie.multiply(end, lie.conjugate(start)))
+    middle = lie.slerp(start, end, fraction)
+    part = lie.angle(lie.multiply(middle, lie.conjugate(start)))
+    np.testing.assert_allclose(part, fraction * whole, atol=1e-9)
+    assert_same_rotations(lie.slerp(start, end, np.zeros(50)), start)
+    assert_same_rotations(lie.slerp(start, end, np.ones(50)), end)
+
+
+@pytest.mark.parametrize("count", [0, 1, 8191, 8192, 8193, 20_000])
+def test_work_by_blocks_is_work_at_once(count: int) -> None:
+    random = np.random.default_rng(count)
+    a, b = random.normal(size=(count, 4)), random.normal(size=(count, 4))
+    product, angle = lie.by_blocks(lambda x, y: (lie.multiply(x, y), lie.angle(x)), a, b)
+    np.testing.assert_array_equal(product, lie.multiply(a, b))
+    np.testing.assert_array_equal(angle, lie.angle(a))

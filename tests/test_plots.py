@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros.evaluation import Evaluation, evaluate
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.protocol import Protocol, metres
+from trajeval_ros.report import canvas
+from trajeval_ros.report.plots import write_figures
+from trajeval_ros.simulation import simulate
+from trajeval_ros.sub_trajectories import Length
+from trajeval_ros.trajectory import Trajectory
+
+pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+
+ALL = [
+    "trajectory_top.png",
+    "trajectory_side.png",
+    "absolute_error.png",
+    "relative_error.png",
+]
+
+
+def _evaluation(
+    seed: int = 0, protocol: Protocol | None = None, **groundtruth: object
+) -> Evaluation:
+    flight = simulate(seed, 40.0)
+    truth = dataclasses.replace(flight.groundtruth, **groundtruth)
+    estimate = dataclasses.replace(flight.estimate, name=f"vio {seed}")
+    return evaluate(truth, estimate, protocol or Protocol(gauge=Gauge.YAW))
+
+
+def _pixels(path: Path) -> np.ndarray:
+    from matplotlib.image import imread
+
+    return imread(path)[:, :, :3]
+
+
+def _texts(evaluations: list[Evaluation], draw: str) -> str:
+    """All words of a figure: titles, labels, legends and notes."""
+    from matplotlib.text import Text
+
+    from trajeval_ros.report import absolute_figure, relative_figure, trajectory_figure
+
+    for module in (absolute_figure, relative_figure, trajectory_figure):
+        if hasattr(module, draw):
+            names = canvas.short_names([each.estimate.name for each in evaluations])
+            with canvas.house_style():
+                figure = getattr(module, draw)(evaluations, names)
+                figure.canvas.draw()
+    return "\n".join(text.get_text() for text in figure.findobj(Text))
+
+
+def _colour_share(pixels: np.ndarray, colour: str) -> float:
+    wanted = np.array([int(colour[place : place + 2], 16) for place in (1, 3, 5)]) / 255.0
+    return float(np.mean(np.abs(pixels - wanted).max(axis=2) < 0.02))
+
+
+def test_writes_every_figure_and_none_is_blank(tmp_path: Path) -> None:
+    paths = write_figures([_evaluation()], tmp_path)
+    assert [path.name for path in paths] == ALL
+    for path in paths:
+        pixels = _pixels(path)
+        assert pixels.std() > 0.05
+        assert min(pixels.shape[:2]) > 200
+        assert _colour_share(pixels, canvas.COLOURS[0]) > 5e-4
+
+
+def test_same_evaluation_gives_the_same_bytes(tmp_path: Path) -> None:
+    evaluation = _evaluation()
+    first = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
+    assert first == [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
+
+
+def test_settings_of_the_user_are_neither_followed_nor_changed(tmp_path: Path) -> None:
+    import matplotlib
+
+    evaluation = _evaluation()
+    plain = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
+    with matplotlib.rc_context({"font.size": 20.0, "axes.facecolor": "red"}):
+        styled = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
+        assert matplotlib.rcParams["font.size"] == 20.0
+    assert styled == plain
+
+
+def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> None:
+    evaluations = [_evaluation(0), _evaluation(0), _evaluation(0)]
+    names = ["first", "second", "third"]
+    for path in write_figures(evaluations, tmp_path, names):
+        assert _pixels(path).std() > 0.05
+    pixels = _pixels(tmp_path / "relative_error.png")
+    assert all(_colour_share(pixels, canvas.tint(colour)) > 1e-3 for colour in canvas.COLOURS[:3])
+    assert _colour_share(pixels, canvas.tint(canvas.COLOURS[3])) == 0.0
+
+
+def test_more_estimates_than_colours(tmp_path: Path) -> None:
+    assert len(write_figures([_evaluation()] * 8, tmp_path, [f"trial {k}" for k in range(8)])) == 4
+    assert len({canvas.line_style(place) for place in range(20)}) == 20
+
+
+def test_titles_state_the_definitions() -> None:
+    evaluation = _evaluation()
+    absolute = _texts([evaluation], "absolute_error")
+    assert f"all {len(evaluation.association)} matched states" in absolute
+    assert "yaw and translation" in absolute
+    assert "plain difference" in absolute
+    assert f"rmse {evaluation.ate['position_m'].rmse:.3g} m" in absolute
+    assert f"{100 * evaluation.association.groundtruth_coverage:.0f} % covered" in absolute
+    assert "position error [m]" in absolute
+    assert "distance travelled [m]" in absolute
+    relative = _texts([evaluation], "relative_error")
+    assert "at its first state by yaw and translation" in relative
+    assert str(evaluation.segments[0].statistics["position_m"].count) in relative
+    first = _evaluation(protocol=Protocol(gauge=Gauge.SE3, align_states=1, re_form="se3"))
+    assert "SE(3), rigid body, the first matched state" in _texts([first], "top_view")
+    assert "by SE(3)" in _texts([first], "relative_error")
+
+
+def test_withheld_rotation_says_why(tmp_path: Path) -> None:
+    without = _evaluation(rotations=None)
+    assert len(write_figures([without], tmp_path)) == 4
+    assert "the groundtruth has positions only" in _texts([without], "absolute_error")
+    assert "the groundtruth has positions only" in _texts([without], "relative_error")
+    both = _texts([_evaluation(), without], "absolute_error")
+    assert "withheld" in both
+
+
+def test_undetermined_rotation_says_why() -> None:
+    flight = simulate(0, 40.0)
+    line = flight.groundtruth.positions * [1.0, 0.0, 0.0]
+    straight = dataclasses.replace(flight.groundtruth, positions=line)
+    evaluation = evaluate(straight, straight[::10], Protocol(gauge=Gauge.SE3))
+    assert evaluation.alignment.undetermined
+    assert "don't determine" in _texts([evaluation], "absolute_error")
+
+
+def test_no_sub_trajectory_of_the_lengths(tmp_path: Path) -> None:
+    evaluation = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(1000)))
+    assert len(write_figures([evaluation], tmp_path)) == 4
+    assert "No sub-trajectory of 1000m" in _texts([evaluation], "relative_error")
+    part = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(8, 1000)))
+    assert "\n0\n" in _texts([part], "relative_error")
+
+
+def test_relative_error_in_seconds_and_shares() -> None:
+    lengths = (Length(1, "s"), Length(5, "s"))
+    seconds = _texts([_evaluation(protocol=Protocol(lengths=lengths))], "relative_error")
+    assert "length of sub-trajectory [s]" in seconds
+    assert "% of length" not in seconds
+    lengths = (Length(10, "%"), Length(2, "m"))
+    mixed = _texts([_evaluation(protocol=Protocol(lengths=lengths))], "relative_error")
+    assert "10%" in mixed
+    assert "2m" in mixed
+
+
+def test_what_was_not_asked_for_is_not_drawn(tmp_path: Path) -> None:
+    planar = _evaluation(protocol=Protocol(gauge=Gauge.PLANAR, lengths=()))
+    names = [path.name for path in write_figures([planar], tmp_path)]
+    assert names == ["trajectory_top.png", "absolute_error.png"]
+
+
+def test_one_state_at_rest_can_be_drawn(tmp_path: Path) -> None:
+    state = simulate(0, 5.0).groundtruth[:1]
+    evaluation = evaluate(state, state, Protocol(gauge=Gauge.TRANSLATION))
+    assert len(write_figures([evaluation], tmp_path)) == 4
+
+
+def test_without_matplotlib_the_error_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match="pip install"):
+        write_figures([_evaluation()], tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_thinning_keeps_peaks_and_ends_and_breaks_at_gaps() -> None:
+    count = 1_000_000
+    stamps = 5_000_000 * np.arange(count)
+    stamps[600_000:] += 3_000_000_000
+    columns = np.stack([np.arange(count, dtype=float), np.zeros(count)], axis=1)
+    columns[123_457, 1] = 7.0
+    thin = canvas.thinned(columns, stamps, 0.5)
+    assert len(thin) <= canvas.MOST_POINTS + 10
+    assert np.nanmax(thin[:, 1]) == 7.0
+    assert (thin[0, 0], thin[-1, 0]) == (0.0, count - 1.0)
+    (gap,) = np.flatnonzero(np.isnan(thin[:, 0]))
+    assert (thin[gap - 1, 0], thin[gap + 1, 0]) == (599_999.0, 600_000.0)
+    assert (np.diff(thin[~np.isnan(thin[:, 0]), 0]) > 0).all()
+
+
+def test_keyframes_far_apart_are_no_gaps() -> None:
+    stamps = 2_000_000_000 * np.arange(10)
+    columns = np.zeros((10, 2))
+    np.testing.assert_array_equal(canvas.thinned(columns, stamps, 0.5), columns)
+
+
+def test_long_and_missing_names() -> None:
+    short, missing = canvas.short_names(["a/" * 60 + "odometry", ""])
+    assert short.startswith("…")
+    assert short.endswith("/odometry")
+    assert len(short) <= 48
+    assert missing == "estimate 2"
+
+
+def test_names_are_neither_hidden_nor_read_as_formulas() -> None:
+    evaluation = _evaluation()
+    for name in ("_hidden", "$run_{1$", "50%"):
+        named = dataclasses.replace(evaluation.estimate, name=name)
+        odd = dataclasses.replace(evaluation, estimate=named)
+        for draw in ("absolute_error", "relative_error", "top_view"):
+            assert name in _texts([odd], draw)
+
+
+def test_large_coordinates_keep_the_figure_small(tmp_path: Path) -> None:
+    flight = simulate(0, 20.0)
+    far = flight.groundtruth.positions * [100.0, 1.0, 1.0] + [5e5, 4e6, 0.0]
+    truth: Trajectory = dataclasses.replace(flight.groundtruth, positions=far)
+    for path in write_figures([evaluate(truth, truth[::10])], tmp_path):
+        assert max(_pixels(path).shape) < 2600

@@ -1,0 +1,184 @@
+"""Absolute and relative errors against 4x4 matrices, pose by pose."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scipy.spatial.transform import Rotation
+from strategies import Array, make_element, make_groundtruth, seeds
+
+from trajeval_ros.errors import absolute_errors, relative_errors
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.trajectory import Trajectory
+
+PRECISE = 1e-10
+
+
+def noisy_pair(seed: int, count: int = 40) -> tuple[Trajectory, Trajectory]:
+    """Return paired states in different frames, with errors of all sizes."""
+    truth = make_groundtruth(seed, count)
+    random = np.random.default_rng(seed)
+    assert truth.rotations is not None
+    assert truth.velocities is not None
+    sizes = 10.0 ** random.uniform(-3, 0.3, size=(count, 1))
+    estimate = dataclasses.replace(
+        truth,
+        positions=truth.positions + random.normal(scale=0.3, size=(count, 3)),
+        rotations=Rotation.from_rotvec(sizes * random.normal(size=(count, 3))) * truth.rotations,
+        velocities=truth.velocities + random.normal(scale=0.1, size=(count, 3)),
+    )
+    return truth, make_element(Gauge.SIM3, seed + 1, reach_m=10.0).trajectory(estimate)
+
+
+def matrices(trajectory: Trajectory, scale: float = 1.0) -> Array:
+    assert trajectory.rotations is not None
+    poses = np.tile(np.eye(4), (len(trajectory), 1, 1))
+    poses[:, :3, :3] = trajectory.rotations.as_matrix()
+    poses[:, :3, 3] = scale * trajectory.positions
+    return poses
+
+
+def angle_of(rotation: Array) -> float:
+    skew = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    return float(np.degrees(np.arctan2(np.linalg.norm(skew), np.trace(rotation) - 1.0)))
+
+
+def yaw_of(rotation: Array) -> float:
+    """Return the turn about z that is closest to a rotation."""
+    sine, cosine = rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]
+    return float(np.degrees(np.abs(np.arctan2(sine, cosine))))
+
+
+def tilt_of(rotation: Array) -> float:
+    return float(np.degrees(np.arctan2(np.hypot(*rotation[:2, 2]), rotation[2, 2])))
+
+
+def alignment_at(gauge: Gauge, form: str, truth: Array, estimate: Array) -> Array:
+    """Return eq. (19), or (20), as a rotation."""
+    between = truth[:3, :3] @ estimate[:3, :3].T
+    if form in ("gauge", "tutorial") and gauge in (Gauge.YAW, Gauge.PLANAR):
+        angle = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+        return Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return between
+
+
+@pytest.mark.parametrize("gauge", list(Gauge))
+@pytest.mark.parametrize("form", ["gauge", "se3", "tutorial", "euler"])
+@settings(max_examples=6)
+@given(seed=seeds)
+def test_relative_errors_are_those_of_matrices(gauge: Gauge, form: str, seed: int) -> None:
+    truth, estimate = noisy_pair(seed)
+    random = np.random.default_rng(seed)
+    scale = float(random.uniform(0.5, 2.0))
+    starts, ends = np.sort(random.integers(0, 40, size=(2, 30)), axis=0)
+    errors = relative_errors(truth, estimate, starts, ends, gauge, scale, form)
+    assert truth.velocities is not None
+    assert estimate.velocities is not None
+    assert errors.tilt_deg is not None
+    assert errors.velocity_mps is not None
+    true_poses, poses = matrices(truth), matrices(estimate, scale)
+    for k, (s, e) in enumerate(zip(starts, ends, strict=True)):
+        align = np.eye(4)
+        align[:3, :3] = alignment_at(gauge, form, true_poses[s], poses[s])
+        align[:3, 3] = true_poses[s, :3, 3] - align[:3, :3] @ poses[s, :3, 3]
+        end = align @ poses[e]
+        velocity = scale * align[:3, :3] @ estimate.velocities[e]
+        error = true_poses[e, :3, :3] @ end[:3, :3].T
+        turn = error if form == "tutorial" else np.eye(3)
+        position = np.linalg.norm(true_poses[e, :3, 3] - turn @ end[:3, 3])
+        assert errors.position_m[k] == pytest.approx(position, abs=PRECISE)
+        speed = np.linalg.norm(truth.velocities[e] - turn @ velocity)
+        assert errors.velocity_mps[k] == pytest.approx(speed, abs=PRECISE)
+        assert errors.rotation_deg[k] == pytest.approx(angle_of(error), abs=1e-9)
+        if form != "euler":
+            assert errors.yaw_deg[k] == pytest.approx(yaw_of(error), abs=1e-9)
+            assert errors.tilt_deg[k] == pytest.approx(tilt_of(error), abs=1e-9)
+
+
+@pytest.mark.parametrize("form", ["se3", "euler"])
+@settings(max_examples=10)
+@given(seed=seeds)
+def test_the_se3_form_is_the_error_of_relative_poses(form: str, seed: int) -> None:
+    truth, estimate = noisy_pair(seed)
+    starts = np.arange(0, 30)
+    ends = starts + 10
+    errors = relative_errors(truth, estimate, starts, ends, Gauge.SE3, 1.0, form)
+    assert errors.tilt_deg is not None
+    true_poses, poses = matrices(truth), matrices(estimate)
+    for k, (s, e) in enumerate(zip(starts, ends, strict=True)):
+        true_step = np.linalg.inv(true_poses[s]) @ true_poses[e]
+        step = np.linalg.inv(poses[s]) @ poses[e]
+        error = np.linalg.inv(true_step) @ step
+        assert errors.position_m[k] == pytest.approx(np.linalg.norm(error[:3, 3]), abs=PRECISE)
+        assert errors.rotation_deg[k] == pytest.approx(angle_of(error[:3, :3]), abs=1e-9)
+        if form == "euler":  # the toolbox's, in the unaligned estimate's world
+            world = poses[e, :3, :3] @ error[:3, :3] @ poses[e, :3, :3].T
+            yaw = np.arctan2(world[1, 0], world[0, 0])
+            pitch = np.arctan2(-world[2, 0], np.hypot(world[0, 0], world[1, 0]))
+            roll = np.arctan2(world[2, 1], world[2, 2])
+            assert errors.yaw_deg[k] == pytest.approx(np.degrees(abs(yaw)), abs=1e-8)
+            tilt = np.degrees(np.hypot(pitch, roll))
+            assert errors.tilt_deg[k] == pytest.approx(tilt, abs=1e-8)
+
+
+@pytest.mark.parametrize("gauge", list(Gauge))
+@given(seed=seeds)
+def test_a_sub_trajectory_of_one_state_has_no_position_error(gauge: Gauge, seed: int) -> None:
+    truth, estimate = noisy_pair(seed)
+    every = np.arange(40)
+    errors = relative_errors(truth, estimate, every, every, gauge)
+    np.testing.assert_allclose(errors.position_m, 0.0, atol=1e-12)
+    if gauge not in (Gauge.YAW, Gauge.PLANAR):
+        np.testing.assert_allclose(errors.rotation_deg, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["plain", "tutorial"])
+@given(seed=seeds)
+def test_absolute_errors_are_those_of_matrices(form: str, seed: int) -> None:
+    truth, aligned = noisy_pair(seed)
+    errors = absolute_errors(truth, aligned, form)
+    assert truth.velocities is not None
+    assert aligned.velocities is not None
+    assert errors.rotation_deg is not None
+    assert errors.yaw_deg is not None
+    assert errors.tilt_deg is not None
+    assert errors.velocity_mps is not None
+    true_poses, poses = matrices(truth), matrices(aligned)
+    for i in range(len(truth)):
+        error = true_poses[i, :3, :3] @ poses[i, :3, :3].T
+        turn = error if form == "tutorial" else np.eye(3)
+        position = np.linalg.norm(true_poses[i, :3, 3] - turn @ poses[i, :3, 3])
+        speed = np.linalg.norm(truth.velocities[i] - turn @ aligned.velocities[i])
+        assert errors.position_m[i] == pytest.approx(position, abs=PRECISE)
+        assert errors.velocity_mps[i] == pytest.approx(speed, abs=PRECISE)
+        assert errors.rotation_deg[i] == pytest.approx(angle_of(error), abs=1e-9)
+        assert errors.yaw_deg[i] == pytest.approx(yaw_of(error), abs=1e-9)
+        assert errors.tilt_deg[i] == pytest.approx(tilt_of(error), abs=1e-9)
+
+
+def test_errors_do_not_depend_on_the_signs_of_quaternions() -> None:
+    truth, aligned = noisy_pair(3)
+    assert aligned.rotations is not None
+    flipped = dataclasses.replace(
+        aligned, rotations=Rotation.from_quat(-aligned.rotations.as_quat())
+    )
+    ours, theirs = absolute_errors(truth, aligned), absolute_errors(truth, flipped)
+    for field in ("rotation_deg", "yaw_deg", "tilt_deg"):
+        np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-12)
+
+
+def test_withheld_rotation_takes_all_that_depends_on_it() -> None:
+    truth, aligned = noisy_pair(4)
+    errors = absolute_errors(truth, aligned, rotation=False)
+    assert errors.rotation_deg is errors.yaw_deg is errors.tilt_deg is None
+    assert errors.velocity_mps is None
+    assert errors.gyroscope_bias is not None

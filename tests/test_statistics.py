@@ -1,0 +1,77 @@
+"""Statistics against numpy's."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from strategies import Array
+
+from trajeval_ros.statistics import statistics_of
+
+errors = arrays(
+    np.float64, st.integers(1, 60), elements=st.floats(0.0, 1e9, allow_subnormal=False)
+)
+
+
+@given(values=errors)
+def test_statistics_are_numpys(values: Array) -> None:
+    ours = statistics_of(values)
+    assert ours is not None
+    size = float(values.max())
+    assert ours.rmse == pytest.approx(np.sqrt(np.mean(values**2)), rel=1e-12)
+    assert ours.mean == pytest.approx(np.mean(values), rel=1e-12)
+    assert ours.median == pytest.approx(np.median(values), rel=1e-12)
+    assert ours.std == pytest.approx(np.std(values), abs=1e-12 * size)
+    assert ours.p95 == pytest.approx(np.percentile(values, 95), rel=1e-12)
+    assert (ours.min, ours.max, ours.count) == (values.min(), values.max(), len(values))
+
+
+@given(values=errors, factor=st.floats(1e-3, 1e3))
+def test_statistics_scale_with_the_unit(values: Array, factor: float) -> None:
+    statistics, direct = statistics_of(values), statistics_of(values * factor)
+    assert statistics is not None
+    assert direct is not None
+    scaled = statistics.scaled(factor)
+    tolerance = 1e-12 * factor * float(values.max())
+    for field in dataclasses.fields(scaled):
+        ours, theirs = getattr(scaled, field.name), getattr(direct, field.name)
+        assert ours == pytest.approx(theirs, rel=1e-12, abs=tolerance), field.name
+
+
+@given(values=errors)
+def test_statistics_neither_sort_nor_change_what_they_are_given(values: Array) -> None:
+    before = values.copy()
+    first, second = statistics_of(values), statistics_of(values)
+    assert first == second
+    np.testing.assert_array_equal(values, before)
+
+
+@given(values=errors, seed=st.integers(0, 1000))
+def test_statistics_do_not_depend_on_the_order(values: Array, seed: int) -> None:
+    shuffled = np.random.default_rng(seed).permutation(values)
+    assert statistics_of(values) == statistics_of(shuffled)
+
+
+def test_percentile_is_the_samples_not_a_normal_distributions() -> None:
+    values = np.concatenate([np.full(90, 0.1), np.full(10, 50.0)])
+    ours = statistics_of(values)
+    assert ours is not None
+    assert ours.p95 == np.percentile(values, 95) == 50.0
+    assert ours.p95 != pytest.approx(values.mean() + 1.645 * values.std(), rel=0.1)
+
+
+def test_rmse_is_the_root_mean_square_and_not_the_mean() -> None:
+    ours = statistics_of(np.array([0.0, 2.0]))
+    assert ours is not None
+    assert ours.rmse == pytest.approx(np.sqrt(2.0))
+    assert ours.mean == 1.0
+
+
+@pytest.mark.parametrize("nothing", [None, np.empty(0)])
+def test_no_errors_have_no_statistics_rather_than_zeros(nothing: Array | None) -> None:
+    assert statistics_of(nothing) is None

@@ -1,0 +1,130 @@
+"""Which states make a sub-trajectory, against a search through all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import Array, seeds
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.sub_trajectories import Length, Selection, select
+
+RULES = ("nearest", "toolbox", "first-past")
+
+
+def by_search(along: Array, length: float, selection: Selection) -> list[tuple[int, int]]:
+    """Return what the rules say, pair by pair."""
+    found = []
+    last = len(along) - 1
+    for start in range(0, len(along), selection.every):
+        target = along[start] + length
+        if selection.rule == "first-past":
+            past = [e for e in range(start, last + 1) if along[e] > target]
+            found += [(start, past[0])] if past else []
+            continue
+        deviations = [abs(along[e] - target) for e in range(start, last + 1)]
+        end = start + int(np.argmin(deviations))
+        deviation = deviations[end - start]
+        if selection.rule == "toolbox":
+            accepted = deviation < 0.2 * length
+        else:
+            reached = [e for e in range(last + 1) if along[e] >= target] or [last]
+            spacing = along[reached[0]] - along[max(reached[0] - 1, 0)]
+            tolerance = min(max(0.01 * length, spacing / 2.0), 0.2 * length)
+            accepted = deviation <= tolerance * (1.0 + 1e-9) and end > start
+        if accepted:
+            found.append((start, end))
+    return found
+
+
+def pairs_of(along: Array, length: float, selection: Selection) -> list[tuple[int, int]]:
+    starts, ends = select(along, length, selection)
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("every", [1, 10])
+@given(seed=seeds, length=st.floats(0.05, 20.0))
+def test_selection_is_a_search_through_all_pairs(
+    rule: str, every: int, seed: int, length: float
+) -> None:
+    random = np.random.default_rng(seed)
+    steps = random.exponential(0.1, size=random.integers(1, 250))
+    steps[random.uniform(size=len(steps)) < 0.2] = 0.0  # standing still
+    steps[random.uniform(size=len(steps)) < 0.02] = random.uniform(1.0, 8.0)  # holes
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    selection = Selection(rule, every)
+    assert pairs_of(along, length, selection) == by_search(along, length, selection)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@given(numbers=st.lists(st.integers(0, 3), max_size=60), length=st.integers(1, 20))
+def test_selection_decides_ties_as_the_search_does(
+    rule: str, numbers: list[int], length: int
+) -> None:
+    # Half metres are exact in binary, so that ties are ties.
+    along = np.concatenate([[0.0], np.cumsum(np.array(numbers, dtype=np.float64))]) / 2.0
+    selection = Selection(rule)
+    assert pairs_of(along, length / 2.0, selection) == by_search(along, length / 2.0, selection)
+
+
+@given(seed=seeds, length=st.floats(1.0, 10.0))
+def test_sub_trajectories_are_as_long_as_they_say(seed: int, length: float) -> None:
+    along = np.cumsum(np.random.default_rng(seed).exponential(0.02, size=1500))
+    starts, ends = select(along, length, Selection())
+    lengths = along[ends] - along[starts]
+    steps = np.diff(along).max()
+    assert (np.abs(lengths - length) <= max(0.01 * length, steps / 2.0) + 1e-9).all()
+    # All starts that have a full length ahead of them are used.
+    assert len(starts) >= np.count_nonzero(along + length <= along[-1])
+
+
+def test_the_toolbox_takes_short_ones_at_the_end_and_ours_does_not() -> None:
+    along = np.arange(0.0, 100.0, 0.1)
+    ours = select(along, 40.0, Selection())
+    theirs = select(along, 40.0, Selection("toolbox"))
+    assert (along[ours[1]] - along[ours[0]]).min() > 0.985 * 40.0
+    assert (along[theirs[1]] - along[theirs[0]]).min() < 0.85 * 40.0
+
+
+def test_a_hole_loses_its_starts_and_shifts_no_others() -> None:
+    along = np.concatenate([np.arange(0.0, 10.0, 0.1), np.arange(13.0, 25.0, 0.1)])
+    for rule in ("nearest", "toolbox"):
+        starts, ends = select(along, 5.0, Selection(rule))
+        deviation = np.abs(along[ends] - along[starts] - 5.0)
+        assert deviation.max() < 0.2 * 5.0 + 1e-9
+        assert (deviation > 0.1).mean() < (0.2 if rule == "nearest" else 0.4)
+    starts, ends = select(along, 5.0, Selection())
+    assert len(starts) < np.count_nonzero(along + 5.0 <= along[-1])
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("along", [[0.0], [0.0, 0.0, 0.0], [0.0, 1.0]])
+def test_no_motion_makes_no_sub_trajectory(rule: str, along: list[float]) -> None:
+    starts, ends = select(np.array(along), 8.0, Selection(rule))
+    assert len(starts) == len(ends) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "length"),
+    [
+        ("8", Length(8.0, "m")),
+        ("8m", Length(8.0, "m")),
+        (" 0.5 s ", Length(0.5, "s")),
+        ("10%", Length(10.0, "%")),
+        ("1e2m", Length(100.0, "m")),
+    ],
+)
+def test_lengths_are_read_and_written(text: str, length: Length) -> None:
+    assert Length.parse(text) == length
+    assert Length.parse(str(length)) == length
+
+
+@pytest.mark.parametrize(
+    "text", ["", "m", "-8", "0", "8km", "8 8", "1.2.3", "nan", "inf", "1e999"]
+)
+def test_what_is_no_length_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError):
+        Length.parse(text)

@@ -1,0 +1,148 @@
+"""Trajectories: cleaning, order, slices, lengths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+from strategies import make_groundtruth, seeds
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.trajectory import Trajectory, add_counts, travelled_distance
+
+
+def stamps(count: int) -> np.ndarray:
+    return np.arange(count, dtype=np.int64) * 10**9
+
+
+def test_rows_that_are_no_poses_are_dropped_and_counted_by_reason() -> None:
+    positions = np.arange(18.0).reshape(6, 3)
+    quaternions = np.tile([0.0, 0.0, 0.0, 2.0], (6, 1))
+    velocities = np.ones((6, 3))
+    positions[0, 1] = np.nan
+    quaternions[1] = 0.0
+    quaternions[2, 0] = np.inf
+    velocities[1, 2] = np.nan  # in a row that is dropped anyway
+    quaternions[0] = 0.0  # two reasons count as one row
+    read = Trajectory.from_columns(
+        stamps(6), positions, quaternions, velocities=velocities, dropped={"half_a_line": 2}
+    )
+    np.testing.assert_array_equal(read.stamps, stamps(6)[3:])
+    np.testing.assert_array_equal(read.positions, positions[3:])
+    np.testing.assert_array_equal(read.velocities, velocities[3:])
+    assert read.dropped == {"half_a_line": 2, "not_finite": 2, "zero_quaternion": 1}
+
+
+@pytest.mark.parametrize("column", ["velocities", "gyroscope_biases", "accelerometer_biases"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_columns_that_are_not_finite_throughout_are_left_out_and_said_so(
+    column: str, value: float
+) -> None:
+    numbers = np.zeros((4, 3))
+    numbers[2, 1] = value
+    read = Trajectory.from_columns(
+        stamps(4), np.ones((4, 3)), np.tile([0, 0, 0, 1.0], (4, 1)), **{column: numbers}
+    )
+    assert len(read) == 4
+    assert getattr(read, column) is None
+    assert any(column.replace("_", " ") in note for note in read.notes)
+
+
+def test_quaternions_of_any_length_are_rotations() -> None:
+    turns = Rotation.random(5, random_state=1)
+    read = Trajectory.from_columns(stamps(5), np.zeros((5, 3)), 1e-3 * turns.as_quat())
+    assert read.rotations is not None
+    np.testing.assert_allclose((read.rotations * turns.inv()).magnitude(), 0.0, atol=1e-15)
+
+
+def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
+    read = Trajectory.from_columns(stamps(3), np.full((3, 3), np.nan), np.ones((3, 4)))
+    assert len(read) == 0
+    assert read.path_length_m == 0.0
+    assert read.duration_s == 0.0
+    assert len(read.in_order()) == 0
+    with pytest.raises(InputError, match="3 not_finite"):
+        read.require_usable()
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"positions": np.zeros((3, 2))}, "positions"),
+        ({"positions": np.zeros((4, 3))}, "positions"),
+        ({"rotations": Rotation.identity(2)}, "rotations"),
+        ({"rotations": Rotation.identity()}, "rotations"),
+        ({"velocities": np.zeros((3, 4))}, "velocities"),
+        ({"covariances": np.zeros((3, 6))}, "covariances"),
+    ],
+)
+def test_columns_of_a_wrong_shape_are_refused(columns: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Trajectory(**({"stamps": stamps(3), "positions": np.zeros((3, 3))} | columns))
+
+
+def test_stamps_must_be_whole_nanoseconds() -> None:
+    with pytest.raises(TypeError, match="int64"):
+        Trajectory(stamps=np.arange(3.0), positions=np.zeros((3, 3)))  # type: ignore[arg-type]
+
+
+@given(seed=seeds)
+def test_putting_in_order_undoes_any_shuffle(seed: int) -> None:
+    trajectory = make_groundtruth(seed, 40)
+    order = np.random.default_rng(seed).permutation(40)
+    restored = trajectory[order].in_order()
+    np.testing.assert_array_equal(restored.stamps, trajectory.stamps)
+    np.testing.assert_array_equal(restored.positions, trajectory.positions)
+    np.testing.assert_array_equal(restored.quaternions, trajectory.quaternions)
+    np.testing.assert_array_equal(restored.velocities, trajectory.velocities)
+    assert restored.dropped == {}
+
+
+def test_of_equal_stamps_the_first_stays_and_the_others_are_counted() -> None:
+    times = np.array([3, 1, 1, 2, 3, 3], dtype=np.int64)
+    positions = np.arange(18.0).reshape(6, 3)
+    ordered = Trajectory(times, positions, name="odometry").in_order()
+    np.testing.assert_array_equal(ordered.stamps, [1, 2, 3])
+    np.testing.assert_array_equal(ordered.positions, positions[[1, 3, 0]])
+    assert ordered.dropped == {"duplicate_stamp": 3}
+    assert "odometry steps back in time at 1 place" in ordered.notes[0]
+
+
+def test_what_is_in_order_already_is_left_alone() -> None:
+    trajectory = make_groundtruth(1)
+    assert trajectory.in_order() is trajectory
+    again = trajectory[::-1].in_order()
+    assert again.in_order() is again
+
+
+def test_slices_masks_and_indices_pick_rows_of_all_columns() -> None:
+    trajectory = make_groundtruth(2, 20)
+    mask = np.arange(20) % 3 == 0
+    by_slice, by_mask = trajectory[::3], trajectory[mask]
+    by_index = trajectory[np.flatnonzero(mask)]
+    for picked in (by_mask, by_index):
+        np.testing.assert_array_equal(picked.stamps, by_slice.stamps)
+        np.testing.assert_array_equal(picked.quaternions, by_slice.quaternions)
+        np.testing.assert_array_equal(picked.velocities, by_slice.velocities)
+        np.testing.assert_array_equal(picked.gyroscope_biases, by_slice.gyroscope_biases)
+    assert len(by_slice) == 7
+
+
+def test_travelled_distance_is_along_the_path() -> None:
+    corners = np.array([[0, 0, 0], [3, 4, 0], [3, 4, 12], [3, 4, 12], [0, 0, 12]], dtype=float)
+    np.testing.assert_array_equal(travelled_distance(corners), [0, 5, 17, 17, 22])
+    assert travelled_distance(corners[:1]).tolist() == [0.0]
+    assert travelled_distance(corners[:0]).tolist() == []
+
+
+def test_times_keep_nanoseconds_after_decades() -> None:
+    start = 1_700_000_000_123_456_789
+    trajectory = Trajectory(np.array([start, start + 1], dtype=np.int64), np.zeros((2, 3)))
+    np.testing.assert_allclose(trajectory.seconds, [0.0, 1e-9], rtol=1e-12)
+
+
+def test_counts_add_up_without_zeros() -> None:
+    assert add_counts({"a": 1, "b": 0}, {"a": 2}, {}) == {"a": 3}
