@@ -118,7 +118,12 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         groundtruth=dataclasses.replace(truth, stamps=stamps),
         estimate=dataclasses.replace(pairs, stamps=stamps),
         estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
-        groundtruth_coverage=_coverage(groundtruth, stamps, rule.max_gap_s),
+        groundtruth_coverage=coverage_of(
+            stamps,
+            time_without_gaps(groundtruth.stamps, rule.max_gap_s),
+            len(groundtruth),
+            rule.max_gap_s,
+        ),
         dropped=add_counts(estimate.dropped, dropped),
     )
 
@@ -127,62 +132,89 @@ def _interpolated(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
     """Interpolate the groundtruth at the estimate's stamps, linearly and by slerp."""
-    times, stamps = groundtruth.stamps, estimate.stamps
-    after = np.searchsorted(times, stamps, side="left")
-    exact = after < len(times)
-    exact[exact] = times[after[exact]] == stamps[exact]
-    early, late = after == 0, after == len(times)
-    inside = ~(early | late)
-    gap = np.zeros(len(stamps), dtype=bool)
-    step = times[after[inside]] - times[after[inside] - 1]
-    gap[inside] = step > round(rule.max_gap_s * NANOSECONDS)
-    keep = exact | (inside & ~gap)
-    rows = np.flatnonzero(keep)
-    dropped = {
-        "before_groundtruth": int(np.count_nonzero(early & ~exact)),
-        "after_groundtruth": int(np.count_nonzero(late)),
-        "in_groundtruth_gap": int(np.count_nonzero(gap & ~exact)),
-    }
-    # A state on a groundtruth's stamp takes that state alone, also at the first one.
-    end = after[rows]
-    start = np.where(exact[rows], end, end - 1)
-    span = np.where(exact[rows], 1, times[end] - times[start])
-    fraction = (stamps[rows] - times[start]) / span
-    return _between(groundtruth, start, end, fraction, stamps[rows]), rows, dropped
-
-
-def _between(
-    trajectory: Trajectory,
-    start: Indices,
-    end: Indices,
-    fraction: NDArray[np.float64],
-    stamps: Indices,
-) -> Trajectory:
-    """Return states at fractions in [0, 1] of the way from one state to another."""
-
-    def mix(column: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-        if column is None:
-            return None
-        mixed: NDArray[np.float64] = column[start] + fraction[:, None] * (
-            column[end] - column[start]
-        )
-        return mixed
-
-    quaternions = trajectory.quaternions
-    positions = mix(trajectory.positions)
+    bracket = bracket_stamps(groundtruth.stamps, estimate.stamps, rule.max_gap_s)
+    rows = np.flatnonzero(bracket.usable)
+    start, end, fraction = bracket.start[rows], bracket.end[rows], bracket.fraction[rows]
+    quaternions = groundtruth.quaternions
+    positions = mix(groundtruth.positions, start, end, fraction)
     assert positions is not None
-    return dataclasses.replace(
-        trajectory,
-        stamps=stamps,
+    truth = dataclasses.replace(
+        groundtruth,
+        stamps=estimate.stamps[rows],
         positions=positions,
         rotations=None
         if quaternions is None
         else Rotation.from_quat(lie.slerp(quaternions[start], quaternions[end], fraction)),
-        velocities=mix(trajectory.velocities),
-        gyroscope_biases=mix(trajectory.gyroscope_biases),
-        accelerometer_biases=mix(trajectory.accelerometer_biases),
+        velocities=mix(groundtruth.velocities, start, end, fraction),
+        gyroscope_biases=mix(groundtruth.gyroscope_biases, start, end, fraction),
+        accelerometer_biases=mix(groundtruth.accelerometer_biases, start, end, fraction),
         covariances=None,
     )
+    return truth, rows, bracket.dropped()
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket:
+    """Where each of N stamps lies between the stamps of a sorted trajectory.
+
+    Attributes:
+        start: (N,) index of the state at or before it.
+        end: (N,) index of the state after it; equal to `start` on a state's very stamp.
+        fraction: (N,) of the way from one to the other, in [0, 1].
+        early: (N,) whether it lies before all states.
+        late: (N,) whether it lies after all states.
+        gap: (N,) whether it lies in a gap.
+    """
+
+    start: Indices
+    end: Indices
+    fraction: NDArray[np.float64]
+    early: NDArray[np.bool_]
+    late: NDArray[np.bool_]
+    gap: NDArray[np.bool_]
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Whether there is a state on, or are states on both sides of, each stamp."""
+        usable: NDArray[np.bool_] = ~(self.early | self.late | self.gap)
+        return usable
+
+    def dropped(self) -> dict[str, int]:
+        """Return how many stamps are not usable, by reason."""
+        return {
+            "before_groundtruth": int(np.count_nonzero(self.early)),
+            "after_groundtruth": int(np.count_nonzero(self.late)),
+            "in_groundtruth_gap": int(np.count_nonzero(self.gap)),
+        }
+
+
+def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket:
+    """Find each of the stamps (N,) between the sorted, distinct times of states (M,), M > 0."""
+    last = len(times) - 1
+    after = np.searchsorted(times, stamps, side="left")
+    end = np.minimum(after, last)
+    exact = times[end] == stamps
+    # A stamp on a state's own takes that state alone, also at the first one.
+    start = np.where(exact, end, np.maximum(end - 1, 0))
+    step = times[end] - times[start]
+    early, late = (after == 0) & ~exact, after > last
+    inside = ~(early | late | exact)
+    gap = inside & (step > round(max_gap_s * NANOSECONDS))
+    fraction = np.where(inside, (stamps - times[start]) / np.where(inside, step, 1), 0.0)
+    return Bracket(start, end, fraction, early, late, gap)
+
+
+def mix(
+    column: NDArray[np.float64] | None,
+    start: Indices,
+    end: Indices,
+    fraction: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """Return a column (M, k) interpolated linearly between its rows, (N, k)."""
+    if column is None:
+        return None
+    mixed: NDArray[np.float64] = column[start] + fraction[:, None] * (column[end] - column[start])
+    return mixed
 
 
 def _one_to_one(
@@ -291,20 +323,33 @@ def _distinct(rows: Indices, count: int) -> int:
     return int(np.count_nonzero(named))
 
 
-def _coverage(groundtruth: Trajectory, stamps: Indices, max_gap_s: float) -> float:
-    """Return the share of the groundtruth's intervals (gaps left out) that pairs span, by time.
+def coverage_of(
+    pair_stamps: Indices, truth_time: int, truth_count: int, max_gap_s: float
+) -> float:
+    """Return the share of the groundtruth's time, gaps left out, that pairs span.
 
-    Pairs at most `max_gap_s` apart span the time between them; one pair alone spans none.
+    Pairs no further apart than the maximum gap, or than twice the usual step of sparse keyframes,
+    span the time between them. Of groundtruth that is all gaps, it is the share of states.
+
+    Args:
+        pair_stamps: (N,) of the pairs, nanoseconds.
+        truth_time: Sum of the groundtruth's steps that are no gaps, nanoseconds.
+        truth_count: Number of groundtruth states.
+        max_gap_s: Longest step that is no gap.
     """
-    gap = round(max_gap_s * NANOSECONDS)
-    truth_steps = np.diff(np.sort(groundtruth.stamps))
-    pair_steps = np.diff(np.sort(stamps))
-    # Sparse groundtruth, or sparse keyframes, are no gap: their own usual step is allowed.
-    truth_gap = max(gap, 2 * int(np.median(truth_steps))) if len(truth_steps) else gap
-    pair_gap = max(gap, 2 * int(np.median(pair_steps))) if len(pair_steps) else gap
-    total = truth_steps[truth_steps <= truth_gap].sum()
-    spanned = pair_steps[pair_steps <= pair_gap].sum()
-    return min(1.0, float(spanned / total)) if total > 0 else 1.0
+    if truth_time == 0:
+        return min(1.0, len(pair_stamps) / truth_count)
+    steps = np.diff(np.sort(pair_stamps))
+    limit = round(max_gap_s * NANOSECONDS)
+    if len(steps):
+        limit = max(limit, 2 * int(np.median(steps)))
+    return min(1.0, float(steps[steps <= limit].sum() / truth_time))
+
+
+def time_without_gaps(stamps: Indices, max_gap_s: float) -> int:
+    """Return the sum of the steps between stamps that are no gaps, nanoseconds."""
+    steps = np.diff(np.sort(stamps))
+    return int(steps[steps <= round(max_gap_s * NANOSECONDS)].sum())
 
 
 def _explain_no_match(

@@ -79,11 +79,18 @@ def select(along: Array, length: float, selection: Selection) -> tuple[Indices, 
         selection: How an end is chosen.
     """
     starts = np.arange(0, len(along), selection.every)
-    target = along[starts] + length
     if selection.rule == "first-past":
-        ends = np.searchsorted(along, target, side="right")
+        ends = np.searchsorted(along, along[starts] + length, side="right")
         found = ends < len(along)
         return starts[found], ends[found]
+    return nearest_ends(along, starts, length, selection.rule)
+
+
+def nearest_ends(
+    along: Array, starts: Indices, length: float, rule: str = "nearest"
+) -> tuple[Indices, Indices]:
+    """Return those of the starts that have an end near enough to the length, and the ends."""
+    target = along[starts] + length
     after = np.searchsorted(along, target, side="left")
     within = np.minimum(after, len(along) - 1)
     before = np.maximum(within - 1, starts)
@@ -92,7 +99,7 @@ def select(along: Array, length: float, selection: Selection) -> tuple[Indices, 
     after_is_nearer = np.abs(along[within] - target) < np.abs(along[before] - target)
     ends = np.where(after_is_nearer, within, before)
     deviation = np.abs(along[ends] - target)
-    if selection.rule == "toolbox":
+    if rule == "toolbox":
         accepted = deviation < LARGEST_DEVIATION * length
     else:
         spacing = along[within] - along[np.maximum(within - 1, 0)]
