@@ -78,10 +78,11 @@ def _row(summary: Summary) -> Row:
     """Return a trajectory as a row of the table."""
     topic = summary.source.rpartition(":")[2]
     if summary.problem:
-        return (topic, summary.kind, str(summary.poses), "", "", "", "", "", "nothing, see below")
+        kind = summary.kind.rpartition("/")[2]
+        return (topic, kind, str(summary.poses), "", "", "", "", "", "nothing, see below")
     return (
         topic,
-        summary.kind,
+        summary.kind.rpartition("/")[2],
         str(summary.poses),
         f"{summary.rate_hz:.1f}",
         _seconds(summary.first_ns),
@@ -174,12 +175,16 @@ def _print_table(header: Row, rows: Sequence[Row]) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(show_header=any(header))
+        table = Table(show_header=any(header), box=None, pad_edge=False)
         for name in header:
             table.add_column(name, overflow="fold")
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))
-        Console().print(table)
+        console = Console()
+        # A line that the terminal wraps is easier to read, and to copy from, than folded cells.
+        natural = Console(width=10_000).measure(table).maximum
+        console.width = max(console.width, natural)
+        console.print(table)
         return
     lines = [header, *rows] if any(header) else list(rows)
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]

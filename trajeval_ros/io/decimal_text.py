@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
-_PADDING = b" " * 24  # so that the words that end at the first number lie inside of the block
 _LONGEST_NUMBER = 400  # characters; nobody writes longer ones, and memory has an end
+_PADDING = b" " * _LONGEST_NUMBER  # so that words that reach beyond a number end in the block
 _MOST_DIGITS = 19  # of an integer that surely fits uint64
 _FLOAT_POWERS: Floats = POWERS_OF_TEN.astype(np.float64)
 # From this whole part on, `whole * 10**places + fraction` may be 2**53 or more.
@@ -122,7 +122,7 @@ def _tokenize(block: bytes, columns: int) -> _Tokens:
     if b"\0" in block:
         line = block.count(b"\n", 0, block.index(b"\0"))
         raise RowError(line, "has zero bytes, as a crash leaves them behind")
-    text = np.frombuffer(b"".join((_PADDING, block, b"\n")), dtype=np.uint8)
+    text = np.frombuffer(b"".join((_PADDING, block, b"\n", _PADDING)), dtype=np.uint8)
     separates = text <= ord(" ")
     for separator in b",;":
         if separator in block:
@@ -154,7 +154,7 @@ def _check_lines(text: Bytes, starts: Indices, ends: Indices, columns: int) -> N
     if (
         len(last_ends) * columns == len(starts)
         and is_newline[last_ends].all()
-        and np.count_nonzero(is_newline[:-1]) == len(last_ends)  # the last one was appended
+        and np.count_nonzero(is_newline) == len(last_ends) + 1  # one was appended
     ):
         return
     newlines = np.flatnonzero(is_newline)
@@ -296,10 +296,11 @@ def _characters(tokens: _Tokens) -> Bytes:
     width = int(lengths.max(initial=1))
     if width > _LONGEST_NUMBER:
         raise WordError(int(tokens.starts[lengths.argmax()]), f"has a word of {width} characters")
-    offsets = np.arange(width)
-    last = len(tokens.text) - 1
-    characters: Bytes = tokens.text[np.minimum(tokens.starts[:, None] + offsets, last)]
-    characters[offsets >= lengths[:, None]] = 0
+    words: NDArray[np.bytes_] = np.ndarray(
+        (len(tokens.text) - width,), dtype=f"S{width}", buffer=tokens.text.data, strides=(1,)
+    )
+    characters = words[tokens.starts].view(np.uint8).reshape(-1, width)
+    characters *= np.arange(width) < lengths[:, None]
     return characters
 
 
