@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.alignment import Similarity
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.similarity import Similarity
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
 

@@ -18,11 +18,11 @@ from strategies import (
     moved,
 )
 
-from trajeval_ros.alignment import Similarity
 from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.protocol import PROTOCOLS, Protocol
+from trajeval_ros.similarity import Similarity
 from trajeval_ros.sub_trajectories import Length
 from trajeval_ros.trajectory import Trajectory
 

@@ -22,12 +22,12 @@ from strategies import (
     seeds,
 )
 
-from trajeval_ros.alignment import Similarity
 from trajeval_ros.association import AssociationRule
 from trajeval_ros.evaluation import ATE_METRICS, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.protocol import Protocol
+from trajeval_ros.similarity import Similarity
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.sub_trajectories import Length
 from trajeval_ros.trajectory import Trajectory

@@ -8,10 +8,10 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 from strategies import gauges, make_element, make_groundtruth, seeds
 
-from trajeval_ros.alignment import Similarity
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import MODALITIES, Gauge, gauge_for
 from trajeval_ros.protocol import Protocol
+from trajeval_ros.similarity import Similarity
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,24 @@ def evaluate(
         groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
 
     pairs = associate(groundtruth, estimate, protocol.association)
+    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+
+
+def evaluate_pairs(
+    pairs: Association, groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
+) -> Evaluation:
+    """Evaluate what has been associated: align, measure, count.
+
+    Args:
+        pairs: States paired by the protocol's rule.
+        groundtruth: All states that they were chosen from.
+        estimate: Likewise, in their own frame.
+        protocol: The settings.
+
+    Raises:
+        InputError: The pairs lack what the protocol needs.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
     alignment = _align(pairs, protocol)
     aligned = alignment.similarity.trajectory(pairs.estimate)
 
