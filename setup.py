@@ -83,8 +83,8 @@ setup(
     install_requires=[
         "numpy>=1.26",
         "scipy>=1.11",
-        "rosbags>=0.10",
-        "typer>=0.9",
+        "rosbags>=0.11",
+        "typer>=0.12.4",
         "rich>=13",
     ],
     extras_require={

@@ -1,0 +1,105 @@
+# Every target sets itself up: it needs only python3 (3.10 to 3.14), python3-venv and make.
+# PYTHON=/path/to/python3 chooses the interpreter that the environments are made with.
+
+PYTHON ?= python3
+VENV := .venv
+JAZZY := .venv-jazzy
+COLCON := .venv-colcon
+EVO := .venv-evo
+LOCK := .venv-lock
+BENCH ?=
+
+DEMO_BAG := demo_output/flight
+DEMO_GROUNDTRUTH := $(DEMO_BAG):/groundtruth/pose
+DEMO_ESTIMATE := $(DEMO_BAG):/vio/odometry
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help install demo test test-fast test-jazzy lint format bench lock colcon-environment clean
+
+help: ## List the targets.
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+install: $(VENV)/.installed ## Make the environment in .venv; .venv/bin/trajeval is the command.
+
+demo: $(VENV)/.installed ## Simulate a flight, evaluate it; tables here, figures in demo_output/.
+	$(VENV)/bin/trajeval simulate $(DEMO_BAG) --overwrite
+	$(VENV)/bin/trajeval evaluate --groundtruth $(DEMO_GROUNDTRUTH) --estimate $(DEMO_ESTIMATE) \
+		--modality stereo-inertial --output demo_output
+
+test: $(VENV)/.installed ## Run all tests.
+	$(VENV)/bin/python -m pytest
+
+test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few seconds each.
+	$(VENV)/bin/python -m pytest -m "not slow"
+
+test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
+	$(JAZZY)/bin/python -m pytest -m "not slow"
+
+lint: $(VENV)/.installed ## Check style, format and types.
+	$(VENV)/bin/ruff check
+	$(VENV)/bin/ruff format --check
+	$(VENV)/bin/mypy
+
+format: $(VENV)/.installed ## Mend style and format where a tool can.
+	$(VENV)/bin/ruff check --fix
+	$(VENV)/bin/ruff format
+
+bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo; BENCH="--sizes 10000 --runs 3".
+	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
+
+lock: $(LOCK)/.installed ## Renew constraints.txt with the newest releases.
+	$(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
+		--no-header --no-annotate --no-emit-index-url --all-extras \
+		--output-file constraints.txt setup.py .ci/colcon-requirements.txt
+	rm -rf trajeval_ros.egg-info
+
+colcon-environment: $(COLCON)/.installed
+
+clean: ## Remove the environments and all that runs leave behind.
+	rm -rf $(VENV) $(JAZZY) $(COLCON) $(EVO) $(LOCK) build install log dist *.egg-info \
+		demo_output benchmarks/data benchmarks/results.json \
+		.pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# An environment is made anew when what it is made from has changed. A ROS workspace that
+# holds this checkout must not look for packages in it, hence COLCON_IGNORE.
+define make_venv
+@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 15))' || \
+	{ echo "$(PYTHON) is not Python 3.10 to 3.14; choose one: make PYTHON=..." >&2; exit 2; }
+@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	{ echo "$(PYTHON) can't make environments; mend it: apt-get install python3-venv" >&2; exit 2; }
+$(PYTHON) -m venv --clear $(@D)
+touch $(@D)/COLCON_IGNORE
+endef
+
+$(VENV)/.installed: setup.py constraints.txt
+	$(make_venv)
+	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+$(JAZZY)/.installed: setup.py constraints-jazzy.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] > (3, 12))' || \
+		{ echo "numpy 1.26.4 has wheels up to Python 3.12; choose one: make PYTHON=..." >&2; exit 2; }
+	$(make_venv)
+	$(JAZZY)/bin/python -m pip install --quiet --constraint constraints-jazzy.txt \
+		--editable ".[test]"
+	touch $@
+
+$(COLCON)/.installed: setup.py constraints.txt .ci/colcon-requirements.txt
+	$(make_venv)
+	$(COLCON)/bin/python -m pip install --quiet --constraint constraints.txt \
+		--requirement .ci/colcon-requirements.txt --editable .
+	$(COLCON)/bin/python -m pip uninstall --quiet --yes trajeval-ros  # colcon builds it
+	touch $@
+
+$(EVO)/.installed: benchmarks/requirements.txt constraints.txt
+	$(make_venv)
+	$(EVO)/bin/python -m pip install --quiet --constraint constraints.txt \
+		--requirement benchmarks/requirements.txt
+	touch $@
+
+$(LOCK)/.installed:
+	$(make_venv)
+	$(LOCK)/bin/python -m pip install --quiet uv
+	touch $@

@@ -1,0 +1,1 @@
+"""Measurements beside evo, in one run on one machine: `make bench`."""

@@ -1,0 +1,252 @@
+"""Compares `trajeval evaluate` with evo, process by process, on the same files.
+
+Every round runs each command once, one after the other, so that what else the machine does
+strikes all of them. Medians and their ratios go to the terminal and to results.json.
+
+Usage: make bench BENCH="--sizes 10000,100000 --runs 3"
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.pair_paths import pair_paths
+from benchmarks.process import Cost, environment, median_cost, run
+
+HERE = Path(__file__).parent
+BIN = Path(sys.executable).parent
+SMALL = 1_000
+TRAJEVAL = "trajeval"
+EVO_POSITION = "evo_ape -a"
+EVO_BOTH = "evo_ape -a, and angle"
+
+Environment = Mapping[str, str]
+Job = Callable[[Environment], Cost]
+
+
+class DisagreementError(Exception):
+    """Two programs that should compute the same number don't."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the result.
+
+    Attributes:
+        work: What was done, on how many poses.
+        who: Which program did it.
+        cost: Medians over the rounds.
+        cpu_ratio: Its CPU time over ours on the same work; None for our own line.
+        memory_ratio: Its peak memory over ours.
+    """
+
+    work: str
+    who: str
+    cost: Cost
+    cpu_ratio: float | None = None
+    memory_ratio: float | None = None
+
+
+def arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--evo", required=True, type=Path, help="the program evo_ape")
+    parser.add_argument("--sizes", default="10000,100000,1000000", help="poses of the pairs")
+    parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
+    parser.add_argument("--data", default=HERE / "data", type=Path, help="for generated files")
+    parser.add_argument("--results", default=HERE / "results.json", type=Path)
+    return parser.parse_args()
+
+
+def generate(folder: Path, count: int) -> tuple[Path, Path]:
+    """Write a pair in a process of its own, so that this one stays small."""
+    subprocess.run(
+        [sys.executable, "-m", "benchmarks.tum_pairs", str(folder), str(count)], check=True
+    )
+    return pair_paths(folder, count)
+
+
+def trajeval(groundtruth: Path, estimate: Path) -> Job:
+    """Return our evaluation: position and rotation errors in one go."""
+    command = [
+        *(str(BIN / "trajeval"), "evaluate"),
+        *("--groundtruth", str(groundtruth), "--estimate", str(estimate)),
+        *("--protocol", "evo", "--gauge", "se3", "--lengths", "none", "--quiet", "--json", "-"),
+    ]
+    return lambda env: run(command, env)
+
+
+def evo_position(evo_ape: Path, groundtruth: Path, estimate: Path) -> Job:
+    """Return evo's evaluation of positions."""
+    command = [str(evo_ape), "tum", str(groundtruth), str(estimate), "-a"]
+    return lambda env: run(command, env)
+
+
+def evo_both(evo_ape: Path, groundtruth: Path, estimate: Path) -> Job:
+    """Return the two runs of evo that give positions and rotations."""
+    position = evo_position(evo_ape, groundtruth, estimate)
+    rotation = [str(evo_ape), "tum", str(groundtruth), str(estimate), "-a", "-r", "angle_deg"]
+    return lambda env: position(env) + run(rotation, env)
+
+
+def interleave(jobs: Mapping[str, Job], runs: int, env: Environment) -> dict[str, Cost]:
+    """Run all jobs in turn, so many rounds; return each one's medians."""
+    costs: dict[str, list[Cost]] = {name: [] for name in jobs}
+    for _ in range(runs):
+        for name, job in jobs.items():
+            costs[name].append(job(env))
+    return {name: median_cost(each) for name, each in costs.items()}
+
+
+def check_agreement(ours: Cost, evos: Cost) -> None:
+    """Make sure that both computed the same: a fast wrong answer is worth nothing."""
+    ate = json.loads(ours.output)["runs"][0]["ate"]
+    our_rmse = [ate["position_m"]["rmse"], ate["rotation_deg"]["rmse"]]
+    evo_rmse = [float(each) for each in re.findall(r"^\s*rmse\s+(\S+)", evos.output, re.MULTILINE)]
+    same = len(evo_rmse) == len(our_rmse) and all(
+        abs(mine - theirs) <= 2e-6 for mine, theirs in zip(our_rmse, evo_rmse, strict=True)
+    )
+    if not same:  # evo prints six decimals
+        raise DisagreementError(f"rmse of position and rotation: {our_rmse}, evo {evo_rmse}")
+
+
+def compare_with_evo(options: argparse.Namespace, count: int, env: Environment) -> list[Row]:
+    """Compare whole processes on a pair of so many poses."""
+    pair = generate(options.data, count)
+    costs = interleave(
+        {
+            TRAJEVAL: trajeval(*pair),
+            EVO_POSITION: evo_position(options.evo, *pair),
+            EVO_BOTH: evo_both(options.evo, *pair),
+        },
+        options.runs,
+        env,
+    )
+    ours = costs[TRAJEVAL]
+    check_agreement(ours, costs[EVO_BOTH])
+    return rows_beside(f"ATE, {count // 1000}k poses", TRAJEVAL, costs)
+
+
+def compare_startup(options: argparse.Namespace, env: Environment) -> list[Row]:
+    """Compare the evaluation of a small pair with bare imports."""
+    pair = generate(options.data, SMALL)
+    imports = [sys.executable, "-c", "import numpy, scipy.spatial.transform"]
+    costs = interleave(
+        {"imports alone": lambda env: run(imports, env), TRAJEVAL: trajeval(*pair)},
+        max(options.runs, 7),
+        env,
+    )
+    return rows_beside(f"start, {SMALL // 1000}k poses", "imports alone", costs)
+
+
+def rows_beside(work: str, reference: str, costs: Mapping[str, Cost]) -> list[Row]:
+    """Return a row for each, with ratios to one of them."""
+    base = costs[reference]
+    return [
+        Row(work, who, cost)
+        if who == reference
+        else Row(work, who, cost, cost.cpu_s / base.cpu_s, cost.peak_mib / base.peak_mib)
+        for who, cost in costs.items()
+    ]
+
+
+def relative_error_seconds(runs: int, env: Environment) -> dict[str, float]:
+    """Time relative errors of five lengths inside a process; seconds by number of poses."""
+    command = [sys.executable, "-m", "benchmarks.relative_error", str(max(runs, 7))]
+    seconds: dict[str, float] = json.loads(run(command, env).output)
+    return seconds
+
+
+def evo_version(evo_ape: Path) -> str:
+    """Ask evo's own environment which release it is."""
+    code = "from importlib.metadata import version; print(version('evo'))"
+    python = evo_ape.parent / "python"
+    asked = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True)
+    return asked.stdout.strip()
+
+
+def as_table(rows: list[Row]) -> Table:
+    """Lay the rows out for the terminal."""
+    table = Table("work", "program", box=box.SIMPLE_HEAD)
+    for heading in ("CPU s", "x", "wall s", "peak MiB", "x"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            row.work,
+            row.who,
+            f"{row.cost.cpu_s:.2f}",
+            "" if row.cpu_ratio is None else f"{row.cpu_ratio:.2f}",
+            f"{row.cost.wall_s:.2f}",
+            f"{row.cost.peak_mib:.0f}",
+            "" if row.memory_ratio is None else f"{row.memory_ratio:.2f}",
+        )
+    return table
+
+
+def as_json(row: Row) -> dict[str, object]:
+    """Return a row for results.json."""
+    return {
+        "work": row.work,
+        "program": row.who,
+        "cpu_s": row.cost.cpu_s,
+        "wall_s": row.cost.wall_s,
+        "peak_mib": row.cost.peak_mib,
+        "cpu_ratio": row.cpu_ratio,
+        "memory_ratio": row.memory_ratio,
+    }
+
+
+def main() -> None:
+    """Measure everything, print it, keep it."""
+    options = arguments()
+    load = os.getloadavg()
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as home:
+        env = environment(Path(home))
+        evo_position(options.evo, *generate(options.data, SMALL))(env)  # writes its settings
+        rows += compare_startup(options, env)
+        for count in map(int, options.sizes.split(",")):
+            rows += compare_with_evo(options, count, env)
+        relative = relative_error_seconds(options.runs, env)
+    machine = {
+        "cpus": os.cpu_count(),
+        "load_before": load,
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "trajeval-ros": version("trajeval-ros"),
+        "evo": evo_version(options.evo),
+        "runs": options.runs,
+    }
+    console = Console()
+    console.print(as_table(rows))
+    small, large = relative.values()
+    for poses, seconds in relative.items():
+        console.print(f"relative error, 5 lengths, {poses} poses, in process: {seconds:.3f} CPU s")
+    console.print(f"twice the poses take {large / small:.2f} times as long")
+    console.print(", ".join(f"{name} {value}" for name, value in machine.items()))
+    results = {
+        "machine": machine,
+        "processes": [as_json(row) for row in rows],
+        "relative_error_cpu_s": relative,
+    }
+    options.results.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
