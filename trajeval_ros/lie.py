@@ -39,8 +39,8 @@ def conjugate(quaternion: Array) -> Array:
 
 def multiply(left: Array, right: Array) -> Array:
     """Return the Hamilton product (..., 4): rotate by `right`, then by `left`."""
-    x1, y1, z1, w1 = np.moveaxis(left, -1, 0)
-    x2, y2, z2, w2 = np.moveaxis(right, -1, 0)
+    x1, y1, z1, w1 = left[..., 0], left[..., 1], left[..., 2], left[..., 3]
+    x2, y2, z2, w2 = right[..., 0], right[..., 1], right[..., 2], right[..., 3]
     product = np.empty(np.broadcast_shapes(left.shape, right.shape))
     product[..., 0] = w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
     product[..., 1] = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2
@@ -51,8 +51,8 @@ def multiply(left: Array, right: Array) -> Array:
 
 def rotate(quaternion: Array, vector: Array) -> Array:
     """Return the vectors (..., 3) rotated by the quaternions (..., 4)."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    a, b, c = np.moveaxis(vector, -1, 0)
+    x, y, z, w = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
+    a, b, c = vector[..., 0], vector[..., 1], vector[..., 2]
     # v + 2 w (u x v) + 2 u x (u x v), u the vector part.
     d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     rotated = np.empty((*np.broadcast_shapes(quaternion.shape[:-1], vector.shape[:-1]), 3))
@@ -81,7 +81,7 @@ def yaw(quaternion: Array) -> Array:
 
 def tilt(quaternion: Array) -> Array:
     """Return the angle (...) in [0, pi] rad between the z axis and its image: roll and pitch."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    x, y, z, w = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
     half: Array = np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w))
     return 2.0 * half
 

@@ -1,0 +1,347 @@
+"""The live evaluator: equal to the offline one, in bounded memory, in any order of arrival."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from strategies import make_estimate, make_groundtruth, seeds
+
+from trajeval_ros import Evaluation, Gauge, Protocol, Trajectory, evaluate
+from trajeval_ros.alignment import Alignment
+from trajeval_ros.errors import absolute_errors
+from trajeval_ros.evaluation import evaluate_pairs
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.online.evaluator import OnlineEvaluator, OnlineSettings, trajectory
+from trajeval_ros.online.pairing import Limits, Pairs, states
+from trajeval_ros.online.window import Window
+from trajeval_ros.protocol import PROTOCOLS
+from trajeval_ros.sub_trajectories import Length
+
+SECOND = 10**9
+
+
+def make_pair(seed: int, count: int) -> tuple[Trajectory, Trajectory]:
+    """Return a groundtruth and an estimate without biases, which no message has."""
+    groundtruth = make_groundtruth(seed, count)
+    none = {"gyroscope_biases": None, "accelerometer_biases": None}
+    estimate = dataclasses.replace(make_estimate(groundtruth, seed + 1), **none)
+    return dataclasses.replace(groundtruth, **none), estimate
+
+
+def rows_of(source: Trajectory) -> NDArray[np.float64]:
+    return states(source.positions, source.quaternions, source.velocities)
+
+
+def feed(
+    evaluator: OnlineEvaluator,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    *,
+    delay_s: float = 0.0,
+    drain_s: float = 0.02,
+) -> None:
+    """Play both streams in order of their stamps, in batches, the estimate later by a delay."""
+    arrivals = (groundtruth.stamps, estimate.stamps + round(delay_s * SECOND))
+    truth_rows, estimate_rows = rows_of(groundtruth), rows_of(estimate)
+    begin = min(int(each.min()) for each in arrivals)
+    end = max(int(each.max()) for each in arrivals)
+    ticks = np.arange(begin, end + 2 * round(drain_s * SECOND), round(drain_s * SECOND))
+    cuts = [np.searchsorted(np.maximum.accumulate(each), ticks) for each in arrivals]
+    for before, after in zip(range(len(ticks) - 1), range(1, len(ticks)), strict=True):
+        g, e = (slice(int(cut[before]), int(cut[after])) for cut in cuts)
+        if g.start < g.stop:
+            evaluator.add_groundtruth(groundtruth.stamps[g], truth_rows[g])
+        if e.start < e.stop:
+            evaluator.add_estimate(estimate.stamps[e], estimate_rows[e])
+        evaluator.update()
+    evaluator.update(at_end=True)
+
+
+def assert_live_is_offline(
+    evaluator: OnlineEvaluator, offline: Evaluation, relative: float = 1e-9
+) -> None:
+    live = evaluate_pairs(
+        evaluator.association(), offline.groundtruth, offline.estimate, offline.protocol
+    )
+    assert len(live.association) == len(offline.association)
+    assert live.association.dropped == offline.association.dropped
+    assert live.association.estimate_coverage == offline.association.estimate_coverage
+    assert live.association.groundtruth_coverage == pytest.approx(
+        offline.association.groundtruth_coverage, rel=relative
+    )
+    for metric, statistics in offline.ate.items():
+        mine = live.ate[metric]
+        assert (mine is None) == (statistics is None), metric
+        if mine is not None and statistics is not None:
+            assert dataclasses.astuple(mine) == pytest.approx(
+                dataclasses.astuple(statistics), rel=relative, abs=1e-12
+            )
+    for segment, other in zip(live.segments or (), offline.segments or (), strict=True):
+        np.testing.assert_array_equal(segment.errors.starts, other.errors.starts)
+        np.testing.assert_array_equal(segment.errors.ends, other.errors.ends)
+        np.testing.assert_allclose(
+            segment.errors.position_m, other.errors.position_m, rtol=relative, atol=1e-12
+        )
+    # The running numbers are those of the pairs, too.
+    snapshot = evaluator.snapshot()
+    position = offline.ate["position_m"]
+    assert position is not None
+    assert snapshot.position_rmse_m == pytest.approx(position.rmse, rel=relative)
+
+
+RECORDINGS = [
+    ("euroc/groundtruth/MH_01.txt", "euroc/vio_mono/MH_01.txt", Gauge.YAW),
+    ("euroc/groundtruth/V1_02_asl.csv", "euroc/V1_02_estimate.txt", Gauge.SE3),
+    ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt", Gauge.SIM3),
+    ("bags/ROS_example.bag:groundtruth", "bags/ROS_example.bag:ORB-SLAM", Gauge.SE3),
+]
+
+
+@pytest.mark.parametrize(("truth", "estimate", "gauge"), RECORDINGS)
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
+def test_live_is_offline_on_recordings(
+    recording: Callable[[str], Trajectory],
+    truth: str,
+    estimate: str,
+    gauge: Gauge,
+    delay_s: float,
+) -> None:
+    protocol = Protocol(gauge=gauge)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, recording(truth), recording(estimate), delay_s=delay_s, drain_s=0.25)
+    offline = evaluate(recording(truth), recording(estimate), protocol)
+    assert_live_is_offline(evaluator, offline)
+    # All sub-trajectories but those whose ends only the end of the run decides are seen live.
+    for segment in offline.segments or ():
+        live = evaluator.snapshot().relative[str(segment.length)]
+        tail = np.count_nonzero(segment.errors.ends == len(offline.association) - 1)
+        assert len(segment.errors.ends) - tail <= live.count <= len(segment.errors.ends)
+        if live.count == len(segment.errors.ends) and not gauge.has_scale:
+            mean = segment.statistics["position_m"]
+            assert mean is not None
+            assert live.position_m == pytest.approx(mean.mean, rel=1e-9)
+
+
+@given(seed=seeds, gauge=st.sampled_from([g for g in Gauge if g is not Gauge.PLANAR]))
+def test_live_is_offline(seed: int, gauge: Gauge) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(2, "s")), align_states=None)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate, drain_s=0.37)
+    assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol), 1e-8)
+
+
+@given(seed=seeds)
+def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    groundtruth, estimate = make_pair(seed, 200)
+    evaluator = OnlineEvaluator(OnlineSettings(limits=Limits(groundtruth_s=1e3)))
+    for source, add in (
+        (groundtruth, evaluator.add_groundtruth),
+        (estimate, evaluator.add_estimate),
+    ):
+        # All of it, in shuffled pieces, some of them twice.
+        order = random.permutation(len(source))
+        rows = rows_of(source)
+        for piece in np.array_split(np.concatenate([order, order[:20]]), 7):
+            add(source.stamps[piece], rows[piece])
+    evaluator.update(at_end=True)
+    expected = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association
+    pairs = evaluator.association()
+    np.testing.assert_array_equal(pairs.estimate.stamps, expected.estimate.stamps)
+    np.testing.assert_allclose(pairs.groundtruth.positions, expected.groundtruth.positions)
+    assert pairs.dropped.pop("duplicate_stamp") == 20
+    assert pairs.dropped == expected.dropped
+
+
+@pytest.mark.parametrize("window", ["5s", "4m", "37"])
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SIM3])
+def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None:
+    groundtruth, estimate = make_pair(5, 600)
+    record: list[Pairs] = []
+    evaluator = OnlineEvaluator(
+        OnlineSettings(Protocol(gauge=gauge), Window.parse(window)), record.append
+    )
+    feed(evaluator, groundtruth, estimate)
+    snapshot = evaluator.snapshot()
+    all_pairs = Pairs(*(np.concatenate(column) for column in zip(*record, strict=True)))
+    stamps = all_pairs.stamps
+    along = trajectory(stamps, all_pairs.groundtruth).travelled
+    inside = {
+        "5s": stamps >= stamps[-1] - 5 * SECOND,
+        "4m": along >= along[-1] - 4.0,
+        "37": np.arange(len(stamps)) >= len(stamps) - 37,
+    }[window]
+    assert snapshot.window_pairs == np.count_nonzero(inside)
+    assert isinstance(snapshot.alignment, Alignment)
+    aligned = snapshot.alignment.similarity.trajectory(
+        trajectory(stamps[inside], all_pairs.estimate[inside])
+    )
+    errors = absolute_errors(trajectory(stamps[inside], all_pairs.groundtruth[inside]), aligned)
+    rmse = float(np.sqrt(np.mean(errors.position_m**2)))
+    assert snapshot.window_position_rmse_m == pytest.approx(rmse, rel=1e-9)
+    rotation = snapshot.ate["rotation_deg"]
+    assert rotation is not None
+    assert errors.rotation_deg is not None
+    assert rotation.mean == pytest.approx(errors.rotation_deg.mean(), rel=1e-9)
+
+
+def test_memory_does_not_grow_with_the_run() -> None:
+    evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse("10s")))
+    sizes = []
+    for minute in range(20):
+        stamps = (np.arange(1200) * 50_000_000 + minute * 60 * SECOND).astype(np.int64)
+        t = stamps / SECOND
+        path = np.column_stack([3 * np.cos(t / 3), 3 * np.sin(t / 3), 0.1 * np.sin(t)])
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+        evaluator.add_groundtruth(stamps, states(path, quaternions))
+        evaluator.add_estimate(stamps, states(path + 0.01 * np.sin(t)[:, None], quaternions))
+        evaluator.update()
+        sizes.append(len(evaluator.store))
+    assert max(sizes[3:]) <= max(sizes[:3]) + 50
+    assert len(evaluator.store) < 2000
+
+
+@pytest.mark.slow
+def test_running_sums_hold_over_two_million_pairs_at_utm_coordinates() -> None:
+    random = np.random.default_rng(0)
+    count = 2_000_000
+    t = np.arange(count) * 0.05
+    path = np.column_stack([800 * np.cos(t / 500), 600 * np.sin(t / 300), 5 * np.sin(t / 40)])
+    path += [500_000.0, 5_000_000.0, 400.0]
+    drift = np.cumsum(random.normal(scale=2e-5, size=(count, 3)), axis=0)
+    stamps = (np.arange(count) * 50_000_000).astype(np.int64)
+    protocol = Protocol(gauge=Gauge.SE3, lengths=())
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse("60s")))
+    evaluator_rows = states(path), states(path - [499_000.0, 4_999_000.0, 0.0] + drift)
+    for begin in range(0, count, 400):
+        part = slice(begin, begin + 400)
+        evaluator.add_groundtruth(stamps[part], evaluator_rows[0][part])
+        evaluator.add_estimate(stamps[part], evaluator_rows[1][part])
+        evaluator.update()
+    truth = Trajectory(stamps, evaluator_rows[0][:, :3])
+    estimate = Trajectory(stamps, evaluator_rows[1][:, :3])
+    offline = evaluate(truth, estimate, protocol).ate["position_m"]
+    assert offline is not None
+    assert evaluator.snapshot().position_rmse_m == pytest.approx(offline.rmse, rel=1e-9)
+
+
+def test_groundtruth_that_starts_late_ends_early_or_pauses_is_never_made_up() -> None:
+    stamps = (np.arange(400) * SECOND // 20).astype(np.int64)
+    path = np.column_stack([np.cos(stamps / SECOND), np.sin(stamps / SECOND), np.zeros(400)])
+    keep = ((stamps > 3 * SECOND) & (stamps < 8 * SECOND)) | (
+        (stamps > 10 * SECOND) & (stamps < 15 * SECOND)
+    )
+    evaluator = OnlineEvaluator()
+    evaluator.add_estimate(stamps + 1, states(path))
+    evaluator.update()
+    evaluator.add_groundtruth(stamps[keep], states(path[keep]))
+    evaluator.update(at_end=True)
+    truth, estimate = Trajectory(stamps[keep], path[keep]), Trajectory(stamps + 1, path)
+    expected = evaluate(truth, estimate, Protocol(gauge=Gauge.YAW)).association
+    assert evaluator.association().dropped == expected.dropped
+    assert set(expected.dropped) == {
+        "before_groundtruth", "after_groundtruth", "in_groundtruth_gap",
+    }  # fmt: skip
+
+
+def test_what_waits_is_bounded_and_counted() -> None:
+    limits = Limits(waiting_states=100)
+    evaluator = OnlineEvaluator(OnlineSettings(limits=limits))
+    stamps = (np.arange(1000) * SECOND // 20).astype(np.int64)
+    for part in np.array_split(np.arange(1000), 50):
+        evaluator.add_estimate(stamps[part], states(np.zeros((len(part), 3))))
+        evaluator.update()
+    snapshot = evaluator.snapshot()
+    assert snapshot.waiting == 100
+    assert snapshot.dropped == {"waited_too_long": 900}
+    assert snapshot.alignment is None
+    assert snapshot.warming_up == "no pair yet"
+
+
+def test_states_that_are_no_poses_are_counted_by_reason() -> None:
+    evaluator = OnlineEvaluator()
+    stamps = np.arange(4, dtype=np.int64) * SECOND // 10
+    positions = np.zeros((4, 3))
+    positions[1, 0] = np.nan
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+    quaternions[2] = 0.0
+    evaluator.add_groundtruth(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
+    evaluator.add_estimate(stamps, states(positions, quaternions))
+    evaluator.update(at_end=True)
+    assert evaluator.snapshot().pairs == 2
+    assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}
+
+
+def test_a_frozen_alignment_waits_until_it_is_determined_and_then_stays() -> None:
+    groundtruth = make_groundtruth(9, 800)
+    drift = np.cumsum(np.random.default_rng(0).normal(scale=1e-3, size=(800, 3)), axis=0)
+    estimate = dataclasses.replace(groundtruth, positions=groundtruth.positions + drift)
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW), freeze=True))
+    half = len(estimate) // 2
+    feed(evaluator, groundtruth, estimate[:half])
+    frozen = evaluator.snapshot()
+    assert frozen.alignment is not None
+    assert frozen.warming_up == ""
+    assert frozen.alignment.states_used < half
+    later = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW), freeze=True))
+    feed(later, groundtruth, estimate)
+    np.testing.assert_array_equal(
+        later.snapshot().alignment.similarity.rotation,  # type: ignore[union-attr]
+        frozen.alignment.similarity.rotation,
+    )
+
+
+def test_standing_still_is_warming_up() -> None:
+    stamps = (np.arange(100) * SECOND // 20).astype(np.int64)
+    still = np.random.default_rng(0).normal(scale=1e-3, size=(100, 3))
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3), freeze=True))
+    evaluator.add_groundtruth(stamps, states(np.zeros((100, 3))))
+    evaluator.add_estimate(stamps, states(still))
+    evaluator.update()
+    assert "don't determine" in evaluator.snapshot().warming_up
+
+
+@pytest.mark.parametrize("first", [1, 40])
+def test_alignment_by_the_first_states_is_that_of_offline(first: int) -> None:
+    groundtruth, estimate = make_pair(21, 400)
+    protocol = Protocol(gauge=Gauge.YAW, align_states=first, lengths=())
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate)
+    assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol))
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+def test_a_window_of_the_whole_run_is_the_whole_run(seed: int) -> None:
+    groundtruth, estimate = make_pair(seed, 200)
+    evaluator = OnlineEvaluator()
+    feed(evaluator, groundtruth, estimate)
+    snapshot = evaluator.snapshot()
+    assert snapshot.window_position_rmse_m == snapshot.position_rmse_m
+    position = snapshot.ate["position_m"]
+    assert position is not None
+    assert position.rmse == pytest.approx(snapshot.position_rmse_m, rel=1e-9)
+
+
+def test_what_cannot_be_live_is_refused_with_the_reason() -> None:
+    with pytest.raises(SettingsError, match="linear"):
+        OnlineSettings(PROTOCOLS["evo"])
+    with pytest.raises(SettingsError, match="frozen"):
+        OnlineSettings(Protocol(align_states=5), freeze=True)
+    with pytest.raises(SettingsError, match="whole run"):
+        OnlineEvaluator(OnlineSettings(window=Window.parse("5s"))).association()
+    for text in ("", "-5s", "5 km", "5s5"):
+        with pytest.raises(SettingsError, match="no window"):
+            Window.parse(text)
+
+
+@pytest.mark.parametrize("text", ["0", "30s", "50m", "500", "2.5m"])
+def test_windows_are_written_as_they_are_read(text: str) -> None:
+    assert str(Window.parse(text)) == text

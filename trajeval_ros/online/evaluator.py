@@ -1,0 +1,407 @@
+"""The live evaluator of one estimate, at a constant cost per message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros import lie
+from trajeval_ros.alignment import Alignment, align_first, solve
+from trajeval_ros.association import Association, coverage_of
+from trajeval_ros.errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
+from trajeval_ros.moments import Moments
+from trajeval_ros.online.pairing import (
+    POSITION,
+    QUATERNION,
+    VELOCITY,
+    Limits,
+    PairingBuffer,
+    Pairs,
+)
+from trajeval_ros.online.relative import RelativeEnd, RelativeTracker, RunningErrors
+from trajeval_ros.online.window import PairStore, Window
+from trajeval_ros.protocol import Protocol
+from trajeval_ros.similarity import Similarity
+from trajeval_ros.statistics import Statistics, statistics_of
+from trajeval_ros.trajectory import Trajectory, add_counts
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+# Reasons for dropping what was no state of its own, and counts in no coverage.
+NO_STATE = ("duplicate_stamp", "not_finite", "zero_quaternion")
+# A frozen alignment is taken once a turn of one degree would cost as much as the errors do.
+FREEZE_AT_RAD = float(np.radians(1.0))
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """What a live evaluator does.
+
+    Attributes:
+        protocol: Gauge, states to align by, gap, offset, lengths and forms, as offline. Lengths
+            that are shares of the path can only be had at the end.
+        window: What the sliding numbers are about.
+        freeze: Keep the first alignment that the states determine well.
+        limits: Of the memory for states that wait for their groundtruth.
+    """
+
+    protocol: Protocol = field(default_factory=Protocol)
+    window: Window = field(default_factory=Window)
+    freeze: bool = False
+    limits: Limits = field(default_factory=Limits)
+
+    def __post_init__(self) -> None:
+        """Refuse what can't be done live."""
+        method = self.protocol.association.method
+        if method != "linear":
+            raise SettingsError(
+                f"association {method} can't be live: which pairs are closest shows at the end "
+                "of a recording; use linear"
+            )
+        if self.freeze and self.protocol.align_states is not None:
+            raise SettingsError("align states is either a number or frozen, not both")
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """What new pairs brought.
+
+    Attributes:
+        pairs: Number of new pairs.
+        stamp: Of the newest pair, nanoseconds; None if there is no new one.
+        position_m: Its position error under the present alignment.
+        rotation_deg: Its rotation error; None if it can't be had.
+        ends: Sub-trajectories that ended.
+    """
+
+    pairs: int = 0
+    stamp: int | None = None
+    position_m: float | None = None
+    rotation_deg: float | None = None
+    ends: tuple[RelativeEnd, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state of an evaluation.
+
+    Attributes:
+        pairs: Number of pairs so far.
+        warming_up: Why there is no alignment yet; empty once there is.
+        alignment: The present one.
+        position_rmse_m: Position ATE of the whole run so far.
+        window_position_rmse_m: Position ATE of the window.
+        ate: Statistics of the window's absolute errors by metric.
+        window_pairs: Number of pairs in the window.
+        relative: Errors of sub-trajectories so far, by length.
+        estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
+        groundtruth_coverage: Share of the groundtruth's time that the window's store spans.
+        dropped: Estimated states in no pair, by reason.
+        waiting: Estimated states that wait for groundtruth.
+    """
+
+    pairs: int
+    warming_up: str
+    alignment: Alignment | None
+    position_rmse_m: float | None
+    window_position_rmse_m: float | None
+    ate: dict[str, Statistics | None]
+    window_pairs: int
+    relative: dict[str, RunningErrors]
+    estimate_coverage: float | None
+    groundtruth_coverage: float | None
+    dropped: dict[str, int]
+    waiting: int
+
+
+class OnlineEvaluator:
+    """Feed it states of both streams as they arrive; ask it for errors at any time."""
+
+    def __init__(
+        self,
+        settings: OnlineSettings | None = None,
+        record: Callable[[Pairs], object] | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            settings: What to do.
+            record: Is given all new pairs, to keep them beyond this process.
+        """
+        self.settings = settings or OnlineSettings()
+        rule = self.settings.protocol.association
+        self._offset = round(rule.time_offset_s * 1e9)
+        self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
+        self.store = PairStore()
+        self._record = record
+        self._relative = RelativeTracker(self.settings.protocol)
+        self._origin: tuple[Floats, Floats] | None = None
+        self._whole = self._window = self._first = Moments.empty(Similarity.identity())
+        self._window_begin = self._window_fresh = 0
+        self._anchored_at = 1
+        self._alignment: Alignment | None = None
+        self._kept = False
+        self._why_not = "no pair yet"
+        self._count = self._late = 0
+
+    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
+        """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        self.buffer.add_groundtruth(stamps, rows)
+
+    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
+        """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        self.buffer.add_estimate(stamps + self._offset, rows)
+
+    def update(self, *, at_end: bool = False) -> Update:
+        """Evaluate what has arrived since the last call.
+
+        Args:
+            at_end: No more groundtruth will come.
+        """
+        pairs = self.buffer.take(at_end=at_end)
+        if not len(pairs.stamps):
+            return Update()
+        if self._record is not None:
+            self._record(pairs)
+        self._count += len(pairs.stamps)
+        pairs = self._in_order(pairs)
+        if not len(pairs.stamps):
+            return Update(0)
+        self.store.append(pairs)
+        self._sum(pairs)
+        self._align(pairs)
+        ends: tuple[RelativeEnd, ...] = ()
+        if not np.isnan(pairs.groundtruth[0, 3] + pairs.estimate[0, 3]):
+            scale = 1.0 if self._alignment is None else self._alignment.similarity.scale
+            ends = self._relative.update(self.store, scale)
+        self.store.drop_before(min(self._window_begin, self._relative.oldest_needed(self.store)))
+        position, rotation = self._newest_errors(pairs)
+        return Update(len(pairs.stamps), int(pairs.stamps[-1]), position, rotation, ends)
+
+    def snapshot(self) -> Snapshot:
+        """Return the state of the evaluation; costs as much as the window is long."""
+        return Snapshot(
+            pairs=self._count,
+            warming_up=self._why_not,
+            alignment=self._alignment,
+            position_rmse_m=self._rmse(self._whole),
+            window_position_rmse_m=self._rmse(self._window),
+            ate=self._window_statistics(),
+            window_pairs=self.store.end - self._window_begin,
+            relative=self._relative.running,
+            estimate_coverage=self._estimate_coverage(),
+            groundtruth_coverage=self._groundtruth_coverage(),
+            dropped=add_counts(self.buffer.dropped, {"out_of_order": self._late}),
+            waiting=self.buffer.waiting,
+        )
+
+    def association(self) -> Association:
+        """Return all pairs, to be evaluated offline; only of a window that is the whole run.
+
+        Raises:
+            SettingsError: The window is shorter, so that pairs have been forgotten.
+        """
+        if not self.settings.window.is_whole_run:
+            raise SettingsError("only a window of the whole run keeps all pairs in memory")
+        stamps = self.store.stamps()
+        dropped = add_counts(self.buffer.dropped, {"out_of_order": self._late})
+        return Association(
+            rule=self.settings.protocol.association,
+            groundtruth=trajectory(stamps, self.store.groundtruth()),
+            estimate=trajectory(stamps, self.store.estimate()),
+            estimate_coverage=self._estimate_coverage() or 0.0,
+            groundtruth_coverage=self._groundtruth_coverage() or 0.0,
+            dropped=dropped,
+        )
+
+    def _in_order(self, pairs: Pairs) -> Pairs:
+        """Leave out pairs older than the newest one; the record has them."""
+        if not len(self.store):
+            return pairs
+        new = pairs.stamps > self.store.stamps()[-1]
+        if new.all():
+            return pairs
+        self._late += int(np.count_nonzero(~new))
+        return Pairs(pairs.stamps[new], pairs.groundtruth[new], pairs.estimate[new])
+
+    def _sum(self, pairs: Pairs) -> None:
+        """Add the new pairs to the moments, and take what left the window out of them.
+
+        Running sums drift by rounding. Coordinates are taken from the first pair's, residuals
+        under an anchor that is renewed when the number of pairs has doubled, and a window's sums
+        are made anew from its pairs each time that it has turned over.
+        """
+        if self._origin is None:
+            self._origin = (
+                pairs.groundtruth[0, POSITION].copy(),
+                pairs.estimate[0, POSITION].copy(),
+            )
+        self._whole += self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
+        if self._alignment is not None and self._count >= 2 * self._anchored_at:
+            self._whole = self._whole.with_anchor(self._shifted(self._alignment.similarity))
+            self._anchored_at = self._count
+        window = self.settings.window
+        if window.is_whole_run:
+            self._window = self._whole
+            return
+        begin = self.store.window_begin(window)
+        if begin >= self._window_fresh:
+            self._window_fresh = self.store.end
+            self._window = self._moments(
+                self.store.groundtruth(begin), self.store.estimate(begin), self._whole.anchor
+            )
+        else:
+            old = slice(self._window_begin, begin)
+            anchor = self._window.anchor
+            self._window += self._moments(pairs.groundtruth, pairs.estimate, anchor)
+            if old.start < old.stop:
+                self._window -= self._moments(
+                    self.store.groundtruth(old.start, old.stop),
+                    self.store.estimate(old.start, old.stop),
+                    anchor,
+                )
+        self._window_begin = begin
+
+    def _moments(self, groundtruth: Floats, estimate: Floats, anchor: Similarity) -> Moments:
+        assert self._origin is not None
+        p, q = groundtruth[:, POSITION], estimate[:, POSITION]
+        return Moments.of_pairs(p - self._origin[0], q - self._origin[1], anchor=anchor)
+
+    def _align(self, pairs: Pairs) -> None:
+        """Renew the alignment: from all states so far, the first ones, or once for all."""
+        protocol, gauge = self.settings.protocol, self.settings.protocol.gauge
+        if self._kept:
+            return
+        if protocol.align_states == 1:
+            truth, estimate = pairs.groundtruth[0], pairs.estimate[0]
+            try:
+                self._alignment = align_first(
+                    gauge,
+                    truth[POSITION],
+                    _rotation(truth),
+                    estimate[POSITION],
+                    _rotation(estimate),
+                )
+            except DegenerateGeometryError as error:
+                self._why_not = str(error)
+            else:
+                self._why_not, self._kept = "", True
+            return
+        moments = self._whole
+        if protocol.align_states is not None:
+            wanted = protocol.align_states - int(self._first.weight)
+            self._first += self._moments(
+                pairs.groundtruth[:wanted], pairs.estimate[:wanted], self._first.anchor
+            )
+            moments = self._first
+            self._kept = int(moments.weight) >= protocol.align_states
+        if moments.weight < gauge.minimum_states:
+            self._why_not = f"{int(moments.weight)} of {gauge.minimum_states} states to align by"
+            return
+        solution = solve(gauge, moments)
+        self._why_not = solution.undetermined
+        if self.settings.freeze and not self._why_not:
+            turn = float(np.degrees(solution.rotation_uncertainty))
+            if solution.rotation_uncertainty < FREEZE_AT_RAD:
+                self._kept = True
+            else:
+                self._why_not = (
+                    f"the alignment is still open by {turn:.1f} deg; it is frozen at "
+                    f"{np.degrees(FREEZE_AT_RAD):.0f} deg"
+                )
+        similarity = solution.similarity
+        if gauge.has_translation:
+            similarity = self._unshifted(similarity)
+        self._alignment = Alignment(similarity, int(moments.weight), solution.undetermined)
+
+    def _unshifted(self, similarity: Similarity) -> Similarity:
+        """Return an alignment of coordinates from the origin as one of the frames' own."""
+        assert self._origin is not None
+        p, q = self._origin
+        linear = similarity.scale * similarity.rotation
+        return replace(similarity, translation=similarity.translation + p - linear @ q)
+
+    def _shifted(self, similarity: Similarity) -> Similarity:
+        """Return an alignment of the frames' own coordinates as one of those from the origin."""
+        assert self._origin is not None
+        p, q = self._origin
+        linear = similarity.scale * similarity.rotation
+        return replace(similarity, translation=similarity.translation - p + linear @ q)
+
+    def _rmse(self, moments: Moments) -> float | None:
+        if self._alignment is None:
+            return None
+        return moments.rmse(self._shifted(self._alignment.similarity))
+
+    def _errors(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> AbsoluteErrors:
+        assert self._alignment is not None
+        aligned = self._alignment.similarity.trajectory(trajectory(stamps, estimate))
+        return absolute_errors(
+            trajectory(stamps, groundtruth),
+            aligned,
+            rotation=not self._alignment.undetermined,
+        )
+
+    def _newest_errors(self, pairs: Pairs) -> tuple[float | None, float | None]:
+        """Return position and rotation error of the newest pair: eq. (23), its plain form."""
+        if self._alignment is None:
+            return None, None
+        similarity = self._alignment.similarity
+        truth, estimate = pairs.groundtruth[-1], pairs.estimate[-1]
+        difference = truth[POSITION] - similarity.positions(estimate[POSITION])
+        position = float(np.sqrt(difference @ difference))
+        if self._alignment.undetermined or np.isnan(truth[3] + estimate[3]):
+            return position, None
+        aligned = similarity.quaternions(estimate[None, QUATERNION])[0]
+        between = lie.multiply(truth[QUATERNION], lie.conjugate(aligned))
+        return position, float(np.degrees(lie.angle(between)))
+
+    def _window_statistics(self) -> dict[str, Statistics | None]:
+        if self._alignment is None or not len(self.store):
+            return {}
+        begin = self._window_begin
+        errors = self._errors(
+            self.store.stamps(begin), self.store.groundtruth(begin), self.store.estimate(begin)
+        )
+        return {
+            name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__
+        }
+
+    def _estimate_coverage(self) -> float | None:
+        dropped = self.buffer.dropped.items()
+        states = self._count + sum(count for reason, count in dropped if reason not in NO_STATE)
+        return self._count / states if states else None
+
+    def _groundtruth_coverage(self) -> float | None:
+        if not self.buffer.groundtruth_count:
+            return None
+        return coverage_of(
+            self.store.stamps(),
+            self.buffer.groundtruth_time,
+            self.buffer.groundtruth_count,
+            self.buffer.max_gap_s,
+        )
+
+
+def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
+    """Return rows (N, 10) as a trajectory, without the columns that are not measured."""
+    quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
+    measured = len(rows) and not np.isnan(quaternions[0, 0])
+    moving = len(rows) and not np.isnan(velocities).any()
+    return Trajectory(
+        stamps=np.array(stamps),
+        positions=np.array(rows[:, POSITION]),
+        rotations=Rotation.from_quat(quaternions) if measured else None,
+        velocities=np.array(velocities) if moving else None,
+    )
+
+
+def _rotation(row: Floats) -> Rotation | None:
+    quaternion = row[QUATERNION]
+    return None if np.isnan(quaternion[0]) else Rotation.from_quat(quaternion)

@@ -1,0 +1,288 @@
+"""Two streams of states at their own rates, paired as they arrive.
+
+The groundtruth is interpolated at the estimate's stamps with the arithmetic of the offline
+association, so that both give the same pairs. An estimated state waits until groundtruth beyond it
+has arrived, or until it is clear that none will do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
+from trajeval_ros.trajectory import NANOSECONDS, travelled_distance
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+# Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
+POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
+WIDTH = 10
+
+
+class Pairs(NamedTuple):
+    """N pairs in order of their stamps.
+
+    Attributes:
+        stamps: (N,) nanoseconds.
+        groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN where there is none.
+        estimate: (N, 10), in the estimate's own frame.
+    """
+
+    stamps: Stamps
+    groundtruth: Floats
+    estimate: Floats
+
+
+def states(
+    positions: Floats, quaternions: Floats | None = None, velocities: Floats | None = None
+) -> Floats:
+    """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3)."""
+    rows = np.full((len(positions), WIDTH), np.nan)
+    rows[:, POSITION] = positions
+    if quaternions is not None:
+        lengths = np.sqrt(np.einsum("ni,ni->n", quaternions, quaternions))
+        # Quaternions of no length become NaN, which `add` drops; -q is the same rotation as q.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rows[:, QUATERNION] = np.where(
+                lengths[:, None] > 1e-6, quaternions / lengths[:, None], np.inf
+            )
+    if velocities is not None:
+        rows[:, VELOCITY] = velocities
+    return rows
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a buffer holds at the most; beyond, the oldest is dropped and counted.
+
+    Attributes:
+        groundtruth_s: Groundtruth kept behind its newest state, for late estimates, seconds.
+        groundtruth_states: The same as a number of states, whatever the rate.
+        waiting_states: Estimated states that wait for groundtruth.
+    """
+
+    groundtruth_s: float = 10.0
+    groundtruth_states: int = 50_000
+    waiting_states: int = 50_000
+
+
+class Stream:
+    """States sorted by stamp, each stamp once, within limits."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self.stamps: Stamps = np.empty(256, dtype=np.int64)
+        self.rows: Floats = np.empty((256, WIDTH))
+        self.begin = self.end = 0
+
+    def __len__(self) -> int:
+        """Return the number of states held."""
+        return self.end - self.begin
+
+    @property
+    def held(self) -> tuple[Stamps, Floats]:
+        """The states held: views of stamps (N,) and rows (N, 10)."""
+        return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
+
+    def append(self, stamps: Stamps, rows: Floats) -> None:
+        """Add states that are sorted and newer than all held."""
+        self._make_room(len(stamps))
+        self.stamps[self.end : self.end + len(stamps)] = stamps
+        self.rows[self.end : self.end + len(stamps)] = rows
+        self.end += len(stamps)
+
+    def merge(self, stamps: Stamps, rows: Floats) -> int:
+        """Add states in any order; returns how many stamps were there already, or twice."""
+        held_stamps, held_rows = self.held
+        # Held states come first, so that of equal stamps the one that arrived first stays.
+        all_stamps = np.concatenate([held_stamps, stamps])
+        unique, first = np.unique(all_stamps, return_index=True)
+        all_rows = np.concatenate([held_rows, rows])[first]
+        self.begin = self.end = 0
+        self.append(unique, all_rows)
+        return len(all_stamps) - len(unique)
+
+    def drop(self, count: int) -> None:
+        """Forget the oldest states."""
+        self.begin += count
+
+    def _make_room(self, count: int) -> None:
+        if self.end + count <= len(self.stamps):
+            return
+        stamps, rows = self.held
+        size = max(len(self.stamps), 2 * (len(stamps) + count))
+        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, WIDTH))
+        self.begin, self.end = 0, len(stamps)
+        self.stamps[: self.end], self.rows[: self.end] = stamps, rows
+
+
+class PairingBuffer:
+    """Pairs one estimate's states with interpolated groundtruth, in bounded memory.
+
+    Attributes:
+        dropped: Number of estimated states that are in no pair, by reason, as offline, and
+            `too_late`: its groundtruth had been forgotten; `waited_too_long`: none came.
+        groundtruth_dropped: Number of groundtruth states that could not be used, by reason, and
+            `after_use`: a state that arrived after its neighbours had been used without it.
+        groundtruth_count: Number of groundtruth states so far.
+        groundtruth_time: Sum of their steps that are no gaps, nanoseconds.
+        groundtruth_path_m: Length of the path through them.
+    """
+
+    def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
+        """Begin empty.
+
+        Args:
+            max_gap_s: Never interpolate across a longer step of the groundtruth.
+            limits: What to hold at the most.
+        """
+        self.max_gap_s = max_gap_s
+        self.limits = limits or Limits()
+        self.dropped: dict[str, int] = {}
+        self.groundtruth_dropped: dict[str, int] = {}
+        self.groundtruth_count = self.groundtruth_time = 0
+        self.groundtruth_path_m = 0.0
+        self._truth, self._waiting = Stream(), Stream()
+        self._seen: Stamps = np.empty(0, dtype=np.int64)
+        self._forgotten_until = np.iinfo(np.int64).min
+        self._paired_until = np.iinfo(np.int64).min
+
+    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
+        """Take groundtruth states, (N,) and (N, 10), in any order."""
+        stamps, rows = self._finite(stamps, rows, self.groundtruth_dropped)
+        if not len(stamps):
+            return
+        held, held_rows = self._truth.held
+        if (not len(held) or stamps[0] > held[-1]) and (np.diff(stamps) > 0).all():
+            self._measure(np.r_[held[-1:], stamps], np.r_[held_rows[-1:], rows])
+            self._truth.append(stamps, rows)
+            self.groundtruth_count += len(stamps)
+        else:
+            after_use = int(np.count_nonzero(stamps <= self._paired_until))
+            self._count(self.groundtruth_dropped, "after_use", after_use)
+            self._measure(held, held_rows, sign=-1)
+            duplicates = self._truth.merge(stamps, rows)
+            self._measure(*self._truth.held)
+            self._count(self.groundtruth_dropped, "duplicate_stamp", duplicates)
+            self.groundtruth_count += len(stamps) - duplicates
+
+    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
+        """Take estimated states, (N,) and (N, 10), in any order."""
+        stamps, rows = self._finite(stamps, rows, self.dropped)
+        if not len(stamps):
+            return
+        newest = self._seen[-1] if len(self._seen) else np.iinfo(np.int64).min
+        if stamps[0] > newest and (np.diff(stamps) > 0).all():
+            self._waiting.append(stamps, rows)
+            self._seen = np.concatenate([self._seen, stamps])
+        else:
+            # A stamp that was there before is a duplicate, as it would be offline.
+            new, first = np.unique(stamps, return_index=True)
+            unseen = ~np.isin(new, self._seen)
+            self._waiting.merge(new[unseen], rows[first[unseen]])
+            self._seen = np.union1d(self._seen, new)
+            duplicates = len(stamps) - int(np.count_nonzero(unseen))
+            self._count(self.dropped, "duplicate_stamp", duplicates)
+        horizon = self._seen[-1] - round(self.limits.groundtruth_s * NANOSECONDS)
+        forget = int(np.searchsorted(self._seen, horizon))
+        self._seen = self._seen[max(forget, len(self._seen) - self.limits.waiting_states) :]
+        excess = len(self._waiting) - self.limits.waiting_states
+        if excess > 0:
+            self._waiting.drop(excess)
+            self._count(self.dropped, "waited_too_long", excess)
+
+    def take(self, *, at_end: bool = False) -> Pairs:
+        """Return the pairs that have become possible, and forget them.
+
+        Args:
+            at_end: No more groundtruth will come: what still waits is decided now.
+        """
+        truth_stamps, truth = self._truth.held
+        waiting, rows = self._waiting.held
+        ready = len(waiting)
+        if not at_end:
+            newest = truth_stamps[-1] if len(truth_stamps) else np.iinfo(np.int64).min
+            ready = int(np.searchsorted(waiting, newest, side="right"))
+        if not ready or not len(truth_stamps):
+            if at_end:
+                self._count(self.dropped, "after_groundtruth", ready)
+                self._waiting.drop(ready)
+            self._forget()
+            return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
+        stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
+        self._waiting.drop(ready)
+        bracket = bracket_stamps(truth_stamps, stamps, self.max_gap_s)
+        too_late = bracket.early & (stamps <= self._forgotten_until)
+        self._count(self.dropped, "too_late", int(np.count_nonzero(too_late)))
+        for reason, count in bracket.dropped().items():
+            late = int(np.count_nonzero(too_late)) if reason == "before_groundtruth" else 0
+            self._count(self.dropped, reason, count - late)
+        usable = bracket.usable
+        start, end, fraction = bracket.start[usable], bracket.end[usable], bracket.fraction[usable]
+        stamps, rows = stamps[usable], rows[usable]
+        between = mix(truth, start, end, fraction)
+        assert between is not None
+        if len(stamps) and np.isfinite(truth[start[0], QUATERNION.start]):
+            between[:, QUATERNION] = lie.slerp(
+                truth[start, QUATERNION], truth[end, QUATERNION], fraction
+            )
+        if len(stamps):
+            self._paired_until = max(self._paired_until, int(stamps[-1]))
+        self._forget()
+        return Pairs(stamps, between, rows)
+
+    @property
+    def waiting(self) -> int:
+        """Number of estimated states that wait for groundtruth."""
+        return len(self._waiting)
+
+    @property
+    def newest_groundtruth(self) -> int | None:
+        """Stamp of the newest groundtruth state, nanoseconds."""
+        stamps, _ = self._truth.held
+        return int(stamps[-1]) if len(stamps) else None
+
+    def _finite(
+        self, stamps: Stamps, rows: Floats, counts: dict[str, int]
+    ) -> tuple[Stamps, Floats]:
+        """Leave out rows that are no poses, and count them as the readers do."""
+        no_length = np.isposinf(rows[:, QUATERNION]).any(axis=1)
+        finite = np.isfinite(rows[:, POSITION]).all(axis=1)
+        keep = finite & ~no_length
+        if keep.all():
+            return stamps, rows
+        self._count(counts, "not_finite", int(np.count_nonzero(~finite)))
+        self._count(counts, "zero_quaternion", int(np.count_nonzero(finite & no_length)))
+        return stamps[keep], rows[keep]
+
+    def _measure(self, stamps: Stamps, rows: Floats, sign: int = 1) -> None:
+        """Add the time without gaps and the path of consecutive groundtruth states."""
+        self.groundtruth_time += sign * time_without_gaps(stamps, self.max_gap_s)
+        if len(rows):
+            self.groundtruth_path_m += sign * float(travelled_distance(rows[:, POSITION])[-1])
+
+    def _forget(self) -> None:
+        stamps, _ = self._truth.held
+        if not len(stamps):
+            return
+        keep_from = stamps[-1] - round(self.limits.groundtruth_s * NANOSECONDS)
+        waiting, _ = self._waiting.held
+        if len(waiting):
+            keep_from = min(keep_from, waiting[0])
+        # One state before the oldest stamp of interest, to interpolate from.
+        old = int(np.searchsorted(stamps, keep_from, side="right")) - 1
+        old = max(old, len(stamps) - self.limits.groundtruth_states, 0)
+        if old:
+            self._forgotten_until = int(stamps[old - 1])
+            self._truth.drop(old)
+
+    @staticmethod
+    def _count(counts: dict[str, int], reason: str, count: int) -> None:
+        if count:
+            counts[reason] = counts.get(reason, 0) + count

@@ -1,0 +1,140 @@
+"""How much of the run the live numbers are about, and the pairs that they need."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
+from trajeval_ros.trajectory import NANOSECONDS
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Window:
+    """The newest part of a run: a time, a distance or a number of pairs; or all of it.
+
+    Attributes:
+        size: How much; 0 is the whole run.
+        unit: `s`, `m`, or `pairs`.
+    """
+
+    size: float = 0.0
+    unit: str = "pairs"
+
+    @classmethod
+    def parse(cls, text: str) -> Window:
+        """Read "0" (the whole run), "30s", "50m" or "500" (pairs).
+
+        Raises:
+            SettingsError: It is none of these.
+        """
+        match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(s|m)?\s*", text)
+        if match is None:
+            raise SettingsError(
+                f"{text!r} is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"
+            )
+        return cls(float(match[1]), match[2] or "pairs")
+
+    def __str__(self) -> str:
+        """Write it as `parse` reads it."""
+        return f"{self.size:g}{'' if self.unit == 'pairs' else self.unit}"
+
+    @property
+    def is_whole_run(self) -> bool:
+        """Whether nothing ever leaves it."""
+        return self.size == 0.0
+
+
+class PairStore:
+    """The newest pairs as columns, in order of arrival, each with the path up to it.
+
+    Pairs are numbered from the beginning of the run; `begin` is the oldest that is held. A pair
+    takes `BYTES_PER_PAIR`.
+    """
+
+    BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self.begin = self.end = 0
+        self._offset = 0  # number of the pair in row 0
+        self._stamps: Stamps = np.empty(1024, dtype=np.int64)
+        self._rows: Floats = np.empty((1024, 2 * WIDTH + 1))
+
+    def __len__(self) -> int:
+        """Return the number of pairs held."""
+        return self.end - self.begin
+
+    def append(self, pairs: Pairs) -> None:
+        """Add pairs; the path goes on from the last groundtruth position."""
+        count = len(pairs.stamps)
+        self._make_room(count)
+        first = self.end - self._offset
+        rows = self._rows[first : first + count]
+        self._stamps[first : first + count] = pairs.stamps
+        rows[:, :WIDTH] = pairs.groundtruth
+        rows[:, WIDTH:-1] = pairs.estimate
+        before = max(first - 1, 0)
+        moves = np.diff(self._rows[before : first + count, POSITION], axis=0)
+        if not first:
+            moves = np.concatenate([np.zeros((1, 3)), moves])[:count]
+        steps = np.sqrt(np.einsum("ni,ni->n", moves, moves))
+        rows[:, -1] = (self._rows[first - 1, -1] if first else 0.0) + np.cumsum(steps)
+        self.end += count
+
+    def drop_before(self, number: int) -> None:
+        """Forget the pairs before this one."""
+        self.begin = min(max(self.begin, number), self.end)
+
+    def _view(self, begin: int | None, end: int | None) -> slice:
+        first = self.begin if begin is None else max(begin, self.begin)
+        last = self.end if end is None else end
+        return slice(first - self._offset, last - self._offset)
+
+    def stamps(self, begin: int | None = None, end: int | None = None) -> Stamps:
+        """Stamps of pairs by number, (N,), nanoseconds."""
+        return self._stamps[self._view(begin, end)]
+
+    def groundtruth(self, begin: int | None = None, end: int | None = None) -> Floats:
+        """Groundtruth states of pairs by number, (N, 10)."""
+        return self._rows[self._view(begin, end), :WIDTH]
+
+    def estimate(self, begin: int | None = None, end: int | None = None) -> Floats:
+        """Estimated states of pairs by number, (N, 10)."""
+        return self._rows[self._view(begin, end), WIDTH:-1]
+
+    def along(self, begin: int | None = None, end: int | None = None) -> Floats:
+        """Groundtruth path up to pairs by number, (N,), metres."""
+        return self._rows[self._view(begin, end), -1]
+
+    def window_begin(self, window: Window) -> int:
+        """Return the number of the first pair in a window."""
+        if window.is_whole_run or not len(self):
+            return self.begin
+        if window.unit == "pairs":
+            return max(self.begin, self.end - int(window.size))
+        if window.unit == "m":
+            along = self.along()
+            return self.begin + int(np.searchsorted(along, along[-1] - window.size))
+        stamps = self.stamps()
+        oldest = stamps[-1] - round(window.size * NANOSECONDS)
+        return self.begin + int(np.searchsorted(stamps, oldest))
+
+    def _make_room(self, count: int) -> None:
+        if self.end - self._offset + count <= len(self._stamps):
+            return
+        # The pair before the oldest stays: the path goes on from it.
+        keep = max(self.begin - 1, self._offset) - self._offset
+        stamps, rows = self._stamps[keep : self.end - self._offset], self._rows[keep:]
+        rows = rows[: len(stamps)]
+        size = max(1024, 2 * (len(stamps) + count))
+        self._offset += keep
+        self._stamps, self._rows = np.empty(size, np.int64), np.empty((size, 2 * WIDTH + 1))
+        self._stamps[: len(stamps)], self._rows[: len(stamps)] = stamps, rows
