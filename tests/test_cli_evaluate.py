@@ -280,3 +280,12 @@ def test_help_teaches_by_example(
     assert "--modality stereo-inertial" in " ".join(output.split())
     assert main(["--version"]) == 0
     assert re.fullmatch(r"trajeval_ros \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("option", ["--json", "--output"])
+def test_a_place_that_cannot_be_written_gets_one_sentence(
+    pair: list[str], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused([*pair, "-q", option, "/proc/nowhere/result"], capsys)
+    assert "/proc/nowhere" in line
+    assert ".part" not in line

@@ -26,7 +26,6 @@ FLOORS = {
     "statistics": 1,
     "gauge": 2,
     "similarity": 2,
-    "similarity": 2,
     "continuous_time": 2,
     "association": 3,
     "moments": 3,

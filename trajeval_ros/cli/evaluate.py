@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import shutil
 import sys
 import tempfile
@@ -249,6 +250,8 @@ def _write_folder(folder: Path, result: dict[str, object], runs: list[results.Ru
     try:
         results.write_errors(temporary / "errors.npz", runs)
         if _HAVE_FIGURES:
+            # That matplotlib can't write into the user's home is no news about trajectories.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
             from trajeval_ros.report.plots import write_figures
 
             write_figures([run.evaluation for run in runs], temporary)

@@ -6,6 +6,7 @@ input give the same bytes.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -19,6 +20,7 @@ import numpy as np
 
 from trajeval_ros import __version__
 from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
 
@@ -189,10 +191,18 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` make a file under a temporary name beside `path`, then give it that name."""
+    """Let `write` make a file under a temporary name beside `path`, then give it that name.
+
+    Raises:
+        InputError: The file can't be written.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         write(temporary)
         temporary.replace(path)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path} can't be written: {reason}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
