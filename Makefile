@@ -4,10 +4,12 @@
 PYTHON ?= python3
 VENV := .venv
 JAZZY := .venv-jazzy
+ROS := .venv-ros
 COLCON := .venv-colcon
 EVO := .venv-evo
 LOCK := .venv-lock
 BENCH ?=
+ROS_TEST_DOMAIN ?= 71
 
 DEMO_BAG := demo_output/flight
 DEMO_GROUNDTRUTH := $(DEMO_BAG):/groundtruth/pose
@@ -15,7 +17,8 @@ DEMO_ESTIMATE := $(DEMO_BAG):/vio/odometry
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy lint format bench lock colcon-environment clean
+.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench lock \
+	colcon-environment ros-environment clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -36,6 +39,12 @@ test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few se
 test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
 	$(JAZZY)/bin/python -m pytest -m "not slow"
 
+# Discovery must not leave this machine, and a robot's own domain must not hear of the tests.
+test-ros: $(ROS)/.installed ## Run the tests that need ROS 2, between processes over DDS.
+	ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
+		ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN) \
+		$(ROS)/bin/python -m pytest -m ros
+
 lint: $(VENV)/.installed ## Check style, format and types.
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
@@ -48,16 +57,22 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo; BENCH="--sizes 10000 --runs 3".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
 
-lock: $(LOCK)/.installed ## Renew constraints.txt with the newest releases.
-	$(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
-		--no-header --no-annotate --no-emit-index-url --all-extras \
+COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
+	--no-header --no-annotate --no-emit-index-url
+
+lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with the newest releases.
+	$(COMPILE) --extra plot --extra rerun --extra cluster --extra dev \
 		--output-file constraints.txt setup.py .ci/colcon-requirements.txt
+	$(COMPILE) --extra ros --extra test --constraint constraints-jazzy.txt \
+		--output-file constraints-ros.txt setup.py
 	rm -rf trajeval_ros.egg-info
 
 colcon-environment: $(COLCON)/.installed
 
+ros-environment: $(ROS)/.installed ## Make the environment with ROS 2 Jazzy's wheels in .venv-ros.
+
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(COLCON) $(EVO) $(LOCK) build install log dist *.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -84,6 +99,12 @@ $(JAZZY)/.installed: setup.py constraints-jazzy.txt
 	$(make_venv)
 	$(JAZZY)/bin/python -m pip install --quiet --constraint constraints-jazzy.txt \
 		--editable ".[test]"
+	touch $@
+
+$(ROS)/.installed: setup.py constraints-ros.txt
+	$(make_venv)
+	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
+		--editable ".[ros,test]"
 	touch $@
 
 $(COLCON)/.installed: setup.py constraints.txt .ci/colcon-requirements.txt

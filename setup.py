@@ -30,17 +30,18 @@ RERUN = [
     "rerun-sdk>=0.41; python_version >= '3.11'",
 ]
 CLUSTER = ["distributed>=2024.1"]
-# Community builds of ROS 2 for Linux on x86-64, for machines without a ROS installation.
+# Community builds of ROS 2 Jazzy for Linux on x86-64: to develop and test on machines without a
+# ROS installation. Users have ROS from its own packages, by package.xml.
 ROS = [
-    f"{name}; sys_platform == 'linux' and platform_machine == 'x86_64'"
+    f"ros-jazzy-{name}; sys_platform == 'linux' and platform_machine == 'x86_64'"
     for name in (
-        "ros-rclpy[fastrtps]==9.1.2",
-        "ros-nav-msgs",
-        "ros-geometry-msgs",
-        "ros-std-msgs",
-        "ros-std-srvs",
-        "ros-diagnostic-msgs",
-        "ros-rosgraph-msgs",
+        "rclpy[fastrtps]==7.1.6",
+        "nav-msgs",
+        "geometry-msgs",
+        "std-msgs",
+        "std-srvs",
+        "diagnostic-msgs",
+        "rosgraph-msgs",
     )
 ]
 TEST = ["pytest>=8", "hypothesis>=6.100"]
@@ -95,5 +96,10 @@ setup(
         "test": TEST,
         "dev": [*PLOT, *TEST, *LINT],
     },
-    entry_points={"console_scripts": [f"trajeval = {PACKAGE}.cli.app:main"]},
+    entry_points={
+        "console_scripts": [
+            f"trajeval = {PACKAGE}.cli.app:main",
+            f"replay = {PACKAGE}.cli.app:ros_replay",  # ros2 run trajeval_ros replay
+        ]
+    },
 )

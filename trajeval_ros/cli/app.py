@@ -12,6 +12,7 @@ import typer
 from trajeval_ros import __version__
 from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.info import info
+from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
 from trajeval_ros.exceptions import TrajevalError
 
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.command()(evaluate)
 app.command()(info)
+app.command(cls=RosCommand)(replay)
 app.command()(simulate)
 
 # click's class of usage errors, which newer typer bundles and older typer imports.
@@ -43,13 +45,15 @@ def _version(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0, 1 unmet requirement, 2 bad input."""
     try:
-        status = app(args=arguments, standalone_mode=False)
+        status = app(args=arguments, standalone_mode=False, prog_name="trajeval")
         sys.stdout.flush()
     except TrajevalError as error:
         return _fail(str(error))
     except _UsageError as error:
         message: str = error.format_message()  # type: ignore[attr-defined]
-        return _fail(f"{message} (try trajeval --help)")
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "trajeval"
+        return _fail(f"{message.rstrip('.')} (try {command} --help)")
     except BrokenPipeError:
         # Whoever read the output has seen enough, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -61,6 +65,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("trajeval: interrupted", file=sys.stderr)
         return 130
     return status if isinstance(status, int) else 0
+
+
+def ros_replay() -> int:
+    """Run `trajeval replay`, under the name that `ros2 run trajeval_ros replay` looks for."""
+    return main(["replay", *sys.argv[1:]])
 
 
 def _fail(sentence: str) -> int:

@@ -8,14 +8,16 @@ bag, and whatever a damaged file raises becomes one sentence.
 from __future__ import annotations
 
 import contextlib
+import heapq
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.checks import nearest
+from trajeval_ros.io.containers import first_and_last, open_file, refuse_unfinished, storages
 from trajeval_ros.io.messages import POSE_TYPES, TRANSFORM_TYPES, Decode
 
 if TYPE_CHECKING:
@@ -25,7 +27,6 @@ Advance = Callable[[int, int], None]
 
 _ADVANCE_EVERY = 1000  # messages
 _LARGEST_METADATA = 16 << 20  # bytes; real ones have some kB
-_MCAP, _SQLITE, _ROS1, _ZSTD = b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
 
 
 @dataclass(frozen=True)
@@ -77,40 +78,65 @@ class Bag:
         for reader in self._readers:
             reader.close()
 
-    def payloads(self, topics: list[Topic]) -> Iterator[bytes]:
-        """Yield the serialised messages of some topics, in the order of the bag.
+    @property
+    def span(self) -> tuple[int, int]:
+        """The first and the last log time of all messages, ns.
 
         Raises:
-            InputError: The bag is damaged, or its index hides messages.
+            InputError: There is no message.
         """
-        total = sum(topic.count for topic in topics)
+        files = [each for reader in self._readers for each in storages(reader)]
+        spans = [each for each in map(first_and_last, files) if each[0] <= each[1]]
+        if not spans:
+            raise InputError(f"{self.path} is an empty bag: it has no messages")
+        return min(first for first, _ in spans), max(last for _, last in spans)
+
+    def messages(
+        self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield topic, log time in ns and payload of the messages, in order of their log times.
+
+        Args:
+            topics: Those wanted.
+            begin: The first log time wanted, ns.
+            end: The first log time that isn't wanted any more, ns.
+
+        Raises:
+            InputError: The bag is damaged, or its index hides all messages.
+        """
         done = 0
         with _one_sentence(self.path):
-            for reader in self._readers:
-                wanted = [
-                    connection
-                    for topic in topics
-                    for connection in topic.connections
-                    if connection.owner is reader
-                ]
-                if not wanted:
-                    continue
-                for _, _, payload in reader.messages(wanted):
-                    yield payload
-                    done += 1
-                    if self._advance is not None and done % _ADVANCE_EVERY == 0:
-                        self._advance(done, total)
-        if self._advance is not None:
-            self._advance(done, total)
-        if done >= total:
+            streams = [self._stream(reader, topics, begin, end) for reader in self._readers]
+            for message in heapq.merge(*streams, key=_log_time):
+                yield message
+                done += 1
+        total = sum(topic.count for topic in topics)
+        if done >= total or begin is not None or end is not None:
             return
+        names = ", ".join(topic.name for topic in topics)
         problem = (
-            f"{self.path} counts {total} messages on {topics[0].name}, but {done} can be reached; "
+            f"{self.path} counts {total} messages on {names}, but {done} can be reached; "
             "`mcap recover` or `ros2 bag reindex` mends that"
         )
         if not done:
             raise InputError(problem)
         self.notes.append(problem)
+
+    def payloads(self, topics: list[Topic]) -> Iterator[bytes]:
+        """Yield the serialised messages of some topics, in order of their log times.
+
+        Raises:
+            InputError: The bag is damaged, or its index hides all messages.
+        """
+        total = sum(topic.count for topic in topics)
+        done = 0
+        for _, _, payload in self.messages(topics):
+            yield payload
+            done += 1
+            if self._advance is not None and done % _ADVANCE_EVERY == 0:
+                self._advance(done, total)
+        if self._advance is not None:
+            self._advance(done, total)
 
     def decoder(self, topic: Topic) -> Decode:
         """Return what makes a message of a payload, by the definition that the bag holds."""
@@ -121,7 +147,7 @@ class Bag:
         is_ros1 = isinstance(connection.owner, Ros1Reader)
         store = get_typestore(Stores.EMPTY)
         try:
-            store.register(_definitions(connection))
+            store.register(definitions(connection))
             store.get_msgdef(topic.type)
         except Exception:  # rosbags raises half a dozen kinds; the usual definition is as good
             store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
@@ -140,6 +166,19 @@ class Bag:
         names = {topic.name for topic in self.topics}
         raise InputError(f"{self.path} has no topic {name}; it has {nearest(name, names)}")
 
+    @staticmethod
+    def _stream(
+        reader: Any, topics: Sequence[Topic], begin: int | None, end: int | None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield the messages that one reader has of the topics."""
+        owned = [(each, topic) for topic in topics for each in topic.connections]
+        wanted = {each.id: (each, topic) for each, topic in owned if each.owner is reader}
+        if not wanted:  # asked for no connections, a reader yields all
+            return
+        connections = [connection for connection, _ in wanted.values()]
+        for connection, log_time, payload in reader.messages(connections, begin, end):
+            yield wanted[connection.id][1], log_time, payload
+
     def _list_topics(self) -> Iterator[Topic]:
         """Yield the topics of all readers, with the connections of the same name and type."""
         by_name: dict[tuple[str, str], list[Connection]] = {}
@@ -154,14 +193,14 @@ class Bag:
     def _open(self) -> list[Any]:
         """Return the open readers of the path."""
         if self.path.is_file():
-            return [_open_file(self.path)]
+            return [open_file(self.path)]
         metadata = self.path / "metadata.yaml"
         files = sorted(
             (file for ending in ("*.mcap", "*.db3") for file in self.path.glob(ending)),
             key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
         )
         for file in files:
-            _refuse_unfinished(file)
+            refuse_unfinished(file)
         if not files and not metadata.exists():
             raise InputError(
                 f"{self.path} is a directory without a bag: it holds no metadata.yaml, *.mcap or "
@@ -184,72 +223,17 @@ class Bag:
         with contextlib.ExitStack() as stack:
             readers = []
             for file in files:
-                readers.append(_open_file(file))
+                readers.append(open_file(file))
                 stack.callback(readers[-1].close)
             stack.pop_all()
         return readers
 
 
-def _open_file(path: Path) -> Any:
-    """Return the open reader of a single file, chosen by its first bytes."""
-    with path.open("rb") as file:
-        beginning = file.read(16)
-    if not beginning:
-        raise InputError(f"{path} is empty; was the recording stopped before it was written?")
-    if beginning.startswith(_ZSTD):
-        raise InputError(
-            f"{path} is compressed as a whole; name its directory if that has a metadata.yaml, or "
-            "decompress it with `zstd -d`"
-        )
-    if beginning.startswith(_ROS1):
-        from rosbags.rosbag1 import Reader as Ros1Reader
-
-        reader: Any = Ros1Reader(path)
-    elif beginning.startswith(_SQLITE):
-        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-
-        _refuse_unfinished(path)
-        _refuse_truncated(path)
-        reader = Sqlite3Reader(path)
-    elif beginning.startswith(_MCAP):
-        from rosbags.rosbag2.storage_mcap import McapReader
-
-        reader = McapReader(path)
-    else:
-        raise InputError(f"{path} is no bag: it begins as neither MCAP, sqlite3 nor ROS 1")
-    reader.open()
-    return reader
+def _log_time(message: tuple[Topic, int, bytes]) -> int:
+    return message[1]
 
 
-def _refuse_unfinished(path: Path) -> None:
-    """Raise InputError if messages wait in a write-ahead log, which readers pass over silently."""
-    log = path.with_name(f"{path.name}-wal")
-    if log.exists() and log.stat().st_size:
-        raise InputError(
-            f"{path} was not closed: messages wait in {log.name}; merge them with "
-            f"`sqlite3 {path} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-        )
-
-
-def _refuse_truncated(path: Path) -> None:
-    """Raise InputError if sqlite's header counts more pages than the file has.
-
-    What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
-    """
-    with path.open("rb") as file:
-        header = file.read(100).ljust(100, b"\0")
-    page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
-    page_size = 65536 if page_size == 1 else page_size
-    is_valid = header[24:28] == header[92:96]  # older versions of sqlite don't keep the count
-    size = path.stat().st_size
-    if is_valid and size < pages * page_size:
-        raise InputError(
-            f"{path} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
-            f"save what is left with `sqlite3 {path} .recover`"
-        )
-
-
-def _definitions(connection: Connection) -> Any:
+def definitions(connection: Connection) -> Any:
     """Return the types that a connection's own definition holds."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import get_types_from_idl, get_types_from_msg

@@ -1,0 +1,275 @@
+"""Replay between real processes over DDS: what a bag holds is what subscribers get."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.io.bags import Bag
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).resolve().parent.parent
+LISTENER = Path(__file__).with_name("ros_listener.py")
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
+TYPES = {TRUTH: "geometry_msgs/msg/PoseStamped", ODOMETRY: "nav_msgs/msg/Odometry"}
+CLOCK = {"/clock": "rosgraph_msgs/msg/Clock"}
+PATIENCE_S = 60
+
+Received = dict[str, list[bytes]]
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What keeps the traffic on this machine, and apart from that of others on it."""
+    return {
+        **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(60 + os.getpid() % 40),
+        "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
+        "PYTHONPATH": str(ROOT),
+    }
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the same flight in both storage formats of rosbag2."""
+    folder = tmp_path_factory.mktemp("bags")
+    for storage in ("mcap", "sqlite3"):
+        bag = str(folder / storage)
+        assert main(["simulate", bag, "--duration", "20", "--storage", storage]) == 0
+    return folder
+
+
+@pytest.fixture
+def flight(flights: Path) -> Path:
+    return flights / "mcap"
+
+
+def recorded(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Return log times and payloads by topic."""
+    with Bag(bag) as opened:
+        return {
+            topic.name: [(stamp, payload) for _, stamp, payload in opened.messages([topic])]
+            for topic in opened.topics
+        }
+
+
+@contextmanager
+def listening(
+    topics: Mapping[str, str], environment: dict[str, str], folder: Path
+) -> Iterator[Received]:
+    """Listen in another process; what it received is there after the block."""
+    output = folder / "received.pickle"
+    arguments = [f"{topic}={kind}" for topic, kind in topics.items()]
+    received: Received = {topic: [] for topic in topics}
+    with subprocess.Popen(
+        [sys.executable, str(LISTENER), str(output), *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().strip() == "ready"
+            yield received
+            process.terminate()
+            assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
+    for topic, payload in pickle.loads(output.read_bytes()):
+        received[topic].append(payload)
+
+
+def command(bag: Path, *options: object) -> list[str]:
+    waiting = ["--wait-for-subscribers", "30"]
+    return [sys.executable, "-m", "trajeval_ros", "replay", str(bag), *waiting, *map(str, options)]
+
+
+def replay(bag: Path, environment: dict[str, str], *options: object) -> str:
+    done = subprocess.run(
+        command(bag, *options),
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout
+
+
+def assert_same(received: list[bytes], sent: list[bytes]) -> None:
+    """Compare messages one by one; DDS may fill the last of them up to a multiple of four."""
+    assert len(received) == len(sent)
+    for there, here in zip(received, sent, strict=True):
+        assert there[: len(here)] == here
+        assert len(there) - len(here) < 4
+
+
+def clock_ns(payloads: list[bytes]) -> list[int]:
+    clocks: list[Any] = [
+        STORE.deserialize_cdr(each, "rosgraph_msgs/msg/Clock").clock for each in payloads
+    ]
+    return [each.sec * 10**9 + each.nanosec for each in clocks]
+
+
+def stamps_ns(payloads: list[bytes], kind: str) -> list[int]:
+    headers: list[Any] = [STORE.deserialize_cdr(each, kind).header for each in payloads]  # type: ignore[attr-defined]
+    return [each.stamp.sec * 10**9 + each.stamp.nanosec for each in headers]
+
+
+@pytest.mark.parametrize("rate", [5, 20])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_all_arrives_in_order_and_with_the_clock(
+    flights: Path, storage: str, rate: int, environment: dict[str, str], tmp_path: Path
+) -> None:
+    flight = flights / storage
+    with listening({**TYPES, **CLOCK}, environment, tmp_path) as received:
+        said = replay(flight, environment, "--rate", rate)
+    sent = recorded(flight)
+    for topic, kind in TYPES.items():
+        assert_same(received[topic], [payload for _, payload in sent[topic]])
+        assert stamps_ns(received[topic], kind) == [stamp for stamp, _ in sent[topic]]
+        assert f"{len(sent[topic])} on {topic}" in said
+    clock = clock_ns(received["/clock"])
+    assert clock == sorted(clock)
+    times = [stamp for messages in sent.values() for stamp, _ in messages]
+    assert min(times) <= clock[0] < clock[-1] == max(times)
+    assert len(clock) > 0.5 * 20 / rate / 0.01  # every 10 ms, on a machine that may be busy
+    took = re.search(r"in ([\d.]+) s \(rate", said)
+    assert took is not None
+    assert float(took[1]) == pytest.approx(20 / rate, abs=0.5)
+
+
+def test_a_part_of_one_topic_under_another_name(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    renamed = {"/renamed": TYPES[ODOMETRY], **CLOCK}
+    with listening(renamed, environment, tmp_path) as received:
+        said = replay(
+            flight, environment, "--topic", ODOMETRY, "--start", 5, "--end", 12.5, "--rate", 5,
+            "--no-clock", "--ros-args", "-r", f"{ODOMETRY}:=/renamed",
+        )  # fmt: skip
+    sent = recorded(flight)
+    first = min(messages[0][0] for messages in sent.values())
+    window = range(first + 5 * 10**9, first + round(12.5 * 10**9) + 1)
+    assert_same(received["/renamed"], [each for time, each in sent[ODOMETRY] if time in window])
+    assert received["/clock"] == []
+    assert TRUTH not in said
+
+
+def test_a_bag_of_ros1_is_encoded_anew(
+    shared_data: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    bag = shared_data / "bags" / "ROS_example.bag"
+    pose = "geometry_msgs/msg/PoseStamped"
+    topics = dict.fromkeys(["/ORB_SLAM", "/S_PTAM", "/groundtruth"], pose)
+    with listening(topics, environment, tmp_path) as received:
+        said = replay(bag, environment, "--end", 300, "--rate", 50)
+    assert "/ORB-SLAM is published as /ORB_SLAM" in said
+    with Bag(bag) as opened:
+        begin = opened.span[0]
+        for name in ("/ORB-SLAM", "/S-PTAM", "/groundtruth"):
+            [topic] = opened.find(name)
+            decode = opened.decoder(topic)
+            messages = opened.messages([topic], begin, begin + 300 * 10**9 + 1)
+            expected: list[Any] = [decode(payload) for _, _, payload in messages]
+            found: list[Any] = [
+                STORE.deserialize_cdr(each, pose) for each in received[name.replace("-", "_")]
+            ]
+            assert len(expected) > 100
+            assert [_essence(each) for each in found] == [_essence(each) for each in expected]
+
+
+def _essence(message: Any) -> tuple[object, ...]:
+    stamp, place, turn = message.header.stamp, message.pose.position, message.pose.orientation
+    numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    return stamp.sec, stamp.nanosec, message.header.frame_id, *numbers
+
+
+def test_a_type_that_is_not_installed_is_named(
+    shared_data: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    bag = shared_data / "bags" / "nav2_turtlebot.mcap"
+    with listening({"/odom": TYPES[ODOMETRY]}, environment, tmp_path) as received:
+        said = replay(bag, environment, "--end", 20, "--rate", 20, "--wait-for-subscribers", 5)
+    assert received["/odom"]
+    try:
+        import tf2_msgs  # type: ignore[import-not-found]  # noqa: F401
+    except ImportError:
+        assert "/tf, /tf_static not played: tf2_msgs/msg/TFMessage is not installed" in said
+    else:
+        assert "on /tf" in said
+    assert "nobody has subscribed to /amcl_pose" in said
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_in_order(
+    flight: Path, ending: signal.Signals, environment: dict[str, str], tmp_path: Path
+) -> None:
+    with (
+        listening(TYPES, environment, tmp_path) as received,
+        subprocess.Popen(
+            command(flight),
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
+        assert process.stdout is not None
+        while not process.stdout.readline().startswith("playing"):
+            assert process.poll() is None
+        time.sleep(1.0)
+        process.send_signal(ending)
+        process.send_signal(ending)
+        said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert complaints == ""
+    counts = re.search(rf"stopped after .* (\d+) on {TRUTH}, (\d+) on {ODOMETRY}", said)
+    assert counts is not None
+    assert [len(received[TRUTH]), len(received[ODOMETRY])] == [
+        int(each) for each in counts.groups()
+    ]
+    assert 0 < len(received[TRUTH]) < len(recorded(flight)[TRUTH])
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--topic", "/nope"], "has no topic /nope; it has"),
+        (["--rate", "0"], "give a positive number"),
+        (["--start", "1e6"], "is after the bag's end"),
+        (["--ros-args", "-r"], "ROS can't start with --ros-args -r"),
+    ],
+)
+def test_a_mistake_is_one_sentence(
+    flight: Path, options: list[str], complaint: str, environment: dict[str, str]
+) -> None:
+    done = subprocess.run(
+        command(flight, *options), env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    ours = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert len(ours) == 1
+    assert complaint in ours[0]
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,56 @@
+"""From `rclpy.init` to shutdown, with signals that ask for an end instead of forcing one."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from trajeval_ros.exceptions import SettingsError
+
+
+class Stop:
+    """Whether SIGINT or SIGTERM has arrived.
+
+    A plain flag: a handler runs between any two instructions of the main thread, so it must not
+    take a lock, as `threading.Event.set` does.
+    """
+
+    is_asked_for = False
+
+    def __call__(self, *_: object) -> None:
+        """Handle a signal."""
+        self.is_asked_for = True
+
+
+@contextmanager
+def ros(arguments: Sequence[str] = ()) -> Iterator[Stop]:
+    """Run ROS in this process, until the end of the block.
+
+    The context stays valid after a signal, so that what is left can be published and written.
+
+    Args:
+        arguments: ROS arguments, from `--ros-args` on.
+
+    Raises:
+        SettingsError: ROS doesn't take the arguments.
+    """
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    stop = Stop()
+    before: dict[signal.Signals, Any] = {
+        each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        try:
+            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:  # of several private kinds
+            said = " ".join(str(error).split())
+            raise SettingsError(f"ROS can't start with {' '.join(arguments)}: {said}") from error
+        yield stop
+    finally:
+        rclpy.try_shutdown()
+        for each, handler in before.items():
+            signal.signal(each, handler)

@@ -1,0 +1,38 @@
+"""The message classes of this machine's ROS 2, found by the names of their types."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+from trajeval_ros.exceptions import InputError
+
+
+def require_ros() -> None:
+    """Raise InputError, with what to install, if rclpy can't be imported."""
+    try:
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            f"this needs ROS 2, but {sys.executable} can't import rclpy ({error}); source a ROS 2 "
+            "installation made for this Python, as in `source /opt/ros/jazzy/setup.bash`, or, to "
+            "develop without one, run `make ros-environment` in the checkout and use "
+            ".venv-ros/bin/trajeval"
+        ) from error
+
+
+def message_class(message_type: str) -> Any | None:
+    """Return the class of a type such as `nav_msgs/msg/Odometry`, None if it isn't installed."""
+    package, _, name = message_type.partition("/msg/")
+    if not (package.isidentifier() and name.isidentifier()):
+        return None
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
+
+
+def is_installed(message_type: str) -> bool:
+    """Return whether messages of a type can be published and received."""
+    return message_class(message_type) is not None
