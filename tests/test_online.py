@@ -17,8 +17,9 @@ from trajeval_ros.alignment import Alignment
 from trajeval_ros.errors import absolute_errors
 from trajeval_ros.evaluation import evaluate_pairs
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.online.evaluator import OnlineEvaluator, OnlineSettings, trajectory
+from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
 from trajeval_ros.online.pairing import Limits, Pairs, states
+from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import Window
 from trajeval_ros.protocol import PROTOCOLS
 from trajeval_ros.sub_trajectories import Length

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,13 @@ from trajeval_ros.online.pairing import (
     POSITION,
     QUATERNION,
     VELOCITY,
-    Limits,
     PairingBuffer,
     Pairs,
 )
-from trajeval_ros.online.relative import RelativeEnd, RelativeTracker, RunningErrors
-from trajeval_ros.online.window import PairStore, Window
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.online.relative import RelativeEnd, RelativeTracker
+from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.online.window import PairStore
 from trajeval_ros.similarity import Similarity
 from trajeval_ros.statistics import Statistics, statistics_of
 from trajeval_ros.trajectory import Trajectory, add_counts
@@ -37,87 +37,6 @@ Stamps = NDArray[np.int64]
 NO_STATE = ("duplicate_stamp", "not_finite", "zero_quaternion")
 # A frozen alignment is taken once a turn of one degree would cost as much as the errors do.
 FREEZE_AT_RAD = float(np.radians(1.0))
-
-
-@dataclass(frozen=True)
-class OnlineSettings:
-    """What a live evaluator does.
-
-    Attributes:
-        protocol: Gauge, states to align by, gap, offset, lengths and forms, as offline. Lengths
-            that are shares of the path can only be had at the end.
-        window: What the sliding numbers are about.
-        freeze: Keep the first alignment that the states determine well.
-        limits: Of the memory for states that wait for their groundtruth.
-    """
-
-    protocol: Protocol = field(default_factory=Protocol)
-    window: Window = field(default_factory=Window)
-    freeze: bool = False
-    limits: Limits = field(default_factory=Limits)
-
-    def __post_init__(self) -> None:
-        """Refuse what can't be done live."""
-        method = self.protocol.association.method
-        if method != "linear":
-            raise SettingsError(
-                f"association {method} can't be live: which pairs are closest shows at the end "
-                "of a recording; use linear"
-            )
-        if self.freeze and self.protocol.align_states is not None:
-            raise SettingsError("align states is either a number or frozen, not both")
-
-
-@dataclass(frozen=True, eq=False)
-class Update:
-    """What new pairs brought.
-
-    Attributes:
-        pairs: Number of new pairs.
-        stamp: Of the newest pair, nanoseconds; None if there is no new one.
-        position_m: Its position error under the present alignment.
-        rotation_deg: Its rotation error; None if it can't be had.
-        ends: Sub-trajectories that ended.
-    """
-
-    pairs: int = 0
-    stamp: int | None = None
-    position_m: float | None = None
-    rotation_deg: float | None = None
-    ends: tuple[RelativeEnd, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """The state of an evaluation.
-
-    Attributes:
-        pairs: Number of pairs so far.
-        warming_up: Why there is no alignment yet; empty once there is.
-        alignment: The present one.
-        position_rmse_m: Position ATE of the whole run so far.
-        window_position_rmse_m: Position ATE of the window.
-        ate: Statistics of the window's absolute errors by metric.
-        window_pairs: Number of pairs in the window.
-        relative: Errors of sub-trajectories so far, by length.
-        estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
-        groundtruth_coverage: Share of the groundtruth's time that the window's store spans.
-        dropped: Estimated states in no pair, by reason.
-        waiting: Estimated states that wait for groundtruth.
-    """
-
-    pairs: int
-    warming_up: str
-    alignment: Alignment | None
-    position_rmse_m: float | None
-    window_position_rmse_m: float | None
-    ate: dict[str, Statistics | None]
-    window_pairs: int
-    relative: dict[str, RunningErrors]
-    estimate_coverage: float | None
-    groundtruth_coverage: float | None
-    dropped: dict[str, int]
-    waiting: int
 
 
 class OnlineEvaluator:
