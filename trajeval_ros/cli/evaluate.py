@@ -279,7 +279,7 @@ def _print(runs: list[results.Run], output: Path | None, *, gauge_given: bool) -
         )
     terminal.print()
     terminal.print(tables.absolute_table(evaluations))
-    relative = tables.relative_table(evaluations)
+    relative = tables.relative_table(evaluations, terminal.width)
     if relative is not None:
         terminal.print()
         terminal.print(relative)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
+_WIDTH_FOR_MEDIANS = 140
 ABSOLUTE = {
     "position_m": "position [m]",
     "rotation_deg": "rotation [deg]",
@@ -118,10 +119,11 @@ def absolute_table(evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
-def relative_table(evaluations: Sequence[Evaluation]) -> Table | None:
+def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    Means and medians side by side: a few bad sub-trajectories rule the mean.
+    Means and, where the width allows it, medians beside them: a few bad sub-trajectories rule the
+    mean.
     """
     metrics = [
         metric
@@ -130,7 +132,9 @@ def relative_table(evaluations: Sequence[Evaluation]) -> Table | None:
     ]
     if not metrics:
         return None
-    table = _table(f"Relative error, mean (median): {RE_FORMS[evaluations[0].protocol.re_form]}")
+    with_medians = width >= _WIDTH_FOR_MEDIANS
+    what = "mean (median)" if with_medians else "mean"
+    table = _table(f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}")
     for heading in ("estimate", "length"):
         table.add_column(heading)
     for metric in metrics:
@@ -139,12 +143,12 @@ def relative_table(evaluations: Sequence[Evaluation]) -> Table | None:
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for segment in evaluation.segments or ():
-            cells = [_mean_and_median(segment.statistics[metric]) for metric in metrics]
+            cells = [_mean(segment.statistics[metric], with_medians) for metric in metrics]
             table.add_row(name, length_text(segment), *cells, str(len(segment.errors.ends)))
             name = ""
         pooled = evaluation.pooled["position_percent"]
         if pooled is not None and len(evaluation.segments or ()) > 1:
-            cells = [_mean_and_median(evaluation.pooled.get(metric)) for metric in metrics]
+            cells = [_mean(evaluation.pooled.get(metric), with_medians) for metric in metrics]
             table.add_row(name, "all", *cells, str(pooled.count))
     return table
 
@@ -173,10 +177,11 @@ def _numbers(statistics: Statistics) -> list[str]:
     return [_number(getattr(statistics, name)) for name in STATISTICS]
 
 
-def _mean_and_median(statistics: Statistics | None) -> str:
+def _mean(statistics: Statistics | None, with_median: bool) -> str:
     if statistics is None:
         return "-"
-    return f"{_number(statistics.mean)} ({_number(statistics.median)})"
+    mean = _number(statistics.mean)
+    return f"{mean} ({_number(statistics.median)})" if with_median else mean
 
 
 def _number(value: float) -> str:
