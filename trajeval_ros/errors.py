@@ -8,6 +8,7 @@ own form, eq. (23), p - E p', depends on where the world's origin is and is offe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,36 +145,64 @@ def relative_errors(
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
     """
-    truth_q, other_q = groundtruth.quaternions, estimate.quaternions
-    assert truth_q is not None
-    assert other_q is not None
-    truth_v, other_v = groundtruth.velocities, estimate.velocities
-    have_velocities = truth_v is not None and other_v is not None
+    truth, other = States.of(groundtruth), States.of(estimate)
+    return errors_at_ends(truth, other, starts, ends, gauge, scale, form)
+
+
+class States(NamedTuple):
+    """The columns of N states that relative errors need.
+
+    Attributes:
+        positions: (N, 3), metres.
+        quaternions: (N, 4), xyzw, unit.
+        velocities: (N, 3), m/s, or None.
+    """
+
+    positions: Array
+    quaternions: Array
+    velocities: Array | None = None
+
+    @classmethod
+    def of(cls, trajectory: Trajectory) -> States:
+        """Return the columns of a trajectory with rotations."""
+        quaternions = trajectory.quaternions
+        assert quaternions is not None
+        return cls(trajectory.positions, quaternions, trajectory.velocities)
+
+
+def errors_at_ends(
+    truth: States,
+    other: States,
+    starts: Indices,
+    ends: Indices,
+    gauge: Gauge,
+    scale: float = 1.0,
+    form: str = "gauge",
+) -> RelativeErrors:
+    """Return what `relative_errors` does, of bare columns."""
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
 
     def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
-        first = _between(truth_q[s], other_q[s])  # eq. (19)
+        first = _between(truth.quaternions[s], other.quaternions[s])  # eq. (19)
         if about_gravity:
             first = _twist(first)  # eq. (20)
         # eq. (14) with the first state's alignment, relative to that state's position.
-        step = scale * lie.rotate(first, estimate.positions[e] - estimate.positions[s])
-        between = _between(truth_q[e], lie.multiply(first, other_q[e]))
+        step = scale * lie.rotate(first, other.positions[e] - other.positions[s])
+        between = _between(truth.quaternions[e], lie.multiply(first, other.quaternions[e]))
         angle, yaw, tilt = _rotation_errors(between)
-        difference = groundtruth.positions[e] - groundtruth.positions[s] - step
+        difference = truth.positions[e] - truth.positions[s] - step
         if form == "tutorial":
-            aligned = groundtruth.positions[s] + step
-            difference = groundtruth.positions[e] - lie.rotate(between, aligned)
+            aligned = truth.positions[s] + step
+            difference = truth.positions[e] - lie.rotate(between, aligned)
         elif form == "euler":
-            yaw, tilt = _euler_in_estimate_world(truth_q, other_q, s, e)
+            yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
         errors = (_lengths(difference), angle, yaw, tilt)
-        if not have_velocities:
+        if truth.velocities is None or other.velocities is None:
             return errors
-        assert truth_v is not None
-        assert other_v is not None
-        velocity = scale * lie.rotate(first, other_v[e])
+        velocity = scale * lie.rotate(first, other.velocities[e])
         if form == "tutorial":
             velocity = lie.rotate(between, velocity)
-        return (*errors, _lengths(truth_v[e] - velocity))
+        return (*errors, _lengths(truth.velocities[e] - velocity))
 
     return RelativeErrors(starts, ends, *lie.by_blocks(at_ends, starts, ends))
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from trajeval_ros.errors import RelativeErrors, relative_errors
+from trajeval_ros.errors import RelativeErrors, States, errors_at_ends
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY
 from trajeval_ros.online.window import PairStore
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.sub_trajectories import Length, nearest_ends
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -135,7 +134,7 @@ class RelativeTracker:
     ) -> RelativeErrors:
         rows = np.concatenate([starts, ends]) - store.begin
         count = np.arange(len(starts))
-        return relative_errors(
+        return errors_at_ends(
             _states(store.groundtruth()[rows]),
             _states(store.estimate()[rows]),
             count,
@@ -149,13 +148,12 @@ class RelativeTracker:
 _NOTHING: Indices = np.empty(0, dtype=np.int64)
 
 
-def _states(rows: Floats) -> Trajectory:
+def _states(rows: Floats) -> States:
     velocities = rows[:, VELOCITY]
-    return Trajectory(
-        stamps=np.zeros(len(rows), dtype=np.int64),
-        positions=rows[:, POSITION],
-        rotations=Rotation.from_quat(rows[:, QUATERNION]),
-        velocities=None if np.isnan(velocities).any() else velocities,
+    return States(
+        rows[:, POSITION],
+        rows[:, QUATERNION],
+        None if np.isnan(velocities).any() else velocities,
     )
 
 
