@@ -183,3 +183,20 @@ def test_work_by_blocks_is_work_at_once(count: int) -> None:
     product, angle = lie.by_blocks(lambda x, y: (lie.multiply(x, y), lie.angle(x)), a, b)
     np.testing.assert_array_equal(product, lie.multiply(a, b))
     np.testing.assert_array_equal(angle, lie.angle(a))
+
+
+@given(seed=seeds)
+def test_a_matrix_is_the_quaternion_of_scipy(seed: int) -> None:
+    rotation = Rotation.random(random_state=seed % 2**31)
+    mine = lie.from_matrix(rotation.as_matrix())
+    theirs = rotation.as_quat()
+    assert mine[3] >= 0.0
+    np.testing.assert_allclose(mine, theirs * np.sign(theirs[3]), atol=1e-15)
+
+
+@pytest.mark.parametrize("axis", np.eye(3))
+@pytest.mark.parametrize("angle", [0.0, 1e-9, np.pi / 2, np.pi - 1e-9, np.pi])
+def test_a_matrix_of_half_a_turn_keeps_its_digits(axis: Array, angle: float) -> None:
+    rotation = Rotation.from_rotvec(angle * axis)
+    between = Rotation.from_quat(lie.from_matrix(rotation.as_matrix())) * rotation.inv()
+    assert between.magnitude() < 1e-15

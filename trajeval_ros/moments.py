@@ -124,10 +124,10 @@ class Moments:
             mean_r=self.mean_r + share * step_r,
             scatter_qq=self.scatter_qq
             + sign * other.scatter_qq
-            + between * np.outer(step_q, step_q),
+            + between * (step_q[:, None] * step_q),
             scatter_rq=self.scatter_rq
             + sign * other.scatter_rq
-            + between * np.outer(step_r, step_q),
+            + between * (step_r[:, None] * step_q),
             scatter_rr=self.scatter_rr
             + sign * other.scatter_rr
             + between * float(step_r @ step_r),

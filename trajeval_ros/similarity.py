@@ -40,7 +40,7 @@ class Similarity:
 
     def quaternions(self, quaternions: Array) -> Array:
         """Return the rotations, (N, 4) xyzw, turned: R_i -> R R_i."""
-        turn = np.asarray(Rotation.from_matrix(self.rotation).as_quat())
+        turn = lie.from_matrix(self.rotation)
         return lie.by_blocks(lambda rows: (lie.multiply(turn, rows),), quaternions)[0]
 
     def trajectory(self, trajectory: Trajectory) -> Trajectory:
@@ -64,5 +64,4 @@ class Similarity:
     @property
     def rotation_xyzw(self) -> Array:
         """The rotation as a quaternion with w >= 0, (4,)."""
-        quaternion = np.asarray(Rotation.from_matrix(self.rotation).as_quat())
-        return quaternion if quaternion[3] >= 0.0 else -quaternion
+        return lie.from_matrix(self.rotation)

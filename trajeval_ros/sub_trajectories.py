@@ -83,13 +83,21 @@ def select(along: Array, length: float, selection: Selection) -> tuple[Indices, 
         ends = np.searchsorted(along, along[starts] + length, side="right")
         found = ends < len(along)
         return starts[found], ends[found]
-    return nearest_ends(along, starts, length, selection.rule)
+    ends, accepted = nearest_ends(along, starts, length, selection.rule)
+    return starts[accepted], ends[accepted]
 
 
 def nearest_ends(
-    along: Array, starts: Indices, length: float, rule: str = "nearest"
-) -> tuple[Indices, Indices]:
-    """Return those of the starts that have an end near enough to the length, and the ends."""
+    along: Array, starts: Indices, length: float | Array, rule: str = "nearest"
+) -> tuple[Indices, NDArray[np.bool_]]:
+    """Return the state nearest to the length from each start (K,), and whether it is near enough.
+
+    Args:
+        along: (N,) as for `select`.
+        starts: (K,) indices of first states.
+        length: One for all starts, or (K,).
+        rule: `nearest` or `toolbox`.
+    """
     target = along[starts] + length
     after = np.searchsorted(along, target, side="left")
     within = np.minimum(after, len(along) - 1)
@@ -109,4 +117,4 @@ def nearest_ends(
         # The comparison must not depend on rounding in the running sum of the distance.
         accepted = deviation <= tolerance * (1.0 + 1e-9)
         accepted &= ends > starts
-    return starts[accepted], ends[accepted]
+    return ends, accepted

@@ -161,31 +161,37 @@ class OnlineEvaluator:
                 pairs.groundtruth[0, POSITION].copy(),
                 pairs.estimate[0, POSITION].copy(),
             )
-        self._whole += self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
-        if self._alignment is not None and self._count >= 2 * self._anchored_at:
-            self._whole = self._whole.with_anchor(self._shifted(self._alignment.similarity))
-            self._anchored_at = self._count
+        new = self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
+        self._whole += new
         window = self.settings.window
         if window.is_whole_run:
+            self._renew_anchor()
             self._window = self._whole
             return
         begin = self.store.window_begin(window)
+        anchor = self._whole.anchor
         if begin >= self._window_fresh:
             self._window_fresh = self.store.end
             self._window = self._moments(
-                self.store.groundtruth(begin), self.store.estimate(begin), self._whole.anchor
+                self.store.groundtruth(begin), self.store.estimate(begin), anchor
             )
         else:
-            old = slice(self._window_begin, begin)
-            anchor = self._window.anchor
-            self._window += self._moments(pairs.groundtruth, pairs.estimate, anchor)
-            if old.start < old.stop:
+            self._window += new
+            if self._window_begin < begin:
+                old = self._window_begin, begin
                 self._window -= self._moments(
-                    self.store.groundtruth(old.start, old.stop),
-                    self.store.estimate(old.start, old.stop),
-                    anchor,
+                    self.store.groundtruth(*old), self.store.estimate(*old), anchor
                 )
         self._window_begin = begin
+        self._renew_anchor()
+
+    def _renew_anchor(self) -> None:
+        if self._alignment is None or self._count < 2 * self._anchored_at:
+            return
+        anchor = self._shifted(self._alignment.similarity)
+        self._whole = self._whole.with_anchor(anchor)
+        self._window = self._window.with_anchor(anchor)
+        self._anchored_at = self._count
 
     def _moments(self, groundtruth: Floats, estimate: Floats, anchor: Similarity) -> Moments:
         assert self._origin is not None

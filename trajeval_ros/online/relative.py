@@ -54,12 +54,12 @@ class RunningErrors:
     rotation_deg: float = 0.0
     given_up: int = 0
 
-    def add(self, errors: RelativeErrors) -> None:
+    def add(self, position_m: Floats, rotation_deg: Floats) -> None:
         """Take more errors into the means."""
-        self.count += len(errors.ends)
+        self.count += len(position_m)
         share = 1.0 / self.count
-        self.position_m += share * float((errors.position_m - self.position_m).sum())
-        self.rotation_deg += share * float((errors.rotation_deg - self.rotation_deg).sum())
+        self.position_m += share * float((position_m - self.position_m).sum())
+        self.rotation_deg += share * float((rotation_deg - self.rotation_deg).sum())
 
 
 class RelativeTracker:
@@ -79,11 +79,7 @@ class RelativeTracker:
             store: All pairs from the oldest open start on.
             scale: Of the present alignment.
         """
-        found: list[tuple[Length, Indices, Indices]] = []
-        for length in self._lengths:
-            starts, ends = self._ended(store, length)
-            if len(starts):
-                found.append((length, starts, ends))
+        found = [*self._ended(store, "m"), *self._ended(store, "s")]
         if not found:
             return ()
         starts = np.concatenate([each[1] for each in found])
@@ -93,13 +89,14 @@ class RelativeTracker:
         for length, mine, _ in found:
             part = slice(begin, begin + len(mine))
             begin = part.stop
-            self.running[str(length)].add(_part(errors, part))
+            self.running[str(length)].add(errors.position_m[part], errors.rotation_deg[part])
+            last = part.stop - 1
             reports.append(
                 RelativeEnd(
                     str(length),
-                    int(store.stamps()[ends[part][-1] - store.begin]),
-                    float(errors.position_m[part][-1]),
-                    float(errors.rotation_deg[part][-1]),
+                    int(store.stamps()[ends[last] - store.begin]),
+                    float(errors.position_m[last]),
+                    float(errors.rotation_deg[last]),
                 )
             )
         return tuple(reports)
@@ -113,21 +110,33 @@ class RelativeTracker:
                 self._next[length] = limit
         return min(self._next.values(), default=store.end)
 
-    def _ended(self, store: PairStore, length: Length) -> tuple[Indices, Indices]:
+    def _ended(self, store: PairStore, unit: str) -> list[tuple[Length, Indices, Indices]]:
         """Return the pairs, by number, that begin and end sub-trajectories decided by now."""
-        first = self._next[length]
-        if length.unit == "s":
-            stamps = store.stamps(first)
-            along = (stamps - stamps[0]) / NANOSECONDS
-        else:
-            along = store.along(first)
-        # An end is decided when there is a pair at or beyond the length.
-        decided = int(np.searchsorted(along, along[-1] - length.value, side="right"))
-        if not decided:
-            return _NOTHING, _NOTHING
-        self._next[length] = first + decided
-        starts, ends = nearest_ends(along, np.arange(decided), length.value)
-        return starts + first, ends + first
+        lengths = [length for length in self._lengths if length.unit == unit]
+        if not lengths:
+            return []
+        first = min(self._next[length] for length in lengths)
+        along = store.along(first) if unit == "m" else _seconds(store.stamps(first))
+        starts: list[Indices] = []
+        for length in lengths:
+            # An end is decided when there is a pair at or beyond the length.
+            decided = int(np.searchsorted(along, along[-1] - length.value, side="right"))
+            begin = self._next[length] - first
+            starts.append(np.arange(begin, max(begin, decided)))
+            self._next[length] = first + max(begin, decided)
+        count = [len(each) for each in starts]
+        if not any(count):
+            return []
+        every = np.concatenate(starts)
+        values = np.repeat([length.value for length in lengths], count)
+        ends, accepted = nearest_ends(along, every, values)
+        found, begin = [], 0
+        for length, mine in zip(lengths, count, strict=True):
+            rows = np.flatnonzero(accepted[begin : begin + mine]) + begin
+            begin += mine
+            if len(rows):
+                found.append((length, every[rows] + first, ends[rows] + first))
+        return found
 
     def _errors(
         self, store: PairStore, starts: Indices, ends: Indices, scale: float
@@ -145,7 +154,9 @@ class RelativeTracker:
         )
 
 
-_NOTHING: Indices = np.empty(0, dtype=np.int64)
+def _seconds(stamps: NDArray[np.int64]) -> Floats:
+    since: Floats = (stamps - stamps[0]) / NANOSECONDS
+    return since
 
 
 def _states(rows: Floats) -> States:
@@ -154,15 +165,4 @@ def _states(rows: Floats) -> States:
         rows[:, POSITION],
         rows[:, QUATERNION],
         None if np.isnan(velocities).any() else velocities,
-    )
-
-
-def _part(errors: RelativeErrors, rows: slice) -> RelativeErrors:
-    return RelativeErrors(
-        starts=errors.starts[rows],
-        ends=errors.ends[rows],
-        position_m=errors.position_m[rows],
-        rotation_deg=errors.rotation_deg[rows],
-        yaw_deg=errors.yaw_deg[rows],
-        tilt_deg=None,
     )
