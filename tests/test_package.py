@@ -39,6 +39,7 @@ FLOORS = {
     "diagnosis": 5,
     "evaluation": 6,
     "requirement": 6,
+    "settings": 6,
     "simulation": 6,
     "visual_inertial": 6,
     "io": 7,

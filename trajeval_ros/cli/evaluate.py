@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from trajeval_ros.cli.names import names_of
 from trajeval_ros.cli.progress import progress
-from trajeval_ros.cli.settings import names_of, protocol_from
 from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.gauge import MODALITIES, Gauge
@@ -22,6 +22,7 @@ from trajeval_ros.io import results
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.protocol import ATE_FORMS, PROTOCOLS
 from trajeval_ros.requirement import Requirement
+from trajeval_ros.settings import protocol_from
 
 if TYPE_CHECKING:
     from trajeval_ros.protocol import Protocol
