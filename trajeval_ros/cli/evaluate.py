@@ -207,7 +207,9 @@ def evaluate(
         _run(source, name, truth, settings)
         for source, name in zip(estimate, names[1:], strict=True)
     ]
-    result = results.result_of(groundtruth, truth, runs)
+    result = results.result_of(
+        results.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
+    )
     # A requirement that names nothing is a mistake to be told before anything is written.
     unmet = [
         f"{run['estimate']['name']}: {why}"
@@ -239,9 +241,10 @@ def _read(source: str, name: str) -> Trajectory:
 def _run(source: str, name: str, groundtruth: Trajectory, settings: Protocol) -> results.Run:
     read = _read(source, name)
     try:
-        return results.Run(source, read, evaluate_pair(groundtruth, read, settings))
+        evaluation = evaluate_pair(groundtruth, read, settings)
     except TrajevalError as error:
         raise InputError(f"{source}: {error}") from error
+    return results.Run(results.Input.of(source, read, evaluation.estimate), evaluation)
 
 
 def _write_folder(folder: Path, result: dict[str, object], runs: list[results.Run]) -> None:

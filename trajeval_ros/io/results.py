@@ -27,42 +27,84 @@ from trajeval_ros.trajectory import Trajectory
 SCHEMA = "trajeval/1"
 
 
+@dataclass(frozen=True)
+class Input:
+    """One side of a comparison, as it was read.
+
+    Attributes:
+        source: The SOURCE that the user named.
+        name: A short one.
+        poses: Number of poses, repeated stamps included.
+        duration_s: From the earliest to the latest.
+        path_length_m: Of the path through the poses that were used.
+        frame: The frame that poses are in.
+        child_frame: The body that they are of.
+        notes: What the reader recognised or repaired.
+        fingerprint: sha256 of the pose columns.
+    """
+
+    source: str
+    name: str
+    poses: int
+    duration_s: float
+    path_length_m: float
+    frame: str
+    child_frame: str
+    notes: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, source: str, read: Trajectory, used: Trajectory) -> Input:
+        """Describe a trajectory from a source, before and after it was put in order."""
+        return cls(
+            source=source,
+            name=read.name,
+            poses=len(read),
+            duration_s=read.duration_s,
+            path_length_m=used.path_length_m,
+            frame=read.frame,
+            child_frame=read.child_frame,
+            notes=used.notes,
+            fingerprint=fingerprint(read),
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """One evaluated estimate and where it came from.
 
     Attributes:
-        source: The SOURCE that the user named.
-        read: The estimate as it was read, before cleaning.
+        estimate: Where it came from.
         evaluation: Its evaluation.
+        live: What only a live run can tell; None of a recorded one.
     """
 
-    source: str
-    read: Trajectory
+    estimate: Input
     evaluation: Evaluation
+    live: dict[str, Any] | None = None
 
 
-def result_of(source: str, groundtruth: Trajectory, runs: Sequence[Run]) -> dict[str, Any]:
+def result_of(groundtruth: Input, runs: Sequence[Run]) -> dict[str, Any]:
     """Return the result of evaluating one or more estimates against one groundtruth.
 
     Args:
-        source: The groundtruth's SOURCE.
-        groundtruth: As it was read.
+        groundtruth: What they were compared with.
         runs: One for each estimate, evaluated by the same protocol.
     """
     protocol = runs[0].evaluation.protocol
-    inputs = {source: fingerprint(groundtruth)}
-    inputs.update({run.source: fingerprint(run.read) for run in runs})
+    inputs = {
+        each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
+    }
     return {
         "schema": SCHEMA,
         "groundtruth": {
-            "source": source,
-            "poses": len(groundtruth),
+            "source": groundtruth.source,
+            "poses": groundtruth.poses,
             "duration_s": groundtruth.duration_s,
-            "path_length_m": runs[0].evaluation.groundtruth.path_length_m,
+            "path_length_m": groundtruth.path_length_m,
             "frame": groundtruth.frame,
             "child_frame": groundtruth.child_frame,
-            "notes": list(runs[0].evaluation.groundtruth.notes),
+            "notes": list(groundtruth.notes),
         },
         "runs": [_run(run) for run in runs],
         "provenance": {
@@ -80,18 +122,18 @@ def result_of(source: str, groundtruth: Trajectory, runs: Sequence[Run]) -> dict
 
 
 def _run(run: Run) -> dict[str, Any]:
-    evaluation = run.evaluation
+    evaluation, estimate = run.evaluation, run.estimate
     protocol, pairs = evaluation.protocol, evaluation.association
     similarity = evaluation.alignment.similarity
     return {
         "estimate": {
-            "source": run.source,
-            "name": run.read.name,
-            "poses": len(run.read),
-            "duration_s": run.read.duration_s,
-            "frame": run.read.frame,
-            "child_frame": run.read.child_frame,
-            "notes": list(evaluation.estimate.notes),
+            "source": estimate.source,
+            "name": estimate.name,
+            "poses": estimate.poses,
+            "duration_s": estimate.duration_s,
+            "frame": estimate.frame,
+            "child_frame": estimate.child_frame,
+            "notes": list(estimate.notes),
         },
         "association": {
             **dataclasses.asdict(pairs.rule),
@@ -111,18 +153,19 @@ def _run(run: Run) -> dict[str, Any]:
         },
         "ate": {
             "form": protocol.ate_form,
-            **{metric: _statistics(value) for metric, value in evaluation.ate.items()},
+            **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
         },
         "re": None
         if evaluation.segments is None
         else {
             "form": protocol.re_form,
             "segments": [_segment(each) for each in evaluation.segments],
-            "pooled": {name: _statistics(value) for name, value in evaluation.pooled.items()},
+            "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
         "calibration": None,
         "consistency": None,
         "probabilistic": None,
+        "live": run.live,
         "warnings": list(evaluation.warnings),
     }
 
@@ -137,11 +180,12 @@ def _segment(segment: Segments) -> dict[str, Any]:
         **size,
         "pairs": len(segment.errors.ends),
         "mean_length_m": segment.mean_length_m,
-        **{metric: _statistics(value) for metric, value in segment.statistics.items()},
+        **{metric: statistics_json(value) for metric, value in segment.statistics.items()},
     }
 
 
-def _statistics(statistics: Statistics | None) -> dict[str, float | int] | None:
+def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | None:
+    """Return STATS of the schema."""
     return None if statistics is None else dataclasses.asdict(statistics)
 
 
@@ -168,7 +212,7 @@ def write_errors(path: Path, runs: Sequence[Run]) -> None:
     """
     arrays: dict[str, Any] = {}
     for run in runs:
-        name, evaluation = run.read.name, run.evaluation
+        name, evaluation = run.estimate.name, run.evaluation
         arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
         arrays |= _columns(name, evaluation.absolute)
         for segment in evaluation.segments or ():
