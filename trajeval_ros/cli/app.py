@@ -11,6 +11,7 @@ import typer
 
 from trajeval_ros import __version__
 from trajeval_ros.cli.evaluate import evaluate
+from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.info import info
 from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
@@ -24,6 +25,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command()(evaluate)
+app.command()(finish)
 app.command()(info)
 app.command(cls=RosCommand)(replay)
 app.command()(simulate)

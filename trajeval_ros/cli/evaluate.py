@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
-import shutil
-import sys
-import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trajeval_ros.cli.names import names_of
+from trajeval_ros.cli.outcome import deliver
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
@@ -35,7 +31,6 @@ INPUT, ALIGN, PAIR, MEASURE, OUTPUT = (
     "Errors",
     "Output",
 )
-_HAVE_FIGURES = find_spec("matplotlib") is not None
 _MODALITIES = "; ".join(
     f"{gauge.value}: {', '.join(name for name, its in MODALITIES.items() if its is gauge)}"
     for gauge in Gauge
@@ -210,26 +205,16 @@ def evaluate(
     result = results.result_of(
         results.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
     )
-    # A requirement that names nothing is a mistake to be told before anything is written.
-    unmet = [
-        f"{run['estimate']['name']}: {why}"
-        for run in result["runs"]
-        for requirement in requirements
-        if (why := requirement.unmet(run))
-    ]
-    if output is not None:
-        _write_folder(output, result, runs)
-    if json == "-":
-        sys.stdout.write(results.to_json(result))
-    elif json is not None:
-        results.write_text(Path(json), results.to_json(result))
-    if not quiet and json != "-":
-        chose_gauge = gauge is not None or modality is not None or protocol != "default"
-        _print(runs, output, gauge_given=chose_gauge)
-    for line in unmet:
-        print(f"trajeval: {line}", file=sys.stderr)
-    if unmet:
-        raise typer.Exit(1)
+    chose_gauge = gauge is not None or modality is not None or protocol != "default"
+    deliver(
+        result,
+        runs,
+        requirements,
+        json=json,
+        output=output,
+        quiet=quiet,
+        gauge_given=chose_gauge,
+    )
 
 
 def _read(source: str, name: str) -> Trajectory:
@@ -245,66 +230,3 @@ def _run(source: str, name: str, groundtruth: Trajectory, settings: Protocol) ->
     except TrajevalError as error:
         raise InputError(f"{source}: {error}") from error
     return results.Run(results.Input.of(source, read, evaluation.estimate), evaluation)
-
-
-def _write_folder(folder: Path, result: dict[str, object], runs: list[results.Run]) -> None:
-    """Write everything under a temporary name first, so that nothing is ever half written."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        results.write_errors(temporary / "errors.npz", runs)
-        if _HAVE_FIGURES:
-            # That matplotlib can't write into the user's home is no news about trajectories.
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)
-            from trajeval_ros.report.plots import write_figures
-
-            write_figures([run.evaluation for run in runs], temporary)
-        (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
-        folder.mkdir(exist_ok=True)
-        for file in sorted(temporary.iterdir()):
-            file.replace(folder / file.name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _print(runs: list[results.Run], output: Path | None, *, gauge_given: bool) -> None:
-    from trajeval_ros.report import tables
-
-    evaluations = [run.evaluation for run in runs]
-    terminal = tables.console()
-    for evaluation in evaluations:
-        for line in tables.verdict(evaluation):
-            terminal.print(line, soft_wrap=True)
-    if not gauge_given:
-        terminal.print(
-            "  gauge se3 by default: --modality mono, stereo, stereo-inertial, ... picks the one "
-            "that fits the sensors",
-            soft_wrap=True,
-        )
-    terminal.print()
-    terminal.print(tables.absolute_table(evaluations))
-    relative = tables.relative_table(evaluations, terminal.width)
-    if relative is not None:
-        terminal.print()
-        terminal.print(relative)
-    if output is not None:
-        terminal.print(f"\n{_contents(output)}", soft_wrap=True)
-    terminal.file.flush()
-    remarks = tables.console(sys.stderr)
-    for trajectory in (evaluations[0].groundtruth, *(each.estimate for each in evaluations)):
-        if trajectory.notes:
-            remarks.print(
-                f"note: {trajectory.name}: {'; '.join(trajectory.notes)}", soft_wrap=True
-            )
-    for evaluation in evaluations:
-        for warning in evaluation.warnings:
-            remarks.print(f"warning: {evaluation.estimate.name}: {warning}", soft_wrap=True)
-
-
-def _contents(folder: Path) -> str:
-    if _HAVE_FIGURES:
-        return f"result.json, errors.npz and figures are in {folder}"
-    return (
-        f"result.json and errors.npz are in {folder}; for figures, install matplotlib: "
-        "pip install 'trajeval-ros[plot]'"
-    )

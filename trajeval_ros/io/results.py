@@ -84,12 +84,15 @@ class Run:
     live: dict[str, Any] | None = None
 
 
-def result_of(groundtruth: Input, runs: Sequence[Run]) -> dict[str, Any]:
+def result_of(
+    groundtruth: Input, runs: Sequence[Run], failed: Sequence[dict[str, str]] = ()
+) -> dict[str, Any]:
     """Return the result of evaluating one or more estimates against one groundtruth.
 
     Args:
         groundtruth: What they were compared with.
         runs: One for each estimate, evaluated by the same protocol.
+        failed: Name, source and reason of each estimate that could not be evaluated.
     """
     protocol = runs[0].evaluation.protocol
     inputs = {
@@ -107,6 +110,7 @@ def result_of(groundtruth: Input, runs: Sequence[Run]) -> dict[str, Any]:
             "notes": list(groundtruth.notes),
         },
         "runs": [_run(run) for run in runs],
+        "failed": list(failed),
         "provenance": {
             "version": __version__,
             "protocol": protocol.name,

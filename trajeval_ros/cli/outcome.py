@@ -1,0 +1,129 @@
+"""What a verb that evaluates gives: files, tables, and an exit status."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from trajeval_ros.io import results
+from trajeval_ros.requirement import Requirement
+
+_HAVE_FIGURES = find_spec("matplotlib") is not None
+
+
+def deliver(
+    result: dict[str, Any],
+    runs: Sequence[results.Run],
+    requirements: Sequence[Requirement],
+    *,
+    json: str | None,
+    output: Path | None,
+    quiet: bool,
+    gauge_given: bool,
+) -> None:
+    """Write and print an evaluation; exit with status 1 if a requirement is not met.
+
+    Args:
+        result: For result.json.
+        runs: What it tells about.
+        requirements: To hold for every run.
+        json: File for the result, `-` for stdout.
+        output: Folder for everything.
+        quiet: Print nothing.
+        gauge_given: Whether the user chose a gauge.
+    """
+    # A requirement that names nothing is a mistake to be told before anything is written.
+    unmet = [
+        f"{run['estimate']['name']}: {why}"
+        for run in result["runs"]
+        for requirement in requirements
+        if (why := requirement.unmet(run))
+    ]
+    failed = [f"{each['name']}: {each['reason']}" for each in result["failed"]]
+    if requirements:
+        unmet += failed
+    if output is not None:
+        _write_folder(output, result, runs)
+    if json == "-":
+        sys.stdout.write(results.to_json(result))
+    elif json is not None:
+        results.write_text(Path(json), results.to_json(result))
+    if not quiet and json != "-":
+        _print(runs, output, gauge_given=gauge_given)
+        for line in failed:
+            print(f"warning: {line}", file=sys.stderr)
+    for line in unmet:
+        print(f"trajeval: {line}", file=sys.stderr)
+    if unmet:
+        raise typer.Exit(1)
+
+
+def _write_folder(folder: Path, result: dict[str, object], runs: Sequence[results.Run]) -> None:
+    """Write everything under a temporary name first, so that nothing is ever half written."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        results.write_errors(temporary / "errors.npz", runs)
+        if _HAVE_FIGURES:
+            # That matplotlib can't write into the user's home is no news about trajectories.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
+            from trajeval_ros.report.plots import write_figures
+
+            write_figures([run.evaluation for run in runs], temporary)
+        (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
+        folder.mkdir(exist_ok=True)
+        for file in sorted(temporary.iterdir()):
+            file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: bool) -> None:
+    from trajeval_ros.report import tables
+
+    evaluations = [run.evaluation for run in runs]
+    terminal = tables.console()
+    for evaluation in evaluations:
+        for line in tables.verdict(evaluation):
+            terminal.print(line, soft_wrap=True)
+    if not gauge_given:
+        terminal.print(
+            "  gauge se3 by default: --modality mono, stereo, stereo-inertial, ... picks the one "
+            "that fits the sensors",
+            soft_wrap=True,
+        )
+    terminal.print()
+    terminal.print(tables.absolute_table(evaluations))
+    relative = tables.relative_table(evaluations, terminal.width)
+    if relative is not None:
+        terminal.print()
+        terminal.print(relative)
+    if output is not None:
+        terminal.print(f"\n{_contents(output)}", soft_wrap=True)
+    terminal.file.flush()
+    remarks = tables.console(sys.stderr)
+    for trajectory in (evaluations[0].groundtruth, *(each.estimate for each in evaluations)):
+        if trajectory.notes:
+            remarks.print(
+                f"note: {trajectory.name}: {'; '.join(trajectory.notes)}", soft_wrap=True
+            )
+    for evaluation in evaluations:
+        for warning in evaluation.warnings:
+            remarks.print(f"warning: {evaluation.estimate.name}: {warning}", soft_wrap=True)
+
+
+def _contents(folder: Path) -> str:
+    if _HAVE_FIGURES:
+        return f"result.json, errors.npz and figures are in {folder}"
+    return (
+        f"result.json and errors.npz are in {folder}; for figures, install matplotlib: "
+        "pip install 'trajeval-ros[plot]'"
+    )

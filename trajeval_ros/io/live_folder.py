@@ -1,0 +1,225 @@
+"""What a live run leaves in its folder, evaluated as a recorded one.
+
+`NAME.pairs` holds the pairs of an estimate as they came. `NAME.revised.npz` holds the last message
+of an estimate that is a `nav_msgs/Path`: the trajectory as its estimator sees it in the end. Then
+the errors are of the revised trajectory, as they are of the recorded topic, and those of each pose
+as it was first published stand beside them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.association import Association, coverage_of
+from trajeval_ros.evaluation import Evaluation, evaluate_pairs
+from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.io.checks import judge_rotations
+from trajeval_ros.io.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, read_pairs
+from trajeval_ros.io.results import Input, Run, fingerprint, result_of, statistics_json
+from trajeval_ros.protocol import Protocol
+from trajeval_ros.settings import protocol_from
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+REVISED_SUFFIX = ".revised.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class LiveFolder:
+    """The runs of a folder.
+
+    Attributes:
+        groundtruth: What they were compared with.
+        runs: The estimates that could be evaluated.
+        failed: The others: name, source and reason.
+    """
+
+    groundtruth: Input
+    runs: list[Run]
+    failed: list[dict[str, str]]
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The result, as of recorded runs, with the estimates that failed."""
+        return result_of(self.groundtruth, self.runs, self.failed)
+
+
+def evaluate_folder(folder: Path) -> LiveFolder:
+    """Evaluate all estimates of a live run, going on or over.
+
+    Raises:
+        InputError: There is no pair file, or none can be evaluated.
+    """
+    paths = sorted(folder.glob(f"*{SUFFIX}"))
+    if not paths:
+        raise InputError(
+            f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
+            "evaluator's output folder"
+        )
+    groundtruth: Input | None = None
+    runs, failed = [], []
+    for path in paths:
+        try:
+            truth, run = _evaluate(path)
+        except TrajevalError as error:
+            name = path.name.removesuffix(SUFFIX)
+            failed.append({"name": name, "source": str(path), "reason": str(error)})
+            continue
+        groundtruth = groundtruth or truth
+        runs.append(run)
+    if groundtruth is None:
+        raise InputError("; ".join(each["reason"] for each in failed))
+    return LiveFolder(groundtruth, runs, failed)
+
+
+def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
+    """Write the poses of a path, (N,), (N, 3), (N, 4), to a file."""
+    with path.open("wb") as file:
+        np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
+
+
+def _evaluate(path: Path) -> tuple[Input, Run]:
+    """Evaluate one estimate; returns what it was compared with, and the run."""
+    recorded = read_pairs(path)
+    name = path.name.removesuffix(SUFFIX)
+    if not len(recorded.stamps):
+        raise InputError(f"{name}: no pair of estimate and groundtruth was made")
+    try:
+        return _evaluate_pairs(path, name, recorded)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
+
+
+def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> tuple[Input, Run]:
+    description, state = recorded.description, recorded.state
+    truth, estimate = state["groundtruth"], state["estimate"]
+    protocol = protocol_from("default", **description["settings"])
+    if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
+        protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
+    pairs, notes = _association(recorded, protocol)
+    live, warnings = dict(state["live"]), list(state["warnings"])
+    later = len(pairs) - recorded.pairs_at_state
+    if later or recorded.torn:
+        warnings.append(
+            "the live run ended without its last counts: what was lost and dropped is told as of "
+            f"{later} pairs before the end"
+        )
+    revised = path.with_name(name + REVISED_SUFFIX)
+    if revised.exists():
+        causal = _evaluation(pairs, protocol, truth, estimate, name)
+        live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
+        pairs, estimate = _revised(pairs, estimate, revised)
+    evaluation = _evaluation(pairs, protocol, truth, estimate, name)
+    evaluation = dataclasses.replace(evaluation, warnings=(*evaluation.warnings, *warnings))
+    sides = (
+        Input(
+            source=description[side],
+            name=name,
+            poses=counts["poses"],
+            duration_s=counts["duration_s"],
+            path_length_m=counts.get("path_length_m", 0.0),
+            frame=counts["frame"],
+            child_frame=counts["child_frame"],
+            notes=(*counts["notes"], *notes),
+            fingerprint=fingerprint(trajectory),
+        )
+        for side, counts, trajectory in (
+            ("groundtruth", truth, pairs.groundtruth),
+            ("estimate", estimate, pairs.estimate),
+        )
+    )
+    return next(sides), Run(next(sides), evaluation, live)
+
+
+def _association(
+    recorded: RecordedPairs, protocol: Protocol
+) -> tuple[Association, tuple[str, ...]]:
+    """Return the pairs in order of their stamps, with the counts, and notes about them."""
+    order = np.argsort(recorded.stamps, kind="stable")
+    stamps, truth = recorded.stamps[order], recorded.state["groundtruth"]
+    later = len(stamps) - recorded.pairs_at_state
+    groundtruth, _ = _trajectory(stamps, recorded.groundtruth[order])
+    estimate, notes = _trajectory(stamps, recorded.estimate[order])
+    rule = protocol.association
+    return Association(
+        rule=rule,
+        groundtruth=groundtruth,
+        estimate=estimate,
+        estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later),
+        groundtruth_coverage=coverage_of(
+            stamps, truth["time_without_gaps_ns"], truth["states"], rule.max_gap_s
+        ),
+        dropped=dict(recorded.state["dropped"]),
+    ), notes
+
+
+def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
+    """Return states (N, 10) as a trajectory of what was measured, and notes about it."""
+    turns, velocities = rows[:, 3:7], rows[:, 7:]
+    quaternions, notes = judge_rotations(None if np.isnan(turns).any() else turns)
+    return Trajectory(
+        stamps,
+        rows[:, :3],
+        None if quaternions is None else Rotation.from_quat(quaternions),
+        None if np.isnan(velocities).any() or not velocities.any() else velocities,
+    ), notes
+
+
+def _revised(
+    causal: Association, counts: dict[str, Any], path: Path
+) -> tuple[Association, dict[str, Any]]:
+    """Return the pairs with the estimator's last word, and the counts of its poses."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stamps, positions = file["stamps"], file["positions"]
+            rotations = Rotation.from_quat(file["quaternions"])
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path} can't be read: {error}") from error
+    rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
+    estimate = Trajectory(stamps[places], positions[places], rotations[places])
+    unpaired = len(stamps) - len(rows)
+    dropped = causal.dropped
+    if sum(dropped.values()) != unpaired:
+        dropped = {"without_pair_when_first_published": unpaired} if unpaired else {}
+    pairs = dataclasses.replace(
+        causal,
+        groundtruth=causal.groundtruth[rows],
+        estimate=estimate,
+        estimate_coverage=len(rows) / len(stamps),
+        dropped=dropped,
+    )
+    return pairs, {
+        **counts,
+        "poses": len(stamps),
+        "duration_s": float(stamps.max() - stamps.min()) / NANOSECONDS,
+    }
+
+
+def _evaluation(
+    pairs: Association,
+    protocol: Protocol,
+    truth: dict[str, Any],
+    estimate: dict[str, Any],
+    name: str,
+) -> Evaluation:
+    """Evaluate the pairs; the states that are in none are known by their counts alone."""
+    sides = [
+        dataclasses.replace(
+            trajectory,
+            name=label,
+            frame=counts["frame"],
+            child_frame=counts["child_frame"],
+            dropped=counts["dropped"],
+        )
+        for trajectory, label, counts in (
+            (pairs.groundtruth, "groundtruth", truth),
+            (pairs.estimate, name, {**estimate, "dropped": {}}),
+        )
+    ]
+    pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
+    return evaluate_pairs(pairs, sides[0], sides[1], protocol)
