@@ -37,6 +37,7 @@ FLOORS = {
     "calibration": 5,
     "protocol": 5,
     "diagnosis": 5,
+    "jumps": 4,
     "evaluation": 6,
     "requirement": 6,
     "settings": 6,

@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros import lie
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.jumps import Steps
 
 if TYPE_CHECKING:
     from trajeval_ros.evaluation import Evaluation
@@ -35,6 +36,7 @@ def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the warnings about a finished evaluation, the gravest first."""
     return (
         *_about_alignment(evaluation),
+        *_about_jumps(evaluation),
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
@@ -81,6 +83,30 @@ def _about_first_state(evaluation: Evaluation) -> list[str]:
     return [
         f"the estimate turns {jump_deg:.0f} deg more than the groundtruth from its first to its "
         "second matched state: the first pose, by which all was aligned, looks like a placeholder"
+    ]
+
+
+def _about_jumps(evaluation: Evaluation) -> list[str]:
+    truth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
+    steps = Steps.between(
+        truth.positions,
+        estimate.positions,
+        truth.quaternions,
+        estimate.quaternions,
+        evaluation.alignment.similarity.scale,
+    )
+    if not len(steps.true_m):
+        return []
+    jumps = steps.jumps(float(np.median(steps.position_m)), float(np.median(steps.rotation_deg)))
+    if not len(jumps):
+        return []
+    first = jumps[0]
+    where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
+    return [
+        f"the estimate jumps {where}, first {truth.seconds[first + 1]:.1f} s after the first "
+        f"pair: by {steps.position_m[first]:.2f} m and {steps.rotation_deg[first]:.0f} deg more "
+        "than the groundtruth moved: after a restart with a new origin, one alignment can't fit "
+        "the parts on both sides"
     ]
 
 
