@@ -1,0 +1,109 @@
+"""What the fields of a message are: the standard types, and those that a bag defines itself.
+
+The usual types are written down here, so that live messages are decoded without any library that
+would have to be imported first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Union
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+TEXT = "text"
+
+
+@dataclass(frozen=True)
+class Many:
+    """Several of a kind: as many as `count` says, or as the message says if it is None."""
+
+    kind: Kind
+    count: int | None = None
+
+
+# A number (numpy's name of it, such as "f8"), `TEXT`, the fields of a message, or several of one.
+Kind = Union[str, "Fields", Many]  # evaluated at run time
+Fields = tuple[tuple[str, Kind], ...]
+
+
+class UnplannedError(Exception):
+    """A type has fields that can't be decoded by column, or lacks one that is wanted."""
+
+
+_XYZ: Fields = (("x", "f8"), ("y", "f8"), ("z", "f8"))
+_XYZW: Fields = (*_XYZ, ("w", "f8"))
+_HEADER: Fields = (("stamp", (("sec", "i4"), ("nanosec", "u4"))), ("frame_id", TEXT))
+_POSE: Fields = (("position", _XYZ), ("orientation", _XYZW))
+_TWIST: Fields = (("linear", _XYZ), ("angular", _XYZ))
+_COVARIANCE = ("covariance", Many("f8", 36))
+_POSE_STAMPED: Fields = (("header", _HEADER), ("pose", _POSE))
+_TRANSFORM_STAMPED: Fields = (
+    ("header", _HEADER),
+    ("child_frame_id", TEXT),
+    ("transform", (("translation", _XYZ), ("rotation", _XYZW))),
+)
+STANDARD: dict[str, Fields] = {
+    "geometry_msgs/msg/PointStamped": (("header", _HEADER), ("point", _XYZ)),
+    "geometry_msgs/msg/PoseStamped": _POSE_STAMPED,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        ("header", _HEADER),
+        ("pose", (("pose", _POSE), _COVARIANCE)),
+    ),
+    "geometry_msgs/msg/TransformStamped": _TRANSFORM_STAMPED,
+    "nav_msgs/msg/Odometry": (
+        ("header", _HEADER),
+        ("child_frame_id", TEXT),
+        ("pose", (("pose", _POSE), _COVARIANCE)),
+        ("twist", (("twist", _TWIST), _COVARIANCE)),
+    ),
+    "nav_msgs/msg/Path": (("header", _HEADER), ("poses", Many(_POSE_STAMPED))),
+    "tf2_msgs/msg/TFMessage": (("transforms", Many(_TRANSFORM_STAMPED)),),
+}
+
+_NUMBERS = {
+    "bool": "?",
+    "byte": "u1",
+    "octet": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
+
+
+def fields_of(store: Typestore, message_type: str) -> Fields:
+    """Return the fields of a type that a rosbags store knows.
+
+    Raises:
+        UnplannedError: A field is of a kind that can't be decoded by column.
+    """
+    return tuple(
+        (name, _kind_of(store, description))
+        for name, description in store.get_msgdef(message_type).fields
+    )
+
+
+def _kind_of(store: Typestore, description: Any) -> Kind:
+    from rosbags.interfaces import Nodetype
+
+    node, content = description
+    if node == Nodetype.NAME:
+        return fields_of(store, content)
+    if node == Nodetype.BASE:
+        name = content[0]
+        if name == "string":
+            return TEXT
+        if name not in _NUMBERS:
+            raise UnplannedError(f"{name} can't be decoded by column")
+        return _NUMBERS[name]
+    kind, count = content
+    return Many(_kind_of(store, kind), count if node == Nodetype.ARRAY else None)
