@@ -79,6 +79,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", ["launch/evaluator.launch.py"]),
+        (f"share/{PACKAGE}/config", ["config/evaluator.yaml"]),
     ],
     zip_safe=False,
     install_requires=[
@@ -99,6 +101,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"trajeval = {PACKAGE}.cli.app:main",
+            f"evaluator = {PACKAGE}.cli.app:ros_evaluator",  # ros2 run trajeval_ros evaluator
             f"replay = {PACKAGE}.cli.app:ros_replay",  # ros2 run trajeval_ros replay
         ]
     },

@@ -11,6 +11,8 @@ import typer
 
 from trajeval_ros import __version__
 from trajeval_ros.cli.evaluate import evaluate
+from trajeval_ros.cli.evaluator import HELP as EVALUATOR_HELP
+from trajeval_ros.cli.evaluator import evaluator
 from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.info import info
 from trajeval_ros.cli.replay import RosCommand, replay
@@ -25,6 +27,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command()(evaluate)
+app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)
 app.command()(finish)
 app.command()(info)
 app.command(cls=RosCommand)(replay)
@@ -72,6 +75,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def ros_replay() -> int:
     """Run `trajeval replay`, under the name that `ros2 run trajeval_ros replay` looks for."""
     return main(["replay", *sys.argv[1:]])
+
+
+def ros_evaluator() -> int:
+    """Run the live evaluator, as `ros2 run trajeval_ros evaluator` does."""
+    return main(["evaluator", *sys.argv[1:]])
 
 
 def _fail(sentence: str) -> int:

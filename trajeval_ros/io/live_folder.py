@@ -98,7 +98,7 @@ def _evaluate(path: Path) -> tuple[Input, Run]:
 def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> tuple[Input, Run]:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
-    protocol = protocol_from("default", **description["settings"])
+    protocol = protocol_from("default", **state["settings"])
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
     pairs, notes = _association(recorded, protocol)
@@ -152,7 +152,7 @@ def _association(
         estimate=estimate,
         estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later),
         groundtruth_coverage=coverage_of(
-            stamps, truth["time_without_gaps_ns"], truth["states"], rule.max_gap_s
+            stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
         ),
         dropped=dict(recorded.state["dropped"]),
     ), notes

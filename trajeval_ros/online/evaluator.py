@@ -120,6 +120,33 @@ class OnlineEvaluator:
             waiting=self.buffer.waiting,
         )
 
+    @property
+    def pairs(self) -> int:
+        """Number of pairs so far."""
+        return self._count
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The present alignment; None while there is none."""
+        return self._alignment
+
+    @property
+    def frozen_at(self) -> int | None:
+        """Number of states that a frozen alignment is from; None while it isn't frozen."""
+        if not (self.settings.freeze and self._kept) or self._alignment is None:
+            return None
+        return self._alignment.states_used
+
+    def change(self, settings: OnlineSettings) -> None:
+        """Take other lengths and another window from now on; other settings stay.
+
+        A wider window fills as pairs come, a new length counts from the next pair.
+        """
+        protocol = replace(self.settings.protocol, lengths=settings.protocol.lengths)
+        self.settings = replace(self.settings, protocol=protocol, window=settings.window)
+        self._relative = self._relative.with_lengths(protocol, self.store.end)
+        self._window_fresh = 0  # the window's sums are made anew with the next pair
+
     def association(self) -> Association:
         """Return all pairs, to be evaluated offline; only of a window that is the whole run.
 

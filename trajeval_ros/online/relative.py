@@ -72,6 +72,15 @@ class RelativeTracker:
         self._next = dict.fromkeys(self._lengths, 0)
         self.running = {str(length): RunningErrors() for length in self._lengths}
 
+    def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
+        """Return a tracker of other lengths; new ones count from a pair, by number."""
+        tracker = RelativeTracker(protocol)
+        for length in tracker._next:
+            tracker._next[length] = self._next.get(length, begin)
+            if length in self._next:
+                tracker.running[str(length)] = self.running[str(length)]
+        return tracker
+
     def update(self, store: PairStore, scale: float) -> tuple[RelativeEnd, ...]:
         """Measure the sub-trajectories whose ends have arrived.
 

@@ -1,0 +1,65 @@
+"""The trajectory as an estimator sees it now: a path that is published anew with each pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.alignment import align
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class RevisedPath:
+    """Compares the newest version of a path with the groundtruth of its poses.
+
+    What was published first is what the robot steered by: the causal error. A loop closure moves
+    poses afterwards: the revised error. It needs all poses, as the path itself does.
+
+    Attributes:
+        stamps: (M,) of the newest path, nanoseconds.
+        states: (M, 10) of the newest path.
+    """
+
+    def __init__(self, gauge: Gauge) -> None:
+        """Begin without a path."""
+        self.stamps: Stamps = np.empty(0, dtype=np.int64)
+        self.states: Floats = np.empty((0, WIDTH))
+        self._gauge = gauge
+        self._known: Stamps = np.empty(0, dtype=np.int64)
+        self._truth: list[tuple[Stamps, Floats]] = []
+
+    def renew(self, stamps: Stamps, states: Floats) -> NDArray[np.int64]:
+        """Take a path (M,), (M, 10); returns the rows of poses that it is the first to have."""
+        self.stamps, self.states = stamps, states
+        newest = self._known[-1] if len(self._known) else np.iinfo(np.int64).min
+        is_new = stamps > newest
+        if np.count_nonzero(~is_new) != len(self._known):  # some came in between, or are gone
+            is_new = ~np.isin(stamps, self._known)
+        new: NDArray[np.int64] = np.flatnonzero(is_new)
+        self._known = np.union1d(self._known, stamps[new])
+        return new
+
+    def record(self, pairs: Pairs) -> None:
+        """Take the groundtruth of poses."""
+        self._truth.append((pairs.stamps, pairs.groundtruth[:, POSITION]))
+
+    def position_rmse_m(self) -> float | None:
+        """Return the position ATE of the newest path; None where it can't be aligned."""
+        if not self._truth:
+            return None
+        stamps = np.concatenate([each[0] for each in self._truth])
+        truth = np.concatenate([each[1] for each in self._truth])
+        self._truth = [(stamps, truth)]
+        _, rows, places = np.intersect1d(stamps, self.stamps, return_indices=True)
+        positions = self.states[places, POSITION]
+        try:
+            alignment = align(self._gauge, truth[rows], positions)
+        except DegenerateGeometryError:
+            return None
+        errors = truth[rows] - alignment.similarity.positions(positions)
+        return float(np.sqrt(np.square(errors).sum(axis=1).mean()))

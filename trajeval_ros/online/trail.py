@@ -1,0 +1,68 @@
+"""The whole run in few poses, to be drawn: the older it gets, the coarser."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.online.pairing import WIDTH, Pairs
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+MOST_POSES = 2000
+
+
+class Trail:
+    """Every k-th pair of a run; k doubles when there are too many.
+
+    The newest pair always is at the end, so that the trail reaches the robot.
+    """
+
+    def __init__(self, most: int = MOST_POSES) -> None:
+        """Begin empty.
+
+        Args:
+            most: Number of pairs to hold at the most.
+        """
+        self._most = most
+        self._every = 1
+        self._seen = self._count = 0
+        self._stamps: Stamps = np.empty(most, dtype=np.int64)
+        self._rows: Floats = np.empty((most, 2 * WIDTH))
+        self._newest: Pairs | None = None
+
+    def __len__(self) -> int:
+        """Return the number of pairs held, the newest one apart."""
+        return self._count
+
+    def add(self, pairs: Pairs) -> None:
+        """Take new pairs."""
+        if not len(pairs.stamps):
+            return
+        first = -self._seen % self._every
+        self._seen += len(pairs.stamps)
+        self._newest = Pairs(pairs.stamps[-1:], pairs.groundtruth[-1:], pairs.estimate[-1:])
+        picked = slice(first, None, self._every)
+        stamps = pairs.stamps[picked]
+        rows = np.hstack([pairs.groundtruth[picked], pairs.estimate[picked]])
+        while self._count + len(stamps) > self._most:
+            kept = (self._count + 1) // 2
+            self._stamps[:kept] = self._stamps[: self._count : 2]
+            self._rows[:kept] = self._rows[: self._count : 2]
+            # What is new goes on where the old has its rhythm.
+            skip = self._count % 2
+            stamps, rows = stamps[skip::2], rows[skip::2]
+            self._count, self._every = kept, 2 * self._every
+        end = self._count + len(stamps)
+        self._stamps[self._count : end], self._rows[self._count : end] = stamps, rows
+        self._count = end
+
+    def columns(self) -> tuple[Stamps, Floats, Floats]:
+        """Return stamps (N,), groundtruth and estimate (N, 10), the newest pair at the end."""
+        stamps, rows = self._stamps[: self._count], self._rows[: self._count]
+        newest = self._newest
+        if newest is not None and self._count and newest.stamps[0] > stamps[-1]:
+            stamps = np.concatenate([stamps, newest.stamps])
+            rows = np.vstack([rows, np.hstack([newest.groundtruth, newest.estimate])])
+        return stamps, rows[:, :WIDTH], rows[:, WIDTH:]

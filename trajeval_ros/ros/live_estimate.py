@@ -1,0 +1,152 @@
+"""One estimate while it is evaluated: messages in, errors and a pair file out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
+from trajeval_ros.io.messages import PATH_TYPE
+from trajeval_ros.io.pair_file import SUFFIX, PairWriter
+from trajeval_ros.io.results import write_whole
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.jumps import Jump, JumpDetector
+from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
+from trajeval_ros.online.reports import Update
+from trajeval_ros.online.revised import RevisedPath
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.online.trail import Trail
+from trajeval_ros.ros.inputs import Taken
+from trajeval_ros.ros.poses import States
+from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.timing import Latency
+from trajeval_ros.trajectory import NANOSECONDS, add_counts
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class LiveEstimate:
+    """Evaluates one estimate topic.
+
+    Attributes:
+        side: Where its messages come from.
+        name: Of its files and topics.
+        stream: What its messages have told.
+        evaluator: Its evaluation.
+        latency: How long its errors take to be published.
+        jumps: Restarts and corrections so far.
+        trail: The run in few poses.
+        revised: The newest path, if the topic carries paths.
+    """
+
+    def __init__(
+        self, side: Side, settings: OnlineSettings, folder: Path, groundtruth: str
+    ) -> None:
+        """Begin, with an empty pair file.
+
+        Args:
+            side: Where its messages come from.
+            settings: What to do.
+            folder: For its files.
+            groundtruth: The groundtruth's source.
+
+        Raises:
+            InputError: The file can't be made.
+        """
+        self.side, self.name, self.stream = side, side.name, side.stream
+        self.evaluator = OnlineEvaluator(settings, record=self._record)
+        self.latency = Latency()
+        self.jumps, self.trail = JumpDetector(), Trail()
+        self.revised: RevisedPath | None = None
+        self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
+        self._folder = folder
+        self._found: list[Jump] = []
+        description = {"groundtruth": groundtruth, "estimate": side.source}
+        self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
+
+    def take(self, now_ns: int | None) -> None:
+        """Take the messages that have arrived; `now_ns` is the simulated time."""
+        for message_type, taken, arrived in self.side.take(now_ns):
+            self._take(message_type, taken, arrived)
+
+    def update(self, *, at_end: bool = False) -> tuple[Update, list[Jump]]:
+        """Evaluate what has arrived and write its pairs; returns what is new."""
+        self._found = []
+        return self.evaluator.update(at_end=at_end), self._found
+
+    def write_state(self, state: Mapping[str, Any]) -> None:
+        """Write what `trajeval finish` can't tell from pairs.
+
+        Args:
+            state: What is known beside the estimate: settings, groundtruth, live, warnings.
+        """
+        told, evaluator = self.stream.told, self.evaluator
+        decided = told.poses - evaluator.buffer.waiting
+        self.writer.append(
+            np.empty(0, dtype=np.int64),
+            np.empty((0, 10)),
+            np.empty((0, 10)),
+            {
+                **state,
+                "estimate": {
+                    "poses": told.poses,
+                    "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
+                    "duration_s": told.duration_s,
+                    "frame": told.frame,
+                    "child_frame": told.child_frame,
+                    "notes": told.notes,
+                },
+                "dropped": add_counts(told.dropped, evaluator.buffer.dropped),
+                "aligned_by": evaluator.frozen_at,
+            },
+        )
+
+    def write_revised(self) -> None:
+        """Write the newest path, if there is one.
+
+        Raises:
+            InputError: It can't be written.
+        """
+        path = self.revised
+        if path is None or not len(path.stamps):
+            return
+        stamps, positions = path.stamps, path.states[:, POSITION]
+        write_whole(
+            self._folder / f"{self.name}{REVISED_SUFFIX}",
+            lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
+        )
+
+    def _record(self, pairs: Pairs) -> None:
+        """Keep new pairs: in the file, and where jumps and revisions are looked for."""
+        self.writer.append(*pairs)
+        alignment = self.evaluator.alignment
+        scale = 1.0 if alignment is None else alignment.similarity.scale
+        self._found = self.jumps.update(pairs, scale)
+        self.trail.add(pairs)
+        if self.revised is not None:
+            self.revised.record(pairs)
+
+    def _take(self, message_type: str, taken: Taken, arrived: Stamps) -> None:
+        if message_type == PATH_TYPE:
+            for payload, each in zip(taken.payloads, arrived.tolist(), strict=True):
+                self._take_path(payload, each)
+            return
+        poses = self.stream.poses(message_type, taken.payloads, arrived)
+        received = np.array(taken.received, dtype=np.int64)[poses.rows]
+        self.latency.arrive(poses.stamps + self._offset_ns, received)
+        self.evaluator.add_estimate(poses.stamps, poses.states)
+
+    def _take_path(self, payload: bytes, arrived_ns: int) -> None:
+        """Take a path: evaluate the poses that are new, and remember how it sees the others."""
+        if self.revised is None:
+            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge)
+        path = self.stream.path(payload)
+        rows = self.revised.renew(path.stamps + self._offset_ns, path.states)
+        new = States(path.stamps[rows], path.states[rows], path.rows[rows])
+        self.stream.count_new(new, arrived_ns)
+        self.evaluator.add_estimate(new.stamps, new.states)

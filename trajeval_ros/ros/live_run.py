@@ -1,0 +1,196 @@
+"""A live run: one groundtruth, its estimates, and the folder that they leave. No timers here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.online.jumps import Jump
+from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.reports import Update
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.ros.folder import Finisher
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.sides import Side
+from trajeval_ros.trajectory import NANOSECONDS, add_counts
+
+_QUIET_S = 0.1
+_LAST_MESSAGES_S = 2.0
+_SAME_CLOCK_S = 60.0
+
+
+class LiveRun:
+    """Feeds every estimate with the same groundtruth, and keeps what is found on disk.
+
+    Attributes:
+        groundtruth: Where it comes from.
+        estimates: One for each estimate topic.
+        finisher: Writes result.json, in a process of its own.
+    """
+
+    def __init__(
+        self,
+        groundtruth: Side,
+        sides: Sequence[Side],
+        settings: OnlineSettings,
+        words: dict[str, Any],
+        folder: Path,
+    ) -> None:
+        """Begin.
+
+        Args:
+            groundtruth: Where it comes from.
+            sides: Where the estimates come from.
+            settings: What to do.
+            words: The same, as `settings.protocol_from` takes them.
+            folder: For the files; it exists.
+
+        Raises:
+            InputError: The files can't be made.
+        """
+        self.groundtruth, self.finisher = groundtruth, Finisher(folder)
+        self.words = words
+        self.estimates = [
+            LiveEstimate(side, settings, folder, groundtruth.source) for side in sides
+        ]
+        for each in self.estimates:
+            each.write_state(self._state(each))
+
+    def take(self, now_ns: int | None) -> None:
+        """Take what has arrived; `now_ns` is the simulated time."""
+        for message_type, taken, arrived in self.groundtruth.take(now_ns):
+            poses = self.groundtruth.stream.poses(message_type, taken.payloads, arrived)
+            for each in self.estimates:
+                each.evaluator.add_groundtruth(poses.stamps, poses.states)
+        for each in self.estimates:
+            each.take(now_ns)
+
+    def update(self, *, at_end: bool = False) -> Iterator[tuple[LiveEstimate, Update, list[Jump]]]:
+        """Evaluate what has been taken, estimate by estimate."""
+        for each in self.estimates:
+            update, jumps = each.update(at_end=at_end)
+            yield each, update, jumps
+
+    def change(self, settings: OnlineSettings, words: dict[str, Any]) -> None:
+        """Go on with other lengths and another window."""
+        self.words = words
+        for each in self.estimates:
+            each.evaluator.change(settings)
+
+    def write_states(self) -> None:
+        """Write what `trajeval finish` can't tell from pairs."""
+        for each in self.estimates:
+            each.write_state(self._state(each))
+
+    def save(self) -> bool:
+        """Begin to write result.json; returns whether that is possible by now.
+
+        Raises:
+            InputError: The disk takes no more.
+        """
+        if not self.has_pairs or not self.finisher.is_free:
+            return False
+        self.write_states()
+        for each in self.estimates:
+            each.write_revised()
+        self.finisher.save()
+        return True
+
+    def drain(self, now_ns: int | None) -> None:
+        """Take and evaluate the last messages, those still on their way included."""
+        until = time.monotonic() + _LAST_MESSAGES_S
+        quiet_since = time.monotonic()
+        while time.monotonic() < min(until, quiet_since + _QUIET_S):
+            before = self._received
+            self.take(now_ns)
+            if self._received > before:
+                quiet_since = time.monotonic()
+            time.sleep(_QUIET_S / 10)
+        for _ in self.update(at_end=True):
+            pass
+
+    def close(self) -> list[str]:
+        """Have all pairs on disk; returns why some are not."""
+        self.write_states()
+        troubles = [_trouble(each.write_revised) for each in self.estimates]
+        troubles += [_trouble(each.writer.close) for each in self.estimates]
+        return [each for each in troubles if each]
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether there is anything to evaluate."""
+        return any(each.evaluator.pairs for each in self.estimates)
+
+    @property
+    def _received(self) -> int:
+        streams = [self.groundtruth.stream, *(each.stream for each in self.estimates)]
+        return sum(each.told.poses for each in streams)
+
+    def _state(self, estimate: LiveEstimate) -> dict[str, Any]:
+        truth, buffer = self.groundtruth.stream.told, estimate.evaluator.buffer
+        return {
+            "settings": self.words,
+            "groundtruth": {
+                "poses": truth.poses,
+                "states": buffer.groundtruth_count,
+                "duration_s": truth.duration_s,
+                "path_length_m": buffer.groundtruth_path_m,
+                "time_without_gaps_ns": buffer.groundtruth_time,
+                "frame": truth.frame,
+                "child_frame": truth.child_frame,
+                "dropped": add_counts(truth.dropped, buffer.groundtruth_dropped),
+                "notes": truth.notes,
+            },
+            "live": {
+                "messages_lost": estimate.side.lost,
+                "groundtruth_messages_lost": self.groundtruth.lost,
+                "losses_are_exact": estimate.side.loss_is_exact and self.groundtruth.loss_is_exact,
+                "arrival_offset_s": estimate.stream.arrivals.offset_s,
+                "groundtruth_arrival_offset_s": self.groundtruth.stream.arrivals.offset_s,
+                "sync_risk_m": sync_risk_m(self.groundtruth, estimate.side, buffer),
+                "latency_p95_s": estimate.latency.p95_s,
+                "jumps": estimate.jumps.count,
+            },
+            "warnings": self._warnings(estimate),
+        }
+
+    def _warnings(self, estimate: LiveEstimate) -> list[str]:
+        warnings = [
+            f"{side.lost} messages of {side.source} were lost on their way to the live evaluator"
+            for side in (self.groundtruth, estimate.side)
+            if side.lost
+        ]
+        if estimate.writer.lost:
+            warnings.append(
+                f"{estimate.writer.lost} pairs are missing, since the disk took no more: "
+                f"{estimate.writer.trouble}"
+            )
+        return warnings
+
+
+def sync_risk_m(groundtruth: Side, estimate: Side, buffer: PairingBuffer) -> float | None:
+    """Return what the clocks can have done to the position error, metres.
+
+    That is the groundtruth's mean speed times the difference of the two offsets between stamp and
+    arrival: as if all of it came from the clocks, nothing from the time that estimating takes.
+    None if stamps aren't of the clock that arrivals are of, as in a replay without simulated time.
+    """
+    one, other = groundtruth.stream.arrivals.offset_s, estimate.stream.arrivals.offset_s
+    if one is None or other is None or not buffer.groundtruth_time:
+        return None
+    if max(abs(one), abs(other)) > _SAME_CLOCK_S:
+        return None
+    speed = buffer.groundtruth_path_m / (buffer.groundtruth_time / NANOSECONDS)
+    return speed * abs(one - other)
+
+
+def _trouble(write: Callable[[], object]) -> str:
+    """Return why something can't be written; empty if it could."""
+    try:
+        write()
+    except TrajevalError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,297 @@
+"""The live evaluator as a node: what it publishes, answers, and says."""
+
+from __future__ import annotations
+
+import time
+from difflib import get_close_matches
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+
+from trajeval_ros.exceptions import SettingsError, TrajevalError
+from trajeval_ros.online.jumps import Jump
+from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.ros import parameters
+from trajeval_ros.ros.diagnostics import diagnose
+from trajeval_ros.ros.folder import make_folder
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.outputs import Outputs
+from trajeval_ros.ros.sides import Side, told_apart
+from trajeval_ros.ros.terminal import StatusLine, seconds, summary
+
+_REPORT_EVERY_S = 0.5
+_TELL_EVERY_S = 1.0
+_SNAPSHOTS_SHARE = 0.05  # of a core at the most: a window that is the whole run grows
+
+
+class EvaluatorNode(Node):  # type: ignore[misc]
+    """Evaluates estimate topics against a groundtruth topic, side by side."""
+
+    def __init__(self) -> None:
+        """Declare parameters, advertise, make the output folder, and begin.
+
+        Raises:
+            SettingsError: A parameter means nothing, or topics are missing.
+            InputError: The output folder can't be made.
+        """
+        super().__init__("evaluator")
+        self._values = parameters.declare(self)
+        self._settings = parameters.settings_of(self._values)
+        self._line = StatusLine()
+        self._run = self._new_run()
+        self._outputs = {each.name: Outputs(self, each.name) for each in self._run.estimates}
+        self._snapshots: dict[str, Snapshot] = {}
+        self._newest: dict[str, Update] = {}
+        self._snapshot_at = 0.0
+        self._saved_at = time.monotonic()
+        self._saving: Future | None = None
+        self._complaint = ""
+        self._advertise()
+        self._warn_of_unknown_parameters()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._ticks = self.create_timer(
+            1.0 / self._values["publish_rate"], self._tick, clock=steady
+        )
+        self.create_timer(_REPORT_EVERY_S, self._report, clock=steady)
+        self.create_timer(_TELL_EVERY_S, self._tell, clock=steady)
+        self.get_logger().info(f"results go to {self._run.finisher.folder}")
+
+    def finish(self) -> bool:
+        """Evaluate what is left, and write everything; returns whether it was written."""
+        self._line.clear()
+        self._run.drain(self._simulated_ns())
+        troubles = self._run.close()
+        for each in troubles:
+            self.get_logger().error(each)
+        if not self._run.has_pairs:
+            self.get_logger().error(self._why_no_pair())
+            return False
+        return self._run.finisher.finish(quiet=False) and not troubles
+
+    def _new_run(self) -> LiveRun:
+        groundtruth = Side(self, self._values["groundtruth_topic"], is_groundtruth=True)
+        sides = [
+            Side(self, each, is_groundtruth=False) for each in self._values["estimate_topics"]
+        ]
+        told_apart(sides)
+        return LiveRun(
+            groundtruth,
+            sides,
+            self._settings,
+            parameters.words_of(self._values),
+            make_folder(self._values["output"]),
+        )
+
+    def _advertise(self) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from std_srvs.srv import Trigger
+
+        for each in self._outputs.values():
+            each.advertise_lengths(self._lengths)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(Trigger, "~/save", self._save)
+        self.add_on_set_parameters_callback(self._set)
+
+    @property
+    def _lengths(self) -> list[str]:
+        """The lengths of sub-trajectories that end while the run goes on."""
+        return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
+
+    # What happens again and again.
+
+    def _tick(self) -> None:
+        """Take messages, evaluate them, publish their errors."""
+        self._run.take(self._simulated_ns())
+        for estimate, update, jumps in self._run.update():
+            if update.stamp is None:
+                continue
+            self._newest[estimate.name] = update
+            self._outputs[estimate.name].publish_update(update)
+            estimate.latency.publish(update.stamp, time.time_ns())
+            for each in jumps:
+                self._tell_of_jump(estimate, each)
+
+    def _report(self) -> None:
+        """Match publishers, and publish what is about the window."""
+        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
+            for each in side.match():
+                self._log(each, warn=not each.startswith("subscribed"))
+        begin = time.monotonic()
+        if begin < self._snapshot_at:
+            return
+        for estimate in self._run.estimates:
+            snapshot = estimate.evaluator.snapshot()
+            self._snapshots[estimate.name] = snapshot
+            outputs = self._outputs[estimate.name]
+            revised = None
+            if estimate.revised is not None:
+                outputs.advertise_revised()
+                revised = estimate.revised.position_rmse_m()
+            outputs.publish_snapshot(snapshot, revised)
+            if snapshot.alignment is not None:
+                outputs.publish_geometry(
+                    estimate.trail,
+                    snapshot.alignment.similarity,
+                    self._run.groundtruth.stream.told.frame,
+                    estimate.stream.told.frame,
+                )
+        took = time.monotonic() - begin
+        self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
+
+    def _tell(self) -> None:
+        """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self._run.write_states()
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        parts = []
+        for estimate in self._run.estimates:
+            snapshot = self._snapshots.get(estimate.name)
+            if snapshot is None:
+                continue
+            update = self._newest.get(estimate.name, Update())
+            message.status.append(
+                diagnose(self.get_name(), self._run, estimate, snapshot, update, self._values)
+            )
+            parts.append(
+                summary(estimate.name, snapshot, self._values["window"], update.position_m)
+            )
+        self._diagnostics.publish(message)
+        self._complain()
+        self._autosave()
+        self._line.show(parts)
+
+    def _autosave(self) -> None:
+        if self._run.finisher.poll() and self._saving is not None:
+            self._saving.set_result(None)
+            self._saving = None
+        period = self._values["autosave_period"]
+        if period and time.monotonic() >= self._saved_at + period:
+            self._begin_to_save()
+
+    def _begin_to_save(self) -> bool:
+        try:
+            begun = self._run.save()
+        except TrajevalError as error:
+            self._log(str(error), warn=True)
+            begun = False
+        if begun:
+            self._saved_at = time.monotonic()
+        return begun
+
+    # What is answered.
+
+    async def _save(self, request: Any, response: Any) -> Any:
+        """Answer ~/save when result.json is written."""
+        del request
+        if self._saving is None and self._begin_to_save():
+            self._saving = Future()
+        if self._saving is None:
+            busy = self._run.has_pairs
+            response.message = "saving already" if busy else self._why_no_pair()
+            return response
+        await self._saving
+        trouble = self._run.finisher.trouble
+        response.success = not trouble
+        response.message = trouble or str(self._run.finisher.folder / "result.json")
+        return response
+
+    def _reset(self, request: Any, response: Any) -> Any:
+        """Answer ~/reset: end this run, whose results stay, and begin another one."""
+        del request
+        ended = self._run
+        for trouble in ended.close():
+            self._log(trouble, warn=True)
+        for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
+            side.leave()
+        self._run = self._new_run()
+        self._snapshots, self._newest = {}, {}
+        if ended.has_pairs:
+            ended.finisher.finish_alone()
+        response.success = True
+        response.message = (
+            f"results so far are in {ended.finisher.folder}, new ones go to "
+            f"{self._run.finisher.folder}"
+        )
+        self._log(response.message)
+        return response
+
+    def _set(self, changes: list[Any]) -> Any:
+        """Answer to parameters that are set while it runs."""
+        from rcl_interfaces.msg import SetParametersResult
+
+        known = {each.name: each for each in parameters.PARAMETERS}
+        try:
+            new = {
+                each.name: parameters.converted(known[each.name], each.value)
+                for each in changes
+                if each.name in known
+            }
+            values = {**self._values, **new}
+            settings = parameters.settings_of(values)
+        except SettingsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._values, self._settings = values, settings
+        for outputs in self._outputs.values():
+            outputs.advertise_lengths(self._lengths)
+        self._run.change(settings, parameters.words_of(values))
+        if "publish_rate" in new:
+            self._ticks.timer_period_ns = round(1e9 / new["publish_rate"])
+        return SetParametersResult(successful=True)
+
+    # What is said.
+
+    def _log(self, text: str, *, warn: bool = False) -> None:
+        self._line.clear()
+        (self.get_logger().warning if warn else self.get_logger().info)(text)
+
+    def _complain(self) -> None:
+        """Say once what is wrong with the disk, and that it is well again."""
+        troubles = [each.writer.trouble for each in self._run.estimates if each.writer.trouble]
+        if self._run.has_pairs and self._run.finisher.trouble:
+            troubles.append(self._run.finisher.trouble)
+        complaint = "; ".join(dict.fromkeys(troubles))
+        if complaint != self._complaint:
+            folder = self._run.finisher.folder
+            said = f"results can't be written to {folder}: {complaint}" if complaint else ""
+            self._log(said or f"results are written to {folder} again", warn=bool(complaint))
+        self._complaint = complaint
+
+    def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
+        self._log(
+            f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
+            f"{seconds(jump.stamp)}: has it restarted with a new origin? One alignment can't fit "
+            "the parts on both sides; ~/reset begins anew",
+            warn=True,
+        )
+
+    def _why_no_pair(self) -> str:
+        run = self._run
+        counts = [
+            f"{each.stream.told.poses} poses on {each.source}"
+            for each in (run.groundtruth, *(other.side for other in run.estimates))
+        ]
+        return "no pair of estimate and groundtruth was made, so there is no result: " + ", ".join(
+            counts
+        )
+
+    def _warn_of_unknown_parameters(self) -> None:
+        """Name what a parameter file sets and nobody declares, a misspelt name above all."""
+        names = [each.name for each in parameters.PARAMETERS]
+        for name in getattr(self, "_parameter_overrides", {}):
+            if self.has_parameter(name) or name.startswith("qos_overrides."):
+                continue
+            near = get_close_matches(name, names, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            self._log(f"there is no parameter {name}{hint}", warn=True)
+
+    def _simulated_ns(self) -> int | None:
+        """Return the time on /clock; None where time isn't simulated."""
+        if not self.get_parameter("use_sim_time").value:
+            return None
+        return int(self.get_clock().now().nanoseconds)

@@ -1,0 +1,240 @@
+"""The evaluator's parameters: what they are called, what they mean, what they may be."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.gauge import MODALITIES, Gauge
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.online.window import Window
+from trajeval_ros.settings import protocol_from
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+FROZEN = "frozen"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter as it is declared.
+
+    Attributes:
+        name: Its name.
+        default: Its value if nobody sets it; the type is the parameter's.
+        description: What it means.
+        range: The least and the greatest value of a number.
+        is_live: Whether it may be set while the node runs.
+    """
+
+    name: str
+    default: str | float | list[str]
+    description: str
+    range: tuple[float, float] | None = None
+    is_live: bool = False
+
+
+PARAMETERS = (
+    Parameter(
+        "groundtruth_topic",
+        "",
+        "Topic of the groundtruth: PoseStamped, PoseWithCovarianceStamped, TransformStamped, "
+        "PointStamped or Odometry, or a transform as in /tf:map.base_link. Required.",
+    ),
+    Parameter(
+        "estimate_topics",
+        [""],
+        "Topics of the estimates to be judged, side by side: the same types, or nav_msgs/Path. "
+        "Required.",
+    ),
+    Parameter(
+        "modality",
+        "",
+        f"The sensors, which decide what alignment may change: {', '.join(MODALITIES)}.",
+    ),
+    Parameter(
+        "gauge",
+        "",
+        "What alignment may change, by name, instead of modality: "
+        f"{', '.join(each.value for each in Gauge)} (se3 if neither is given).",
+    ),
+    Parameter(
+        "align_states",
+        "all",
+        f"Align by all states so far, by the first N, or {FROZEN}: all, until they determine the "
+        "alignment well, and then no more.",
+    ),
+    Parameter(
+        "window",
+        "30s",
+        "What the published ATE is about: the newest 30s, 50m or 500 (pairs); 0 is the whole run. "
+        "The results on disk are always about the whole run.",
+        is_live=True,
+    ),
+    Parameter(
+        "lengths",
+        "8,16,24,32,40",
+        "Sub-trajectory lengths of the relative error: 8,16 (metres), 1s,5s (seconds), 10%,20% "
+        "(of the path, only in the results at the end) or none.",
+        is_live=True,
+    ),
+    Parameter(
+        "association",
+        "linear",
+        "How pairs are made. Live it can only be linear: the groundtruth is interpolated.",
+    ),
+    Parameter(
+        "max_gap",
+        0.5,
+        "Never interpolate across a longer groundtruth gap, seconds.",
+        (0.0, 3600.0),
+    ),
+    Parameter("time_offset", 0.0, "Added to the estimates' stamps, seconds.", (-1e9, 1e9)),
+    Parameter(
+        "publish_rate",
+        20.0,
+        "How often messages are taken, evaluated, and errors published, Hz.",
+        (1.0, 200.0),
+        is_live=True,
+    ),
+    Parameter(
+        "output",
+        "",
+        "Folder for what remains: pairs, result.json, figures. Empty: trajeval_DATE-TIME in the "
+        "working directory.",
+    ),
+    Parameter(
+        "autosave_period",
+        30.0,
+        "How often result.json is written, seconds; 0 only at the end.",
+        (0.0, 86400.0),
+        is_live=True,
+    ),
+    Parameter(
+        "warn_position_error_m",
+        0.0,
+        "Diagnostics warn above this position error, metres; 0 never.",
+        (0.0, 1e6),
+        is_live=True,
+    ),
+    Parameter(
+        "error_position_error_m",
+        0.0,
+        "Diagnostics report an error above this position error, metres; 0 never.",
+        (0.0, 1e6),
+        is_live=True,
+    ),
+    Parameter(
+        "warn_coverage",
+        0.9,
+        "Diagnostics warn when a smaller share of the estimate's poses has groundtruth.",
+        (0.0, 1.0),
+        is_live=True,
+    ),
+    Parameter(
+        "error_coverage",
+        0.5,
+        "Diagnostics report an error when a smaller share of the estimate's poses has "
+        "groundtruth.",
+        (0.0, 1.0),
+        is_live=True,
+    ),
+)
+
+
+def declare(node: Node) -> dict[str, Any]:
+    """Declare all parameters and return their values.
+
+    Raises:
+        SettingsError: A value given at the start means nothing, or topics are missing.
+    """
+    from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+
+    values = {}
+    for each in PARAMETERS:
+        # YAML takes `window: 500` for a number and `max_gap: 1` for an integer; both are meant
+        # well, hence dynamic types.
+        descriptor = ParameterDescriptor(
+            description=each.description, read_only=not each.is_live, dynamic_typing=True
+        )
+        if each.range is not None:
+            low, high = each.range
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=low, to_value=high, step=0.0)
+            ]
+        try:
+            declared = node.declare_parameter(each.name, each.default, descriptor)
+        except Exception as error:  # of several kinds, without a base of their own
+            said = " ".join(str(error).split())
+            raise SettingsError(f"parameter {each.name} can't be set: {said}") from error
+        values[each.name] = converted(each, declared.value)
+    if not values["groundtruth_topic"] or not values["estimate_topics"]:
+        raise SettingsError(
+            "the parameters groundtruth_topic and estimate_topics must name topics, as in "
+            "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]"
+        )
+    return values
+
+
+def converted(parameter: Parameter, value: Any) -> Any:
+    """Return a value as the type that the parameter has, however YAML read it.
+
+    Raises:
+        SettingsError: It is of no such type, or outside of the parameter's range.
+    """
+    wanted, is_number = parameter.default, isinstance(value, int | float)
+    if isinstance(value, bool) or value is None:
+        raise SettingsError(f"parameter {parameter.name} can't be {value}")
+    if isinstance(wanted, list) and isinstance(value, str | list):
+        return [str(each) for each in ([value] if isinstance(value, str) else value) if each]
+    if isinstance(wanted, str) and isinstance(value, str | int | float):
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(wanted, float) and is_number:
+        low, high = parameter.range or (float(value), float(value))
+        if low <= value <= high:
+            return float(value)
+        raise SettingsError(
+            f"parameter {parameter.name} must be from {low:g} to {high:g}, not {value:g}"
+        )
+    kind = {list: "a list of topics", str: "a text", float: "a number"}[type(wanted)]
+    raise SettingsError(f"parameter {parameter.name} must be {kind}, not {value!r}")
+
+
+def words_of(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings as `protocol_from` takes them, and as the command line has them."""
+    states = values["align_states"]
+    return {
+        "gauge": values["gauge"] or None,
+        "modality": values["modality"] or None,
+        "align_states": "all" if states == FROZEN else states,
+        "association": values["association"],
+        "max_time_difference": None,
+        "max_gap": values["max_gap"],
+        "time_offset": values["time_offset"],
+        "lengths": values["lengths"],
+        "ate_form": None,
+        "re_form": None,
+    }
+
+
+def settings_of(values: dict[str, Any]) -> OnlineSettings:
+    """Return what the values ask for.
+
+    Raises:
+        SettingsError: They contradict each other, or mean nothing.
+    """
+    return OnlineSettings(
+        protocol=protocol_from("default", **words_of(values)),
+        window=Window.parse(values["window"]),
+        freeze=values["align_states"] == FROZEN,
+    )
+
+
+def changed(settings: OnlineSettings, values: dict[str, Any]) -> OnlineSettings:
+    """Return the settings with the values that may be set while the node runs."""
+    new = settings_of(values)
+    protocol = dataclasses.replace(settings.protocol, lengths=new.protocol.lengths)
+    return dataclasses.replace(settings, protocol=protocol, window=new.window)

@@ -1,0 +1,162 @@
+"""From the bytes of messages to the states that the live evaluator takes, and what they tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+from trajeval_ros.io.messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
+from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
+from trajeval_ros.ros.timing import Arrivals
+from trajeval_ros.trajectory import NANOSECONDS
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_MOST_NOTES = 20
+
+
+class States(NamedTuple):
+    """States of N messages.
+
+    Attributes:
+        stamps: (N,) nanoseconds.
+        states: (N, 10), the rows of `online.pairing.states`.
+        rows: (N,) which message each is from.
+    """
+
+    stamps: Stamps
+    states: Floats
+    rows: NDArray[np.int64]
+
+
+@dataclass
+class Told:
+    """What a stream has told beside its states.
+
+    Attributes:
+        poses: Number of poses, repeated stamps included.
+        first: The earliest stamp, nanoseconds; None before the first pose.
+        last: The latest one.
+        frame: The frame that poses are in, as the first message had it.
+        child_frame: The body that they are of.
+        dropped: Number of messages that are no poses, by reason.
+        notes: Changes on the way, one sentence each.
+    """
+
+    poses: int = 0
+    first: int | None = None
+    last: int | None = None
+    frame: str = ""
+    child_frame: str = ""
+    dropped: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the earliest to the latest stamp, seconds."""
+        if self.first is None or self.last is None:
+            return 0.0
+        return (self.last - self.first) / NANOSECONDS
+
+    def note(self, sentence: str) -> bool:
+        """Keep a sentence unless it is known, or many are; returns whether it is new."""
+        if len(self.notes) >= _MOST_NOTES or sentence in self.notes:
+            return False
+        self.notes.append(sentence)
+        return True
+
+    def drop(self, reason: str, number: int) -> None:
+        """Count what is no pose."""
+        if number:
+            self.dropped[reason] = self.dropped.get(reason, 0) + number
+
+
+class PoseStream:
+    """Decodes the messages of one topic.
+
+    Attributes:
+        told: What they have told so far.
+        arrivals: How much later than their stamps they come.
+        news: Notes that nobody has been told yet.
+        trouble: Why messages give no poses at present; empty if they do.
+    """
+
+    def __init__(self, topic: str) -> None:
+        """Begin, for a topic."""
+        self.told = Told()
+        self.arrivals = Arrivals()
+        self.news: list[str] = []
+        self.trouble = ""
+        self._topic = topic
+        self._type = ""
+        self._names: tuple[str, str] | None = None
+
+    def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
+        """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
+        self._see_type(message_type)
+        found = self._states(decode_poses(payloads, message_type))
+        self.arrivals.see(found.stamps, arrived_ns[found.rows])
+        self._count(found)
+        return found
+
+    def path(self, payload: bytes) -> States:
+        """Return all states of a path; which of them are new, `count_new` is told."""
+        self._see_type(PATH_TYPE)
+        return self._states(decode_path(payload))
+
+    def count_new(self, new: States, arrived_ns: int) -> None:
+        """Count the states that a path, which arrived at a time, is the first to have."""
+        self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
+        self._count(new)
+
+    def _see_type(self, message_type: str) -> None:
+        if message_type != self._type:
+            self._type = message_type
+            self.told.note(f"format: {message_type}")
+
+    def _states(self, columns: PoseColumns) -> States:
+        """Return what the columns hold, without poses that have no time."""
+        told = self.told
+        told.drop("undecodable", columns.undecodable)
+        for _, frame, child_frame in columns.frames:
+            self._see_frames(frame, child_frame)
+        stamps, states_ = columns.stamps, states(columns.positions, columns.quaternions)
+        if columns.quaternions is not None:
+            # `states` takes them for quaternions of no length, which are counted apart.
+            turned = np.isfinite(columns.quaternions).all(axis=1)
+            states_[~turned, POSITION] = np.nan
+            if columns.body_velocities is not None:
+                usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
+                states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
+        timed = stamps != 0  # a stamp that nobody has set
+        told.drop("zero_stamp", int(np.count_nonzero(~timed)))
+        return States(stamps[timed], states_[timed], columns.rows[timed])
+
+    def _count(self, found: States) -> None:
+        rows = found.states
+        poses = np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isposinf(rows).any(axis=1)
+        if not poses.any():
+            return
+        told, seen = self.told, found.stamps[poses]
+        told.poses += len(seen)
+        earliest, latest = int(seen.min()), int(seen.max())
+        told.first = earliest if told.first is None else min(told.first, earliest)
+        told.last = latest if told.last is None else max(told.last, latest)
+
+    def _see_frames(self, frame: str, child_frame: str) -> None:
+        names = frame, child_frame
+        if self._names is None:
+            self.told.frame, self.told.child_frame = names
+        elif names != self._names:
+            before = " of ".join(filter(None, reversed(self._names)))
+            now = " of ".join(filter(None, reversed(names)))
+            sentence = f"{self._topic}: the frame changes from {before} to {now}"
+            if self.told.note(sentence):
+                self.news.append(sentence)
+        self._names = names

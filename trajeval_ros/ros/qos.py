@@ -1,0 +1,35 @@
+"""Quality of service that every publisher on a topic can connect to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+# What waits between two looks at a subscription; loss depends on it, not on reliability.
+DEPTH = 2000
+
+
+def matching(publishers: Sequence[Any]) -> Any:
+    """Return the strictest profile that all of the publishers offer.
+
+    A request for more than a publisher offers connects to nothing, without an error: reliable
+    only if all are reliable, latched (transient local) only if all are.
+
+    Args:
+        publishers: What the graph says about the endpoints; at least one.
+    """
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    offered = [each.qos_profile for each in publishers]
+    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
+    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def is_same(one: Any, other: Any) -> bool:
+    """Return whether two profiles of `matching` ask for the same."""
+    return bool(one.reliability == other.reliability and one.durability == other.durability)

@@ -1,0 +1,66 @@
+"""One line on a terminal, renewed each second; nothing where nobody watches."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+
+from trajeval_ros.online.reports import Snapshot
+from trajeval_ros.trajectory import NANOSECONDS
+
+_BEGIN_ANEW = "\r\x1b[K"
+
+
+class StatusLine:
+    """Writes to stderr, as the log does, so that results can be piped."""
+
+    def __init__(self) -> None:
+        """Look whether anybody watches."""
+        self._watched = sys.stderr.isatty()
+        self._shown = False
+
+    def show(self, parts: list[str]) -> None:
+        """Show what is to be told of each estimate, cut to the terminal's width."""
+        if not self._watched:
+            return
+        width = shutil.get_terminal_size().columns
+        text = "  |  ".join(parts)
+        text = text if len(text) < width else text[: width - 2] + "…"
+        sys.stderr.write(_BEGIN_ANEW + text)
+        sys.stderr.flush()
+        self._shown = True
+
+    def clear(self) -> None:
+        """Make way for another line."""
+        if self._shown:
+            sys.stderr.write(_BEGIN_ANEW)
+            sys.stderr.flush()
+            self._shown = False
+
+
+def summary(name: str, snapshot: Snapshot, window: str, newest_m: float | None) -> str:
+    """Return one estimate's part of the line."""
+    if not snapshot.pairs:
+        return f"{name}: no pair yet, {snapshot.waiting} poses wait for groundtruth"
+    if snapshot.alignment is None or snapshot.window_position_rmse_m is None:
+        return f"{name}: warming up, {snapshot.warming_up}"
+    words = [f"{name}: ATE {snapshot.window_position_rmse_m:.3f} m"]
+    rotation = snapshot.ate.get("rotation_deg")
+    if rotation is not None:
+        words.append(f"{rotation.rmse:.2f} deg")
+    words.append(f"({window})")
+    if newest_m is not None:
+        words.append(f"now {newest_m:.3f} m")
+    ended = [(length, errors) for length, errors in snapshot.relative.items() if errors.count]
+    if ended:
+        length, errors = ended[-1]
+        words.append(f"RE {length} {errors.position_m:.3f} m")
+    words.append(f"{snapshot.pairs} pairs")
+    if snapshot.estimate_coverage is not None and snapshot.estimate_coverage < 0.995:
+        words.append(f"{100 * snapshot.estimate_coverage:.0f} % covered")
+    return " ".join(words)
+
+
+def seconds(stamp: int) -> str:
+    """Return a stamp as seconds with milliseconds."""
+    return f"{stamp / NANOSECONDS:.3f} s"

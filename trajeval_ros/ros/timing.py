@@ -1,0 +1,57 @@
+"""Times of arrival: how old messages are, and how long their errors take to be published."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.trajectory import NANOSECONDS
+
+_BATCHES = 200  # of messages, over which a median is taken
+_WAITING = 10_000  # estimates whose errors are not published yet
+
+
+class Arrivals:
+    """The offset between the stamps of a stream and the times when its messages arrive."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._offsets: deque[float] = deque(maxlen=_BATCHES)
+
+    def see(self, stamps: NDArray[np.int64], arrived_ns: NDArray[np.int64]) -> None:
+        """Take the stamps of messages (N,) and their times of arrival (N,), nanoseconds."""
+        if len(stamps):
+            self._offsets.append(float(np.median(arrived_ns - stamps)) / NANOSECONDS)
+
+    @property
+    def offset_s(self) -> float | None:
+        """Median of arrival minus stamp, seconds: transport, processing, and other clocks."""
+        return float(np.median(self._offsets)) if self._offsets else None
+
+
+class Latency:
+    """The time from an estimate's arrival to the publication of its error."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._waiting: deque[tuple[int, int]] = deque(maxlen=_WAITING)
+        self._seconds: deque[float] = deque(maxlen=10 * _BATCHES)
+
+    def arrive(self, stamps: NDArray[np.int64], received_ns: NDArray[np.int64]) -> None:
+        """Note the arrival of estimates."""
+        self._waiting.extend(zip(stamps.tolist(), received_ns.tolist(), strict=True))
+
+    def publish(self, stamp: int, now_ns: int) -> None:
+        """Note that errors up to a stamp are published; the newest one's latency counts."""
+        received = None
+        while self._waiting and self._waiting[0][0] <= stamp:
+            received = self._waiting.popleft()[1]
+        if received is not None:
+            self._seconds.append((now_ns - received) / NANOSECONDS)
+
+    @property
+    def p95_s(self) -> float | None:
+        """The 95th percentile of late latencies, seconds."""
+        return float(np.percentile(list(self._seconds), 95)) if self._seconds else None
