@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
-from trajeval_ros.ros.lifetime import ros
+from trajeval_ros.ros.lifetime import Stop, ros
 
-_LOOK_EVERY_S = 0.1
+# Services and the simulated clock are served so often. An executor makes its wait set anew for
+# every event, which at /clock's rate alone would take longer than all evaluation.
+_SERVE_EVERY_S = 0.1
+_REPORT_EVERY_S = 0.5
+_TELL_EVERY_S = 1.0
+
+
+class Duty:
+    """Something to do again and again."""
+
+    def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
+        """Begin at once.
+
+        Args:
+            do: What to do.
+            period_s: Returns how long to wait until the next time.
+        """
+        self.next_at = time.monotonic()
+        self._do, self._period_s = do, period_s
+
+    def do_if_due(self, now: float) -> None:
+        """Do it if it is time; what was missed is not made up for."""
+        if now >= self.next_at:
+            self._do()
+            self.next_at = max(self.next_at + self._period_s(), now)
 
 
 def evaluate_live(arguments: Sequence[str]) -> int:
@@ -27,9 +52,21 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         node = EvaluatorNode()
         executor = SingleThreadedExecutor()  # the other executors pass over callback groups
         executor.add_node(node)
-        while not stop.is_asked_for:
-            executor.spin_once(timeout_sec=_LOOK_EVERY_S)
+        duties = [
+            Duty(node.tick, lambda: node.tick_period_s),
+            Duty(node.report, lambda: _REPORT_EVERY_S),
+            Duty(node.tell, lambda: _TELL_EVERY_S),
+            Duty(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
+        ]
+        _work(duties, stop)
         executor.shutdown()
         written = node.finish()
         node.destroy_node()
     return 0 if written else 2
+
+
+def _work(duties: Sequence[Duty], stop: Stop) -> None:
+    while not stop.is_asked_for:
+        for each in duties:
+            each.do_if_due(time.monotonic())
+        time.sleep(max(0.0, min(each.next_at for each in duties) - time.monotonic()))

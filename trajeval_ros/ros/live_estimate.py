@@ -65,7 +65,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._folder = folder
-        self._found: list[Jump] = []
+        self._undigested: list[Pairs] = []
         description = {"groundtruth": groundtruth, "estimate": side.source}
         self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
 
@@ -74,10 +74,25 @@ class LiveEstimate:
         for message_type, taken, arrived in self.side.take(now_ns):
             self._take(message_type, taken, arrived)
 
-    def update(self, *, at_end: bool = False) -> tuple[Update, list[Jump]]:
+    def update(self, *, at_end: bool = False) -> Update:
         """Evaluate what has arrived and write its pairs; returns what is new."""
-        self._found = []
-        return self.evaluator.update(at_end=at_end), self._found
+        return self.evaluator.update(at_end=at_end)
+
+    def digest(self) -> list[Jump]:
+        """Take the pairs since the last call into trail and revision; returns their jumps.
+
+        Apart from `update`, so that what can wait costs a few calls a second.
+        """
+        alignment = self.evaluator.alignment
+        scale = 1.0 if alignment is None else alignment.similarity.scale
+        found: list[Jump] = []
+        for pairs in joined(self._undigested):
+            found += self.jumps.update(pairs, scale)
+            self.trail.add(pairs)
+            if self.revised is not None:
+                self.revised.record(pairs)
+        self._undigested = []
+        return found
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` can't tell from pairs.
@@ -122,14 +137,9 @@ class LiveEstimate:
         )
 
     def _record(self, pairs: Pairs) -> None:
-        """Keep new pairs: in the file, and where jumps and revisions are looked for."""
+        """Have new pairs on disk before anything else."""
         self.writer.append(*pairs)
-        alignment = self.evaluator.alignment
-        scale = 1.0 if alignment is None else alignment.similarity.scale
-        self._found = self.jumps.update(pairs, scale)
-        self.trail.add(pairs)
-        if self.revised is not None:
-            self.revised.record(pairs)
+        self._undigested.append(pairs)
 
     def _take(self, message_type: str, taken: Taken, arrived: Stamps) -> None:
         if message_type == PATH_TYPE:
@@ -150,3 +160,16 @@ class LiveEstimate:
         new = States(path.stamps[rows], path.states[rows], path.rows[rows])
         self.stream.count_new(new, arrived_ns)
         self.evaluator.add_estimate(new.stamps, new.states)
+
+
+def joined(several: list[Pairs]) -> list[Pairs]:
+    """Return one block of pairs instead of several, none instead of none."""
+    if len(several) < 2:
+        return several
+    return [
+        Pairs(
+            np.concatenate([each.stamps for each in several]),
+            np.concatenate([each.groundtruth for each in several]),
+            np.concatenate([each.estimate for each in several]),
+        )
+    ]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.online.jumps import Jump
 from trajeval_ros.online.pairing import PairingBuffer
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
@@ -68,11 +67,10 @@ class LiveRun:
         for each in self.estimates:
             each.take(now_ns)
 
-    def update(self, *, at_end: bool = False) -> Iterator[tuple[LiveEstimate, Update, list[Jump]]]:
+    def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
         """Evaluate what has been taken, estimate by estimate."""
         for each in self.estimates:
-            update, jumps = each.update(at_end=at_end)
-            yield each, update, jumps
+            yield each, each.update()
 
     def change(self, settings: OnlineSettings, words: dict[str, Any]) -> None:
         """Go on with other lengths and another window."""
@@ -109,8 +107,9 @@ class LiveRun:
             if self._received > before:
                 quiet_since = time.monotonic()
             time.sleep(_QUIET_S / 10)
-        for _ in self.update(at_end=True):
-            pass
+        for each in self.estimates:
+            each.update(at_end=True)
+            each.digest()
 
     def close(self) -> list[str]:
         """Have all pairs on disk; returns why some are not."""

@@ -6,7 +6,6 @@ import time
 from difflib import get_close_matches
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -22,8 +21,6 @@ from trajeval_ros.ros.outputs import Outputs
 from trajeval_ros.ros.sides import Side, told_apart
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
 
-_REPORT_EVERY_S = 0.5
-_TELL_EVERY_S = 1.0
 _SNAPSHOTS_SHARE = 0.05  # of a core at the most: a window that is the whole run grows
 
 
@@ -51,12 +48,6 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._ticks = self.create_timer(
-            1.0 / self._values["publish_rate"], self._tick, clock=steady
-        )
-        self.create_timer(_REPORT_EVERY_S, self._report, clock=steady)
-        self.create_timer(_TELL_EVERY_S, self._tell, clock=steady)
         self.get_logger().info(f"results go to {self._run.finisher.folder}")
 
     def finish(self) -> bool:
@@ -97,29 +88,36 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._set)
 
     @property
+    def tick_period_s(self) -> float:
+        """How long to wait between two ticks, seconds."""
+        period: float = 1.0 / self._values["publish_rate"]
+        return period
+
+    @property
     def _lengths(self) -> list[str]:
         """The lengths of sub-trajectories that end while the run goes on."""
         return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
 
     # What happens again and again.
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
         """Take messages, evaluate them, publish their errors."""
         self._run.take(self._simulated_ns())
-        for estimate, update, jumps in self._run.update():
+        for estimate, update in self._run.update():
             if update.stamp is None:
                 continue
             self._newest[estimate.name] = update
             self._outputs[estimate.name].publish_update(update)
             estimate.latency.publish(update.stamp, time.time_ns())
-            for each in jumps:
-                self._tell_of_jump(estimate, each)
 
-    def _report(self) -> None:
-        """Match publishers, and publish what is about the window."""
+    def report(self) -> None:
+        """Match publishers, look for jumps, and publish what is about the window."""
         for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
             for each in side.match():
                 self._log(each, warn=not each.startswith("subscribed"))
+        for estimate in self._run.estimates:
+            for jump in estimate.digest():
+                self._tell_of_jump(estimate, jump)
         begin = time.monotonic()
         if begin < self._snapshot_at:
             return
@@ -142,7 +140,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
 
-    def _tell(self) -> None:
+    def tell(self) -> None:
         """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
         from diagnostic_msgs.msg import DiagnosticArray
 
@@ -240,8 +238,6 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for outputs in self._outputs.values():
             outputs.advertise_lengths(self._lengths)
         self._run.change(settings, parameters.words_of(values))
-        if "publish_rate" in new:
-            self._ticks.timer_period_ns = round(1e9 / new["publish_rate"])
         return SetParametersResult(successful=True)
 
     # What is said.
