@@ -17,7 +17,7 @@ DEMO_ESTIMATE := $(DEMO_BAG):/vio/odometry
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench lock \
+.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench bench-live lock \
 	colcon-environment ros-environment clean
 
 help: ## List the targets.
@@ -56,6 +56,9 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 
 bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo; BENCH="--sizes 10000 --runs 3".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
+
+bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.
+	$(ROS)/bin/python -m benchmarks.live_node $(BENCH)
 
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
