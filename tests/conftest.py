@@ -6,13 +6,14 @@ import functools
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.trajectory import Trajectory
 
@@ -60,3 +61,35 @@ def recording(shared_data: Path) -> Callable[[str], Trajectory]:
         return read_trajectory(str(shared_data / name))
 
     return read
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What keeps the traffic on this machine, and apart from that of others on it."""
+    return {
+        **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(60 + os.getpid() % 40),
+        "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
+        "PYTHONPATH": str(HERE.parent),
+    }
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the same flight in both storage formats of rosbag2."""
+    folder = tmp_path_factory.mktemp("bags")
+    for storage in ("mcap", "sqlite3"):
+        bag = str(folder / storage)
+        assert main(["simulate", bag, "--duration", "20", "--storage", storage]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def peer(environment: dict[str, str]) -> Iterator[Any]:
+    """A ROS node in the test's own process."""
+    from ros_processes import Peer
+
+    peer = Peer(environment)
+    yield peer
+    peer.close()

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 import re
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.typesys import Stores, get_typestore
+from ros_processes import (
+    ODOMETRY,
+    PATIENCE_S,
+    STORE,
+    TRUTH,
+    TYPES,
+    listening,
+    replay,
+    replay_command,
+)
 
-from trajeval_ros.cli.app import main
 from trajeval_ros.io.bags import Bag
 
 pytest.importorskip(
@@ -25,37 +28,7 @@ pytest.importorskip(
 )
 pytestmark = pytest.mark.ros
 
-ROOT = Path(__file__).resolve().parent.parent
-LISTENER = Path(__file__).with_name("ros_listener.py")
-STORE = get_typestore(Stores.ROS2_JAZZY)
-TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
-TYPES = {TRUTH: "geometry_msgs/msg/PoseStamped", ODOMETRY: "nav_msgs/msg/Odometry"}
 CLOCK = {"/clock": "rosgraph_msgs/msg/Clock"}
-PATIENCE_S = 60
-
-Received = dict[str, list[bytes]]
-
-
-@pytest.fixture(scope="session")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What keeps the traffic on this machine, and apart from that of others on it."""
-    return {
-        **os.environ,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": str(60 + os.getpid() % 40),
-        "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
-        "PYTHONPATH": str(ROOT),
-    }
-
-
-@pytest.fixture(scope="session")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the same flight in both storage formats of rosbag2."""
-    folder = tmp_path_factory.mktemp("bags")
-    for storage in ("mcap", "sqlite3"):
-        bag = str(folder / storage)
-        assert main(["simulate", bag, "--duration", "20", "--storage", storage]) == 0
-    return folder
 
 
 @pytest.fixture
@@ -70,51 +43,6 @@ def recorded(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
             topic.name: [(stamp, payload) for _, stamp, payload in opened.messages([topic])]
             for topic in opened.topics
         }
-
-
-@contextmanager
-def listening(
-    topics: Mapping[str, str], environment: dict[str, str], folder: Path
-) -> Iterator[Received]:
-    """Listen in another process; what it received is there after the block."""
-    output = folder / "received.pickle"
-    arguments = [f"{topic}={kind}" for topic, kind in topics.items()]
-    received: Received = {topic: [] for topic in topics}
-    with subprocess.Popen(
-        [sys.executable, str(LISTENER), str(output), *arguments],
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline().strip() == "ready"
-            yield received
-            process.terminate()
-            assert process.wait(PATIENCE_S) == 0
-        finally:
-            process.kill()
-    for topic, payload in pickle.loads(output.read_bytes()):
-        received[topic].append(payload)
-
-
-def command(bag: Path, *options: object) -> list[str]:
-    waiting = ["--wait-for-subscribers", "30"]
-    return [sys.executable, "-m", "trajeval_ros", "replay", str(bag), *waiting, *map(str, options)]
-
-
-def replay(bag: Path, environment: dict[str, str], *options: object) -> str:
-    done = subprocess.run(
-        command(bag, *options),
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout
 
 
 def assert_same(received: list[bytes], sent: list[bytes]) -> None:
@@ -229,7 +157,7 @@ def test_a_signal_ends_it_in_order(
     with (
         listening(TYPES, environment, tmp_path) as received,
         subprocess.Popen(
-            command(flight),
+            replay_command(flight),
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -266,7 +194,11 @@ def test_a_mistake_is_one_sentence(
     flight: Path, options: list[str], complaint: str, environment: dict[str, str]
 ) -> None:
     done = subprocess.run(
-        command(flight, *options), env=environment, capture_output=True, text=True, check=False
+        replay_command(flight, *options),
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 2
     ours = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
