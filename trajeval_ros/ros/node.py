@@ -244,7 +244,11 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def _log(self, text: str, *, warn: bool = False) -> None:
         self._line.clear()
-        (self.get_logger().warning if warn else self.get_logger().info)(text)
+        logger = self.get_logger()
+        if warn:  # rclpy wants one severity of each line of code
+            logger.warning(text)
+        else:
+            logger.info(text)
 
     def _complain(self) -> None:
         """Say once what is wrong with the disk, and that it is well again."""
