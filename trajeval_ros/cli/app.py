@@ -25,6 +25,7 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
 )
 app.command()(evaluate)
 app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)

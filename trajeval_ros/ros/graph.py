@@ -40,7 +40,9 @@ def why_unmatched(node: Node, topic: str, types: tuple[str, ...]) -> str:
     poses = [
         name
         for name, kinds in node.get_topic_names_and_types()
-        if any(kind in types for kind in kinds) and node.count_publishers(name)
+        if any(kind in types for kind in kinds)
+        and node.count_publishers(name)
+        and not name.startswith(f"{node.get_fully_qualified_name()}/")
     ]
     if poses:
         return f"nobody publishes {topic}; there are poses on {nearest(topic, poses)}"

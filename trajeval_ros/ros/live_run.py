@@ -118,6 +118,11 @@ class LiveRun:
         troubles += [_trouble(each.writer.close) for each in self.estimates]
         return [each for each in troubles if each]
 
+    def missing(self, estimate: LiveEstimate) -> str:
+        """Return the source that nothing has come from yet; empty if both have spoken."""
+        sides = (self.groundtruth, estimate.side)
+        return next((each.source for each in sides if each.silent_s is None), "")
+
     @property
     def has_pairs(self) -> bool:
         """Whether there is anything to evaluate."""

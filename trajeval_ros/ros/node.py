@@ -157,7 +157,13 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 diagnose(self.get_name(), self._run, estimate, snapshot, update, self._values)
             )
             parts.append(
-                summary(estimate.name, snapshot, self._values["window"], update.position_m)
+                summary(
+                    estimate.name,
+                    snapshot,
+                    self._values["window"],
+                    update.position_m,
+                    self._run.missing(estimate),
+                )
             )
         self._diagnostics.publish(message)
         self._complain()

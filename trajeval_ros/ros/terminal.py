@@ -38,10 +38,24 @@ class StatusLine:
             self._shown = False
 
 
-def summary(name: str, snapshot: Snapshot, window: str, newest_m: float | None) -> str:
-    """Return one estimate's part of the line."""
+def summary(
+    name: str, snapshot: Snapshot, window: str, newest_m: float | None, missing: str
+) -> str:
+    """Return one estimate's part of the line.
+
+    Args:
+        name: The estimate's.
+        snapshot: Its evaluation.
+        window: What its ATE is about, in words of the parameter.
+        newest_m: Position error of the newest pair.
+        missing: The topic that nothing has come from yet; empty if there is none.
+    """
     if not snapshot.pairs:
-        return f"{name}: no pair yet, {snapshot.waiting} poses wait for groundtruth"
+        waiting = f"{snapshot.waiting} poses wait for groundtruth"
+        return f"{name}: " + (
+            f"nothing yet on {missing}" if missing else f"no pair yet, {waiting}"
+        )
+    window = "whole run" if window == "0" else window
     if snapshot.alignment is None or snapshot.window_position_rmse_m is None:
         return f"{name}: warming up, {snapshot.warming_up}"
     words = [f"{name}: ATE {snapshot.window_position_rmse_m:.3f} m"]
