@@ -161,13 +161,11 @@ def test_moments_of_parts_add_up_to_those_of_the_whole(
         assert moments.rmse(similarity) == pytest.approx(whole.rmse(best), rel=1e-9)
         np.testing.assert_allclose(similarity.rotation, best.rotation, atol=1e-11)
     left = whole - first
-    np.testing.assert_allclose(left.mean_q, second.mean_q, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(left.mean_r, second.mean_r, atol=1e-9)
-    size = np.trace(whole.scatter_qq)
+    np.testing.assert_allclose(left.mean, second.mean, rtol=1e-12, atol=1e-9)
+    size = np.trace(whole.scatter[:3, :3])
     # Means are known to the rounding of coordinates, 1e-9 m at 5000 km.
     rounding = 1e-12 * size + 1e-15 * float(np.abs(offset).max()) * np.sqrt(size * len(p))
-    np.testing.assert_allclose(left.scatter_qq, second.scatter_qq, rtol=0, atol=rounding)
-    np.testing.assert_allclose(left.scatter_rr, second.scatter_rr, rtol=0, atol=rounding)
+    np.testing.assert_allclose(left.scatter, second.scatter, rtol=0, atol=rounding)
     best = solve(gauge, second).similarity
     assert left.rmse(solve(gauge, left).similarity) == pytest.approx(
         second.rmse(best), rel=1e-6, abs=1e-9
@@ -193,7 +191,7 @@ def test_merging_moments_is_associative_and_the_empty_ones_are_its_zero(
         (a - zero, a),
         (a - a, zero),
     ):
-        for name in ("weight", "mean_q", "mean_r", "scatter_qq", "scatter_rq", "scatter_rr"):
+        for name in ("weight", "mean", "scatter"):
             ours, theirs = getattr(left, name), getattr(right, name)
             np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-10, err_msg=name)
 
@@ -221,7 +219,7 @@ def test_moments_of_many_pairs_are_those_of_few(count: int) -> None:
     centre = np.average(q - UTM, axis=0, weights=weights)
     np.testing.assert_allclose(moments.mean_q - UTM, centre, atol=1e-8)
     scatter = ((q - UTM - centre) * weights[:, None]).T @ (q - UTM - centre)
-    np.testing.assert_allclose(moments.scatter_qq, scatter, rtol=1e-7, atol=1e-7 * count)
+    np.testing.assert_allclose(moments.scatter[:3, :3], scatter, rtol=1e-7, atol=1e-7 * count)
 
 
 @given(seed=seeds)
@@ -234,6 +232,20 @@ def test_moments_do_not_depend_on_their_anchor(seed: int) -> None:
     for gauge in ALIGNING:
         best = [moments.rmse(solve(gauge, moments).similarity) for moments in anchored]
         np.testing.assert_allclose(best, best[0], rtol=1e-8)
+
+
+@given(seed=seeds)
+def test_moments_know_the_mean_and_the_spread_under_any_linear_map(seed: int) -> None:
+    p, q = points(seed, error_m=0.01)
+    linear = np.random.default_rng(seed).normal(size=(3, 3))
+    differences = p - q @ linear.T
+    moments = Moments.of_pairs(p, q)
+    np.testing.assert_allclose(
+        moments.mean_difference(linear), differences.mean(axis=0), rtol=1e-9, atol=1e-9
+    )
+    apart = differences - differences.mean(axis=0)
+    spread = np.sqrt(np.mean(np.sum(apart**2, axis=1)))
+    assert moments.spread(linear) == pytest.approx(spread, rel=1e-9)
 
 
 def test_moments_under_different_anchors_are_not_added_silently() -> None:

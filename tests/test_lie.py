@@ -180,8 +180,8 @@ def test_interpolation_turns_evenly_from_start_to_end(a: int, b: int) -> None:
 def test_work_by_blocks_is_work_at_once(count: int) -> None:
     random = np.random.default_rng(count)
     a, b = random.normal(size=(count, 4)), random.normal(size=(count, 4))
-    product, angle = lie.by_blocks(lambda x, y: (lie.multiply(x, y), lie.angle(x)), a, b)
-    np.testing.assert_array_equal(product, lie.multiply(a, b))
+    product, angle = lie.by_blocks(lambda x, y: (x * y, lie.angle(x)), a, b)
+    np.testing.assert_array_equal(product, a * b)
     np.testing.assert_array_equal(angle, lie.angle(a))
 
 
@@ -200,3 +200,23 @@ def test_a_matrix_of_half_a_turn_keeps_its_digits(axis: Array, angle: float) -> 
     rotation = Rotation.from_rotvec(angle * axis)
     between = Rotation.from_quat(lie.from_matrix(rotation.as_matrix())) * rotation.inv()
     assert between.magnitude() < 1e-15
+
+
+@given(a=seeds, b=seeds)
+def test_few_products_are_as_many(a: int, b: int) -> None:
+    p, q = np.tile(quaternions(a), (20, 1)), np.tile(quaternions(b), (20, 1))
+    vectors = np.random.default_rng(a).normal(scale=100.0, size=(len(p), 3))
+    for few in (1, 7, 50):
+        np.testing.assert_allclose(
+            lie.multiply(p[:few], q[:few]), lie.multiply(p, q)[:few], atol=1e-15
+        )
+        np.testing.assert_allclose(
+            lie.rotate(p[:few], vectors[:few]), lie.rotate(p, vectors)[:few], atol=1e-13
+        )
+
+
+@given(a=seeds, b=seeds)
+def test_a_product_of_floats_is_that_of_arrays(a: int, b: int) -> None:
+    p, q = quaternions(a)[0], quaternions(b)[0]
+    product = tuple(lie.hamilton(p.tolist(), q.tolist()))
+    np.testing.assert_allclose(product, lie.multiply(p, q), atol=1e-15)

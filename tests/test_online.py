@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -138,6 +138,57 @@ def test_live_is_offline(seed: int, gauge: Gauge) -> None:
     assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol), 1e-8)
 
 
+def feed_in_batches(
+    evaluator: OnlineEvaluator, groundtruth: Trajectory, estimate: Trajectory, size: int
+) -> None:
+    """Feed both streams in order of their stamps, so many messages between two updates."""
+    stamps = np.concatenate([groundtruth.stamps, estimate.stamps])
+    order = np.argsort(stamps, kind="stable")
+    truth_rows, estimate_rows = rows_of(groundtruth), rows_of(estimate)
+    for begin in range(0, len(order), size):
+        batch = order[begin : begin + size]
+        g, e = batch[batch < len(groundtruth)], batch[batch >= len(groundtruth)] - len(groundtruth)
+        evaluator.add_groundtruth(groundtruth.stamps[g], truth_rows[g])
+        evaluator.add_estimate(estimate.stamps[e], estimate_rows[e])
+        evaluator.update()
+    evaluator.update(at_end=True)
+
+
+def numbers_of(thing: object) -> Iterator[float | str | None]:
+    """Yield all that a snapshot says, number by number, names before what they name."""
+    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        thing = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing)}
+    if isinstance(thing, dict):
+        for name in sorted(thing):
+            yield name
+            yield from numbers_of(thing[name])
+    elif isinstance(thing, np.ndarray):
+        yield from thing.ravel().tolist()
+    else:
+        assert thing is None or isinstance(thing, int | float | str)
+        yield thing
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
+@pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
+def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, window: str) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(8, "m"), Length(2, "s")))
+    said = []
+    for size in (1, 24, 10_000):
+        evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse(window)))
+        feed_in_batches(evaluator, groundtruth, estimate, size)
+        said.append(list(numbers_of(evaluator.snapshot())))
+    for others in said[1:]:
+        for mine, other in zip(said[0], others, strict=True):
+            if isinstance(mine, float):
+                assert other == pytest.approx(mine, rel=1e-9, abs=1e-11)
+            else:
+                assert other == mine
+
+
 @given(seed=seeds)
 def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -209,6 +260,56 @@ def test_memory_does_not_grow_with_the_run() -> None:
     assert len(evaluator.store) < 2000
 
 
+def numbers_held(thing: object, seen: set[int]) -> int:
+    """Return how many numbers and objects something keeps alive, arrays with all their room."""
+    if id(thing) in seen:
+        return 0
+    seen.add(id(thing))
+    if isinstance(thing, np.ndarray):
+        return thing.size if thing.base is None else numbers_held(thing.base, seen)
+    inside: list[object] = []
+    if isinstance(thing, dict):
+        inside = [*thing.keys(), *thing.values()]
+    elif isinstance(thing, list | tuple | set):
+        inside = list(thing)
+    elif type(thing).__module__.startswith("trajeval_ros"):
+        inside = list(vars(thing).values())
+    return 1 + sum(numbers_held(each, seen) for each in inside)
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0], ids=["at rest", "moving"])
+def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trajeval_ros.online.relative.MOST_OPEN_STARTS", 1000)
+    evaluator = OnlineEvaluator(
+        OnlineSettings(
+            Protocol(lengths=(Length(2, "m"), Length(1, "s"))),
+            Window.parse("2s"),
+            limits=Limits(groundtruth_s=1.0),
+        )
+    )
+
+    def poses(stamps: NDArray[np.int64]) -> NDArray[np.float64]:
+        angle = speed / 2.0 * stamps / SECOND
+        flat = np.zeros(len(stamps))
+        positions = np.column_stack([2.0 * np.cos(angle), 2.0 * np.sin(angle), flat])
+        return states(
+            positions, np.column_stack([flat, flat, np.sin(angle / 2.0), np.cos(angle / 2.0)])
+        )
+
+    held = []
+    for drain in range(2000):  # 1 kHz and 200 Hz, drained at 50 Hz
+        truth = (drain * 20 + np.arange(20, dtype=np.int64)) * 1_000_000
+        stamps = (drain * 4 + np.arange(4, dtype=np.int64)) * 5_000_000 + 300_000
+        evaluator.add_groundtruth(truth, poses(truth))
+        evaluator.add_estimate(stamps, poses(stamps))
+        evaluator.update()
+        held.append(numbers_held(evaluator, set()) if drain % 20 == 0 else 0)
+    assert max(held[1000:]) <= max(held[:1000])
+    running = evaluator.snapshot().relative["2m"]
+    assert (running.count == 0) == (speed == 0.0)
+    assert (running.given_up > 0) == (speed == 0.0)
+
+
 @pytest.mark.slow
 def test_running_sums_hold_over_two_million_pairs_at_utm_coordinates() -> None:
     random = np.random.default_rng(0)
@@ -264,6 +365,13 @@ def test_what_waits_is_bounded_and_counted() -> None:
     assert snapshot.dropped == {"waited_too_long": 900}
     assert snapshot.alignment is None
     assert snapshot.warming_up == "no pair yet"
+
+
+@pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
+def test_a_snapshot_before_the_first_pair_has_no_errors(window: str) -> None:
+    snapshot = OnlineEvaluator(OnlineSettings(window=Window.parse(window))).snapshot()
+    assert (snapshot.pairs, snapshot.window_pairs, snapshot.ate) == (0, 0, {})
+    assert snapshot.position_rmse_m is snapshot.window_position_rmse_m is None
 
 
 def test_states_that_are_no_poses_are_counted_by_reason() -> None:

@@ -6,10 +6,12 @@ one state: eq. (19) and (20).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros import lie
@@ -88,10 +90,13 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
     sigma = moments.covariance_pq
     rotation = np.eye(3)
     if gauge.turns_freely:
-        u, d, vt = np.linalg.svd(sigma)
-        w = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt)) or 1.0])
-        rotation = (u * w) @ vt
-        curvature = float(d[1] + w[2] * d[2])  # of the cost about its flattest axis, m^2/rad^2
+        # numpy's own way to this routine costs three times the decomposition.
+        u, d, vt, failure = lapack.dgesdd(sigma)
+        if failure:
+            raise np.linalg.LinAlgError(f"no singular values of {sigma.tolist()}")
+        flip = -1.0 if _is_mirrored(u @ vt) else 1.0
+        rotation = (u * [1.0, 1.0, flip]) @ vt
+        curvature = float(d[1] + flip * d[2])  # of the cost about its flattest axis, m^2/rad^2
     elif gauge.turns_about_gravity_only:
         sine, cosine = sigma[1, 0] - sigma[0, 1], sigma[0, 0] + sigma[1, 1]
         rotation = _about_gravity(np.arctan2(sine, cosine))
@@ -101,22 +106,30 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
     # Line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma.
     best_scale = 1.0
     if moments.variance_q > 0.0:
-        best_scale = max(float(np.sum(rotation * sigma)) / moments.variance_q, 0.0)
-    scaled = _mean_to_mean(rotation, best_scale, moments)
+        best_scale = float(np.vdot(rotation, sigma)) / moments.variance_q
+        # Groundtruth at rest has no scale: what is left is the rounding of the sums.
+        if best_scale <= _ROUNDING * moments.anchor.scale:
+            best_scale = 0.0
     lever_squared = best_scale * curvature
     if lever_squared <= _ROUNDING * best_scale**2 * moments.variance_q:
         lever_squared = 0.0
     return Solution(
         gauge,
-        scaled if gauge.has_scale else _mean_to_mean(rotation, 1.0, moments),
-        float(np.sqrt(lever_squared)),
-        moments.rmse(scaled),
+        _mean_to_mean(rotation, best_scale if gauge.has_scale else 1.0, moments),
+        math.sqrt(lever_squared),
+        moments.spread(best_scale * rotation),
     )
+
+
+def _is_mirrored(orthogonal: Array) -> bool:
+    """Return whether an orthogonal matrix (3, 3) has the determinant -1."""
+    (a, b, c), (d, e, f), (g, h, i) = orthogonal.tolist()
+    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0)
 
 
 def _mean_to_mean(rotation: Array, scale: float, moments: Moments) -> Similarity:
     """Return the similarity of a rotation and scale with the translation of line 10 of Alg. 1."""
-    return Similarity(rotation, moments.mean_p - scale * rotation @ moments.mean_q, scale)
+    return Similarity(rotation, moments.mean_difference(scale * rotation), scale)
 
 
 def align(

@@ -120,7 +120,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
         groundtruth_coverage=coverage_of(
             stamps,
-            time_without_gaps(groundtruth.stamps, rule.max_gap_s),
+            time_without_gaps(np.sort(groundtruth.stamps), rule.max_gap_s),
             len(groundtruth),
             rule.max_gap_s,
         ),
@@ -190,17 +190,15 @@ class Bracket:
 
 def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket:
     """Find each of the stamps (N,) between the sorted, distinct times of states (M,), M > 0."""
-    last = len(times) - 1
-    after = np.searchsorted(times, stamps, side="left")
-    end = np.minimum(after, last)
-    exact = times[end] == stamps
+    end = np.minimum(times.searchsorted(stamps), len(times) - 1)
+    at_end = times[end]
     # A stamp on a state's own takes that state alone, also at the first one.
-    start = np.where(exact, end, np.maximum(end - 1, 0))
-    step = times[end] - times[start]
-    early, late = (after == 0) & ~exact, after > last
-    inside = ~(early | late | exact)
-    gap = inside & (step > round(max_gap_s * NANOSECONDS))
-    fraction = np.where(inside, (stamps - times[start]) / np.where(inside, step, 1), 0.0)
+    start = np.where(at_end == stamps, end, np.maximum(end - 1, 0))
+    at_start = times[start]
+    step = at_end - at_start
+    early, late = stamps < times[0], stamps > times[-1]
+    gap = (step > round(max_gap_s * NANOSECONDS)) & ~late
+    fraction = np.where(early | late, 0.0, (stamps - at_start) / np.maximum(step, 1))
     return Bracket(start, end, fraction, early, late, gap)
 
 
@@ -347,8 +345,8 @@ def coverage_of(
 
 
 def time_without_gaps(stamps: Indices, max_gap_s: float) -> int:
-    """Return the sum of the steps between stamps that are no gaps, nanoseconds."""
-    steps = np.diff(np.sort(stamps))
+    """Return the sum of the steps between sorted stamps that are no gaps, nanoseconds."""
+    steps = stamps[1:] - stamps[:-1]
     return int(steps[steps <= round(max_gap_s * NANOSECONDS)].sum())
 
 

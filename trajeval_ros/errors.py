@@ -69,7 +69,7 @@ def absolute_errors(
             positions = lie.rotate(between, positions)
             velocities = None if velocities is None else lie.rotate(between, velocities)
     return AbsoluteErrors(
-        position_m=_lengths(groundtruth.positions - positions),
+        position_m=lengths(groundtruth.positions - positions),
         rotation_deg=angle,
         yaw_deg=yaw,
         tilt_deg=tilt,
@@ -145,66 +145,77 @@ def relative_errors(
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
     """
-    truth, other = States.of(groundtruth), States.of(estimate)
-    return errors_at_ends(truth, other, starts, ends, gauge, scale, form)
+    truth, other = Poses.of(groundtruth), Poses.of(estimate)
+
+    def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
+        rows = np.stack([s, e])
+        difference, between, first = differences_at_ends(
+            truth.at(rows), other.at(rows), gauge, scale, form
+        )
+        angle, yaw, tilt = _rotation_errors(between)
+        if form == "euler":
+            yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
+        errors = (lengths(difference), angle, yaw, tilt)
+        if groundtruth.velocities is None or estimate.velocities is None:
+            return errors
+        velocity = scale * lie.rotate(first, estimate.velocities[e])
+        if form == "tutorial":
+            velocity = lie.rotate(between, velocity)
+        return (*errors, lengths(groundtruth.velocities[e] - velocity))
+
+    return RelativeErrors(starts, ends, *lie.by_blocks(at_ends, starts, ends))
 
 
-class States(NamedTuple):
-    """The columns of N states that relative errors need.
+class Poses(NamedTuple):
+    """The columns of poses that relative errors need.
 
     Attributes:
-        positions: (N, 3), metres.
-        quaternions: (N, 4), xyzw, unit.
-        velocities: (N, 3), m/s, or None.
+        positions: (..., 3), metres.
+        quaternions: (..., 4), xyzw, unit.
     """
 
     positions: Array
     quaternions: Array
-    velocities: Array | None = None
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> States:
-        """Return the columns of a trajectory with rotations."""
+    def of(cls, trajectory: Trajectory) -> Poses:
+        """Return the N poses of a trajectory with rotations."""
         quaternions = trajectory.quaternions
         assert quaternions is not None
-        return cls(trajectory.positions, quaternions, trajectory.velocities)
+        return cls(trajectory.positions, quaternions)
+
+    def at(self, rows: Indices) -> Poses:
+        """Return the poses of these rows."""
+        return Poses(self.positions[rows], self.quaternions[rows])
 
 
-def errors_at_ends(
-    truth: States,
-    other: States,
-    starts: Indices,
-    ends: Indices,
-    gauge: Gauge,
-    scale: float = 1.0,
-    form: str = "gauge",
-) -> RelativeErrors:
-    """Return what `relative_errors` does, of bare columns."""
+def differences_at_ends(
+    truth: Poses, other: Poses, gauge: Gauge, scale: float = 1.0, form: str = "gauge"
+) -> tuple[Array, Array, Array]:
+    """Align K sub-trajectories at their starts; return the differences at their ends.
+
+    Args:
+        truth: (2, K) groundtruth poses, those of the starts and those of the ends.
+        other: (2, K) estimated poses.
+        gauge: As for `relative_errors`.
+        scale: As for `relative_errors`.
+        form: As for `relative_errors`.
+
+    Returns:
+        The position errors (K, 3), the rotation errors (K, 4), the alignments' rotations (K, 4).
+    """
+    first, last = _between(truth.quaternions, other.quaternions)
+    # The alignment is eq. (19), for yaw with the rotation of eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
-
-    def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
-        first = _between(truth.quaternions[s], other.quaternions[s])  # eq. (19)
-        if about_gravity:
-            first = _twist(first)  # eq. (20)
-        # eq. (14) with the first state's alignment, relative to that state's position.
-        step = scale * lie.rotate(first, other.positions[e] - other.positions[s])
-        between = _between(truth.quaternions[e], lie.multiply(first, other.quaternions[e]))
-        angle, yaw, tilt = _rotation_errors(between)
-        difference = truth.positions[e] - truth.positions[s] - step
-        if form == "tutorial":
-            aligned = truth.positions[s] + step
-            difference = truth.positions[e] - lie.rotate(between, aligned)
-        elif form == "euler":
-            yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
-        errors = (_lengths(difference), angle, yaw, tilt)
-        if truth.velocities is None or other.velocities is None:
-            return errors
-        velocity = scale * lie.rotate(first, other.velocities[e])
-        if form == "tutorial":
-            velocity = lie.rotate(between, velocity)
-        return (*errors, _lengths(truth.velocities[e] - velocity))
-
-    return RelativeErrors(starts, ends, *lie.by_blocks(at_ends, starts, ends))
+    alignment = _twist(first) if about_gravity else first
+    # eq. (14) with the first state's alignment, relative to that state's position.
+    step = scale * lie.rotate(alignment, other.positions[1] - other.positions[0])
+    # R (R_a R')^T, with R R'^T at hand for both states.
+    between = lie.multiply(last, lie.conjugate(alignment))
+    if form == "tutorial":
+        aligned = truth.positions[0] + step
+        return truth.positions[1] - lie.rotate(between, aligned), between, alignment
+    return truth.positions[1] - truth.positions[0] - step, between, alignment
 
 
 def _twist(quaternions: Array) -> Array:
@@ -238,12 +249,13 @@ def _euler_in_estimate_world(
     return np.degrees(yaw), np.degrees(tilt)
 
 
-def _lengths(vectors: Array) -> Array:
-    lengths: Array = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    return lengths
+def lengths(vectors: Array) -> Array:
+    """Return the lengths (N,) of vectors (N, 3)."""
+    norms: Array = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return norms
 
 
 def _differences(groundtruth: Array | None, estimate: Array | None) -> Array | None:
     if groundtruth is None or estimate is None:
         return None
-    return _lengths(groundtruth - estimate)
+    return lengths(groundtruth - estimate)

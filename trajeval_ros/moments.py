@@ -6,7 +6,10 @@ run share one solver, and a live update costs the same however long the run is.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,25 +34,19 @@ class Moments:
     Attributes:
         anchor: Alignment under which residuals are taken.
         weight: Sum of weights; the number of pairs where no weights were given.
-        mean_q: (3,) mean estimated position, metres.
-        mean_r: (3,) mean residual, metres.
-        scatter_qq: (3, 3) sum of w (q - mean_q)(q - mean_q)^T.
-        scatter_rq: (3, 3) sum of w (r - mean_r)(q - mean_q)^T.
-        scatter_rr: Sum of w |r - mean_r|^2.
+        mean: (6,) mean of x = (q, r), metres.
+        scatter: (6, 6) sum of w (x - mean)(x - mean)^T.
     """
 
     anchor: Similarity
     weight: float
-    mean_q: Array
-    mean_r: Array
-    scatter_qq: Array
-    scatter_rq: Array
-    scatter_rr: float
+    mean: Array
+    scatter: Array
 
     @classmethod
     def empty(cls, anchor: Similarity) -> Moments:
         """Return the moments of no pair at all."""
-        return cls(anchor, 0.0, np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), 0.0)
+        return cls(anchor, 0.0, np.zeros(6), np.zeros((6, 6)))
 
     @classmethod
     def of_pairs(
@@ -72,32 +69,29 @@ class Moments:
             shift = groundtruth[first].mean(axis=0) - estimate[first].mean(axis=0)
             anchor = Similarity(np.eye(3), shift)
         anchor = anchor or Similarity.identity()
-        moments = cls.empty(anchor)
-        for begin in range(0, len(groundtruth), _BLOCK):
-            rows = slice(begin, begin + _BLOCK)
-            w = None if weights is None else weights[rows]
-            moments += cls._of_block(groundtruth[rows], estimate[rows], w, anchor)
-        return moments
+        blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(groundtruth), _BLOCK)]
+        parts = [
+            cls._of_block(
+                groundtruth[rows],
+                estimate[rows],
+                None if weights is None else weights[rows],
+                anchor,
+            )
+            for rows in blocks
+        ]
+        return reduce(add, parts) if parts else cls.empty(anchor)
 
     @classmethod
     def _of_block(
         cls, groundtruth: Array, estimate: Array, weights: Array | None, anchor: Similarity
     ) -> Moments:
-        w = np.ones(len(groundtruth)) if weights is None else weights
-        residuals = groundtruth - anchor.positions(estimate)
+        x = np.concatenate([estimate, groundtruth - anchor.positions(estimate)], axis=1)
+        w = np.ones(len(x)) if weights is None else weights
         total = float(w.sum())
-        mean_q, mean_r = w @ estimate / total, w @ residuals / total
-        q, r = estimate - mean_q, residuals - mean_r
-        weighted_q, weighted_r = q * w[:, None], r * w[:, None]
-        return cls(
-            anchor=anchor,
-            weight=total,
-            mean_q=mean_q,
-            mean_r=mean_r,
-            scatter_qq=weighted_q.T @ q,
-            scatter_rq=weighted_r.T @ q,
-            scatter_rr=float(np.einsum("ni,ni->", weighted_r, r)),
-        )
+        mean = w @ x / total
+        x -= mean
+        weighted = x if weights is None else x * w[:, None]
+        return cls(anchor, total, mean, weighted.T @ x)
 
     def __add__(self, other: Moments) -> Moments:
         """Return the moments of both sets of pairs (Chan, Golub and LeVeque's merge)."""
@@ -113,71 +107,55 @@ class Moments:
         weight = self.weight + sign * other.weight
         if weight <= 0.0:
             return Moments.empty(self.anchor)
-        share = sign * other.weight / weight
-        step_q, step_r = other.mean_q - self.mean_q, other.mean_r - self.mean_r
         # For removal `share` is negative, and the same formulas hold.
-        between = share * self.weight
+        share = sign * other.weight / weight
+        step = other.mean - self.mean
+        between = share * self.weight * step[:, None] * step
         return Moments(
-            anchor=self.anchor,
-            weight=weight,
-            mean_q=self.mean_q + share * step_q,
-            mean_r=self.mean_r + share * step_r,
-            scatter_qq=self.scatter_qq
-            + sign * other.scatter_qq
-            + between * (step_q[:, None] * step_q),
-            scatter_rq=self.scatter_rq
-            + sign * other.scatter_rq
-            + between * (step_r[:, None] * step_q),
-            scatter_rr=self.scatter_rr
-            + sign * other.scatter_rr
-            + between * float(step_r @ step_r),
+            self.anchor,
+            weight,
+            self.mean + share * step,
+            self.scatter + sign * other.scatter + between,
         )
 
     def with_anchor(self, anchor: Similarity) -> Moments:
         """Return the moments of the same pairs with residuals under another anchor."""
-        # r' = p - A' q = r + (A - A') q + (t - t').
-        linear = self.anchor.scale * self.anchor.rotation - anchor.scale * anchor.rotation
-        shift = self.anchor.translation - anchor.translation
-        scatter_rr = (
-            self.scatter_rr
-            + 2.0 * float(np.sum(linear * self.scatter_rq))
-            + float(np.sum((linear @ self.scatter_qq) * linear))
-        )
-        return Moments(
-            anchor=anchor,
-            weight=self.weight,
-            mean_q=self.mean_q,
-            mean_r=self.mean_r + linear @ self.mean_q + shift,
-            scatter_qq=self.scatter_qq,
-            scatter_rq=self.scatter_rq + linear @ self.scatter_qq,
-            scatter_rr=max(scatter_rr, 0.0),
-        )
+        # r' = p - A' q - t' = r + (A - A') q + (t - t').
+        turn = np.eye(6)
+        turn[3:, :3] = self.anchor.linear - anchor.linear
+        mean = turn @ self.mean
+        mean[3:] += self.anchor.translation - anchor.translation
+        return Moments(anchor, self.weight, mean, turn @ self.scatter @ turn.T)
 
     @property
-    def mean_p(self) -> Array:
-        """Mean groundtruth position, (3,), metres."""
-        mean: Array = self.anchor.positions(self.mean_q[None])[0] + self.mean_r
-        return mean
+    def mean_q(self) -> Array:
+        """Mean estimated position, (3,), metres."""
+        return self.mean[:3]
 
     @property
     def covariance_pq(self) -> Array:
         """The matrix Sigma of Alg. 1, (3, 3), square metres."""
-        linear = self.anchor.scale * self.anchor.rotation
-        return (linear @ self.scatter_qq + self.scatter_rq) / self.weight
+        scatter_qq, scatter_rq = self.scatter[:3, :3], self.scatter[3:, :3]
+        return (self.anchor.linear @ scatter_qq + scatter_rq) / self.weight
 
     @property
     def variance_q(self) -> float:
         """sigma^2 of the estimated positions in Alg. 1, square metres."""
-        return float(np.trace(self.scatter_qq)) / self.weight
+        return float(self.scatter[:3, :3].trace()) / self.weight
+
+    def mean_difference(self, linear: Array) -> Array:
+        """Return the mean of p - L q, (3,), metres, for a linear map L (3, 3)."""
+        # p - L q = (A - L) q + r + t, with small A - L and small r: nothing cancels.
+        turned = (self.anchor.linear - linear) @ self.mean_q
+        return turned + self.mean[3:] + self.anchor.translation
+
+    def spread(self, linear: Array) -> float:
+        """Return the root mean square of |p - L q - their mean|, metres."""
+        turn = np.eye(3, 6, 3)
+        turn[:, :3] = self.anchor.linear - linear
+        return math.sqrt(max(float(np.vdot(turn @ self.scatter, turn)), 0.0) / self.weight)
 
     def rmse(self, alignment: Similarity) -> float:
         """Return the root mean square of |p - (alignment of q)|, metres: the ATE, eq. (24)."""
-        # p - S q = (A - S) q + r + (t_a - t), with small A - S and small r: nothing cancels.
-        linear = self.anchor.scale * self.anchor.rotation - alignment.scale * alignment.rotation
-        mean = linear @ self.mean_q + self.mean_r + self.anchor.translation - alignment.translation
-        scatter = (
-            np.trace(linear @ self.scatter_qq @ linear.T)
-            + 2.0 * np.trace(linear @ self.scatter_rq.T)
-            + self.scatter_rr
-        )
-        return float(np.sqrt(mean @ mean + max(float(scatter), 0.0) / self.weight))
+        mean = self.mean_difference(alignment.linear) - alignment.translation
+        return math.hypot(*mean.tolist(), self.spread(alignment.linear))

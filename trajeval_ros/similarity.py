@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,14 @@ class Similarity:
         """Return the transformation that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
 
+    @cached_property
+    def linear(self) -> Array:
+        """The scaled rotation, (3, 3)."""
+        return self.scale * self.rotation
+
     def positions(self, points: Array) -> Array:
-        """Return the points (N, 3) transformed."""
-        moved: Array = points @ (self.scale * self.rotation).T + self.translation
+        """Return the points, (N, 3) or one (3,), transformed."""
+        moved: Array = points @ self.linear.T + self.translation
         return moved
 
     def quaternions(self, quaternions: Array) -> Array:
@@ -58,7 +64,7 @@ class Similarity:
 
     def vectors(self, vectors: Array) -> Array:
         """Return free vectors (N, 3), such as velocities, scaled and turned."""
-        turned: Array = vectors @ (self.scale * self.rotation).T
+        turned: Array = vectors @ self.linear.T
         return turned
 
     @property

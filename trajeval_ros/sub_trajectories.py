@@ -99,18 +99,17 @@ def nearest_ends(
         rule: `nearest` or `toolbox`.
     """
     target = along[starts] + length
-    after = np.searchsorted(along, target, side="left")
-    within = np.minimum(after, len(along) - 1)
-    before = np.maximum(within - 1, starts)
+    within = np.minimum(along.searchsorted(target), len(along) - 1)
+    reached, missed = along[within], along[np.maximum(within - 1, starts)]
     # Of states at the same place (a robot at rest) the first one ends the sub-trajectory.
-    before = np.maximum(np.searchsorted(along, along[before], side="left"), starts)
-    after_is_nearer = np.abs(along[within] - target) < np.abs(along[before] - target)
-    ends = np.where(after_is_nearer, within, before)
-    deviation = np.abs(along[ends] - target)
+    before = np.maximum(along.searchsorted(missed), starts)
+    too_long, too_short = np.abs(reached - target), np.abs(missed - target)
+    ends = np.where(too_long < too_short, within, before)
+    deviation = np.minimum(too_long, too_short)
     if rule == "toolbox":
         accepted = deviation < LARGEST_DEVIATION * length
     else:
-        spacing = along[within] - along[np.maximum(within - 1, 0)]
+        spacing = reached - missed
         tolerance = np.minimum(
             np.maximum(TOLERANCE * length, spacing / 2.0), LARGEST_DEVIATION * length
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +61,7 @@ class OnlineEvaluator:
         self._record = record
         self._relative = RelativeTracker(self.settings.protocol)
         self._origin: tuple[Floats, Floats] | None = None
-        self._whole = self._window = self._first = Moments.empty(Similarity.identity())
-        self._window_begin = self._window_fresh = 0
+        self._whole = self._first = Moments.empty(Similarity.identity())
         self._anchored_at = 1
         self._alignment: Alignment | None = None
         self._kept = False
@@ -99,20 +98,22 @@ class OnlineEvaluator:
         if not np.isnan(pairs.groundtruth[0, 3] + pairs.estimate[0, 3]):
             scale = 1.0 if self._alignment is None else self._alignment.similarity.scale
             ends = self._relative.update(self.store, scale)
-        self.store.drop_before(min(self._window_begin, self._relative.oldest_needed(self.store)))
+        window_begin = self.store.window_begin(self.settings.window)
+        self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
         position, rotation = self._newest_errors(pairs)
         return Update(len(pairs.stamps), int(pairs.stamps[-1]), position, rotation, ends)
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation; costs as much as the window is long."""
+        begin = self.store.window_begin(self.settings.window)
         return Snapshot(
             pairs=self._count,
             warming_up=self._why_not,
             alignment=self._alignment,
             position_rmse_m=self._rmse(self._whole),
-            window_position_rmse_m=self._rmse(self._window),
-            ate=self._window_statistics(),
-            window_pairs=self.store.end - self._window_begin,
+            window_position_rmse_m=self._rmse(self._window_moments(begin)),
+            ate=self._window_statistics(begin),
+            window_pairs=self.store.end - begin,
             relative=self._relative.running,
             estimate_coverage=self._estimate_coverage(),
             groundtruth_coverage=self._groundtruth_coverage(),
@@ -168,57 +169,28 @@ class OnlineEvaluator:
 
     def _in_order(self, pairs: Pairs) -> Pairs:
         """Leave out pairs older than the newest one; the record has them."""
-        if not len(self.store):
+        if not len(self.store) or pairs.stamps[0] > self.store.stamps()[-1]:
             return pairs
         new = pairs.stamps > self.store.stamps()[-1]
-        if new.all():
-            return pairs
         self._late += int(np.count_nonzero(~new))
         return Pairs(pairs.stamps[new], pairs.groundtruth[new], pairs.estimate[new])
 
     def _sum(self, pairs: Pairs) -> None:
-        """Add the new pairs to the moments, and take what left the window out of them.
+        """Add the new pairs to the moments of the run.
 
         Running sums drift by rounding. Coordinates are taken from the first pair's, residuals
-        under an anchor that is renewed when the number of pairs has doubled, and a window's sums
-        are made anew from its pairs each time that it has turned over.
+        under an anchor that is renewed when the number of pairs has doubled.
         """
         if self._origin is None:
             self._origin = (
                 pairs.groundtruth[0, POSITION].copy(),
                 pairs.estimate[0, POSITION].copy(),
             )
-        new = self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
-        self._whole += new
-        window = self.settings.window
-        if window.is_whole_run:
-            self._renew_anchor()
-            self._window = self._whole
-            return
-        begin = self.store.window_begin(window)
-        anchor = self._whole.anchor
-        if begin >= self._window_fresh:
-            self._window_fresh = self.store.end
-            self._window = self._moments(
-                self.store.groundtruth(begin), self.store.estimate(begin), anchor
-            )
-        else:
-            self._window += new
-            if self._window_begin < begin:
-                old = self._window_begin, begin
-                self._window -= self._moments(
-                    self.store.groundtruth(*old), self.store.estimate(*old), anchor
-                )
-        self._window_begin = begin
-        self._renew_anchor()
-
-    def _renew_anchor(self) -> None:
-        if self._alignment is None or self._count < 2 * self._anchored_at:
-            return
-        anchor = self._shifted(self._alignment.similarity)
-        self._whole = self._whole.with_anchor(anchor)
-        self._window = self._window.with_anchor(anchor)
-        self._anchored_at = self._count
+        self._whole += self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
+        if self._alignment is not None and self._count >= 2 * self._anchored_at:
+            anchor = self._shifted(self._alignment.similarity)
+            self._whole = self._whole.with_anchor(anchor)
+            self._anchored_at = self._count
 
     def _moments(self, groundtruth: Floats, estimate: Floats, anchor: Similarity) -> Moments:
         assert self._origin is not None
@@ -276,15 +248,21 @@ class OnlineEvaluator:
         """Return an alignment of coordinates from the origin as one of the frames' own."""
         assert self._origin is not None
         p, q = self._origin
-        linear = similarity.scale * similarity.rotation
-        return replace(similarity, translation=similarity.translation + p - linear @ q)
+        translation = similarity.translation + p - similarity.linear @ q
+        return Similarity(similarity.rotation, translation, similarity.scale)
 
     def _shifted(self, similarity: Similarity) -> Similarity:
         """Return an alignment of the frames' own coordinates as one of those from the origin."""
         assert self._origin is not None
         p, q = self._origin
-        linear = similarity.scale * similarity.rotation
-        return replace(similarity, translation=similarity.translation - p + linear @ q)
+        translation = similarity.translation - p + similarity.linear @ q
+        return Similarity(similarity.rotation, translation, similarity.scale)
+
+    def _window_moments(self, begin: int) -> Moments:
+        if self.settings.window.is_whole_run or not len(self.store):
+            return self._whole
+        pairs = self.store.groundtruth(begin), self.store.estimate(begin)
+        return self._moments(*pairs, self._whole.anchor)
 
     def _rmse(self, moments: Moments) -> float | None:
         if self._alignment is None:
@@ -305,19 +283,18 @@ class OnlineEvaluator:
         if self._alignment is None:
             return None, None
         similarity = self._alignment.similarity
-        truth, estimate = pairs.groundtruth[-1], pairs.estimate[-1]
-        difference = truth[POSITION] - similarity.positions(estimate[POSITION])
-        position = float(np.sqrt(difference @ difference))
-        if self._alignment.undetermined or np.isnan(truth[3] + estimate[3]):
-            return position, None
-        aligned = similarity.quaternions(estimate[None, QUATERNION])[0]
-        between = lie.multiply(truth[QUATERNION], lie.conjugate(aligned))
-        return position, float(np.degrees(lie.angle(between)))
+        truth, estimate = pairs.groundtruth[-1].tolist(), pairs.estimate[-1].tolist()
+        aligned = similarity.positions(pairs.estimate[-1, POSITION])
+        position_m = math.dist(truth[POSITION], aligned.tolist())
+        if self._alignment.undetermined or math.isnan(truth[3] + estimate[3]):
+            return position_m, None
+        x, y, z, w = lie.hamilton(similarity.rotation_xyzw.tolist(), estimate[QUATERNION])
+        x, y, z, w = lie.hamilton(truth[QUATERNION], (-x, -y, -z, w))
+        return position_m, math.degrees(2.0 * math.atan2(math.hypot(x, y, z), abs(w)))
 
-    def _window_statistics(self) -> dict[str, Statistics | None]:
+    def _window_statistics(self, begin: int) -> dict[str, Statistics | None]:
         if self._alignment is None or not len(self.store):
             return {}
-        begin = self._window_begin
         errors = self._errors(
             self.store.stamps(begin), self.store.groundtruth(begin), self.store.estimate(begin)
         )

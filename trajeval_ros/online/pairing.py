@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import lie
 from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
-from trajeval_ros.trajectory import NANOSECONDS, travelled_distance
+from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -23,6 +23,8 @@ Stamps = NDArray[np.int64]
 # Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
 WIDTH = 10
+
+_NEVER = int(np.iinfo(np.int64).min)
 
 
 class Pairs(NamedTuple):
@@ -90,6 +92,11 @@ class Stream:
         """The states held: views of stamps (N,) and rows (N, 10)."""
         return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
 
+    @property
+    def newest(self) -> int:
+        """The newest stamp, nanoseconds; the earliest of all times if there is none."""
+        return int(self.stamps[self.end - 1]) if self.end > self.begin else _NEVER
+
     def append(self, stamps: Stamps, rows: Floats) -> None:
         """Add states that are sorted and newer than all held."""
         self._make_room(len(stamps))
@@ -131,8 +138,6 @@ class PairingBuffer:
         groundtruth_dropped: Number of groundtruth states that could not be used, by reason, and
             `after_use`: a state that arrived after its neighbours had been used without it.
         groundtruth_count: Number of groundtruth states so far.
-        groundtruth_time: Sum of their steps that are no gaps, nanoseconds.
-        groundtruth_path_m: Length of the path through them.
     """
 
     def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
@@ -146,29 +151,24 @@ class PairingBuffer:
         self.limits = limits or Limits()
         self.dropped: dict[str, int] = {}
         self.groundtruth_dropped: dict[str, int] = {}
-        self.groundtruth_count = self.groundtruth_time = 0
-        self.groundtruth_path_m = 0.0
+        self.groundtruth_count = 0
         self._truth, self._waiting = Stream(), Stream()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
-        self._forgotten_until = np.iinfo(np.int64).min
-        self._paired_until = np.iinfo(np.int64).min
+        self._forgotten_until = self._paired_until = _NEVER
+        self._forgotten_time = 0
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
         stamps, rows = self._finite(stamps, rows, self.groundtruth_dropped)
         if not len(stamps):
             return
-        held, held_rows = self._truth.held
-        if (not len(held) or stamps[0] > held[-1]) and (np.diff(stamps) > 0).all():
-            self._measure(np.r_[held[-1:], stamps], np.r_[held_rows[-1:], rows])
+        if _continue(self._truth.newest, stamps):
             self._truth.append(stamps, rows)
             self.groundtruth_count += len(stamps)
         else:
             after_use = int(np.count_nonzero(stamps <= self._paired_until))
             self._count(self.groundtruth_dropped, "after_use", after_use)
-            self._measure(held, held_rows, sign=-1)
             duplicates = self._truth.merge(stamps, rows)
-            self._measure(*self._truth.held)
             self._count(self.groundtruth_dropped, "duplicate_stamp", duplicates)
             self.groundtruth_count += len(stamps) - duplicates
 
@@ -177,8 +177,7 @@ class PairingBuffer:
         stamps, rows = self._finite(stamps, rows, self.dropped)
         if not len(stamps):
             return
-        newest = self._seen[-1] if len(self._seen) else np.iinfo(np.int64).min
-        if stamps[0] > newest and (np.diff(stamps) > 0).all():
+        if _continue(int(self._seen[-1]) if len(self._seen) else _NEVER, stamps):
             self._waiting.append(stamps, rows)
             self._seen = np.concatenate([self._seen, stamps])
         else:
@@ -190,7 +189,7 @@ class PairingBuffer:
             duplicates = len(stamps) - int(np.count_nonzero(unseen))
             self._count(self.dropped, "duplicate_stamp", duplicates)
         horizon = self._seen[-1] - round(self.limits.groundtruth_s * NANOSECONDS)
-        forget = int(np.searchsorted(self._seen, horizon))
+        forget = int(self._seen.searchsorted(horizon))
         self._seen = self._seen[max(forget, len(self._seen) - self.limits.waiting_states) :]
         excess = len(self._waiting) - self.limits.waiting_states
         if excess > 0:
@@ -207,8 +206,7 @@ class PairingBuffer:
         waiting, rows = self._waiting.held
         ready = len(waiting)
         if not at_end:
-            newest = truth_stamps[-1] if len(truth_stamps) else np.iinfo(np.int64).min
-            ready = int(np.searchsorted(waiting, newest, side="right"))
+            ready = int(waiting.searchsorted(self._truth.newest, side="right"))
         if not ready or not len(truth_stamps):
             if at_end:
                 self._count(self.dropped, "after_groundtruth", ready)
@@ -218,21 +216,22 @@ class PairingBuffer:
         stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
         self._waiting.drop(ready)
         bracket = bracket_stamps(truth_stamps, stamps, self.max_gap_s)
-        too_late = bracket.early & (stamps <= self._forgotten_until)
-        self._count(self.dropped, "too_late", int(np.count_nonzero(too_late)))
-        for reason, count in bracket.dropped().items():
-            late = int(np.count_nonzero(too_late)) if reason == "before_groundtruth" else 0
-            self._count(self.dropped, reason, count - late)
+        start, end, fraction = bracket.start, bracket.end, bracket.fraction
         usable = bracket.usable
-        start, end, fraction = bracket.start[usable], bracket.end[usable], bracket.fraction[usable]
-        stamps, rows = stamps[usable], rows[usable]
+        if not usable.all():
+            too_late = int(np.count_nonzero(bracket.early & (stamps <= self._forgotten_until)))
+            for reason, count in bracket.dropped().items():
+                late = too_late if reason == "before_groundtruth" else 0
+                self._count(self.dropped, reason, count - late)
+            self._count(self.dropped, "too_late", too_late)
+            start, end, fraction = start[usable], end[usable], fraction[usable]
+            stamps, rows = stamps[usable], rows[usable]
         between = mix(truth, start, end, fraction)
         assert between is not None
-        if len(stamps) and np.isfinite(truth[start[0], QUATERNION.start]):
-            between[:, QUATERNION] = lie.slerp(
-                truth[start, QUATERNION], truth[end, QUATERNION], fraction
-            )
         if len(stamps):
+            if not np.isnan(between[0, QUATERNION.start]):
+                quaternions = truth[:, QUATERNION]
+                between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
             self._paired_until = max(self._paired_until, int(stamps[-1]))
         self._forget()
         return Pairs(stamps, between, rows)
@@ -245,14 +244,19 @@ class PairingBuffer:
     @property
     def newest_groundtruth(self) -> int | None:
         """Stamp of the newest groundtruth state, nanoseconds."""
-        stamps, _ = self._truth.held
-        return int(stamps[-1]) if len(stamps) else None
+        return self._truth.newest if len(self._truth) else None
+
+    @property
+    def groundtruth_time(self) -> int:
+        """Sum of the groundtruth's steps that are no gaps, nanoseconds."""
+        return self._forgotten_time + time_without_gaps(self._truth.held[0], self.max_gap_s)
 
     def _finite(
         self, stamps: Stamps, rows: Floats, counts: dict[str, int]
     ) -> tuple[Stamps, Floats]:
         """Leave out rows that are no poses, and count them as the readers do."""
-        no_length = np.isposinf(rows[:, QUATERNION]).any(axis=1)
+        # `states` writes it into all four columns.
+        no_length = rows[:, QUATERNION.start] == np.inf
         finite = np.isfinite(rows[:, POSITION]).all(axis=1)
         keep = finite & ~no_length
         if keep.all():
@@ -261,28 +265,28 @@ class PairingBuffer:
         self._count(counts, "zero_quaternion", int(np.count_nonzero(finite & no_length)))
         return stamps[keep], rows[keep]
 
-    def _measure(self, stamps: Stamps, rows: Floats, sign: int = 1) -> None:
-        """Add the time without gaps and the path of consecutive groundtruth states."""
-        self.groundtruth_time += sign * time_without_gaps(stamps, self.max_gap_s)
-        if len(rows):
-            self.groundtruth_path_m += sign * float(travelled_distance(rows[:, POSITION])[-1])
-
     def _forget(self) -> None:
         stamps, _ = self._truth.held
         if not len(stamps):
             return
-        keep_from = stamps[-1] - round(self.limits.groundtruth_s * NANOSECONDS)
+        keep_from = self._truth.newest - round(self.limits.groundtruth_s * NANOSECONDS)
         waiting, _ = self._waiting.held
         if len(waiting):
-            keep_from = min(keep_from, waiting[0])
+            keep_from = min(keep_from, int(waiting[0]))
         # One state before the oldest stamp of interest, to interpolate from.
-        old = int(np.searchsorted(stamps, keep_from, side="right")) - 1
+        old = int(stamps.searchsorted(keep_from, side="right")) - 1
         old = max(old, len(stamps) - self.limits.groundtruth_states, 0)
         if old:
             self._forgotten_until = int(stamps[old - 1])
+            self._forgotten_time += time_without_gaps(stamps[: old + 1], self.max_gap_s)
             self._truth.drop(old)
 
     @staticmethod
     def _count(counts: dict[str, int], reason: str, count: int) -> None:
         if count:
             counts[reason] = counts.get(reason, 0) + count
+
+
+def _continue(newest: int, stamps: Stamps) -> bool:
+    """Return whether the stamps (N,), N > 0, are in order, once each, and all newer."""
+    return bool(stamps[0] > newest and (stamps[1:] > stamps[:-1]).all())

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.errors import RelativeErrors, States, errors_at_ends
-from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY
+from trajeval_ros import lie
+from trajeval_ros.errors import Poses, differences_at_ends, lengths
+from trajeval_ros.online.pairing import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 from trajeval_ros.protocol import Protocol
-from trajeval_ros.sub_trajectories import Length, nearest_ends
+from trajeval_ros.sub_trajectories import nearest_ends
 from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
@@ -21,8 +24,7 @@ Indices = NDArray[np.int64]
 MOST_OPEN_STARTS = 200_000
 
 
-@dataclass(frozen=True)
-class RelativeEnd:
+class RelativeEnd(NamedTuple):
     """A sub-trajectory that ended.
 
     Attributes:
@@ -38,7 +40,7 @@ class RelativeEnd:
     rotation_deg: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class RunningErrors:
     """Errors of the sub-trajectories of one length so far.
 
@@ -54,13 +56,6 @@ class RunningErrors:
     rotation_deg: float = 0.0
     given_up: int = 0
 
-    def add(self, position_m: Floats, rotation_deg: Floats) -> None:
-        """Take more errors into the means."""
-        self.count += len(position_m)
-        share = 1.0 / self.count
-        self.position_m += share * float((position_m - self.position_m).sum())
-        self.rotation_deg += share * float((rotation_deg - self.rotation_deg).sum())
-
 
 class RelativeTracker:
     """Finds the ends of sub-trajectories of several lengths, each pair once."""
@@ -68,9 +63,26 @@ class RelativeTracker:
     def __init__(self, protocol: Protocol) -> None:
         """Begin, for the protocol's lengths in metres and seconds."""
         self._protocol = protocol
-        self._lengths = [length for length in protocol.lengths if length.unit != "%"]
-        self._next = dict.fromkeys(self._lengths, 0)
-        self.running = {str(length): RunningErrors() for length in self._lengths}
+        chosen = [
+            [length for length in dict.fromkeys(protocol.lengths) if length.unit == unit]
+            for unit in ("m", "s")
+        ]
+        metres, total = len(chosen[0]), sum(map(len, chosen))
+        self._by_unit = {"m": slice(metres), "s": slice(metres, total)}
+        # An entry for each length, those in metres first.
+        self._names = [str(length) for of_unit in chosen for length in of_unit]
+        self._values = np.array([length.value for of_unit in chosen for length in of_unit])
+        self._next, self._given_up, self._count = np.zeros((3, total), dtype=np.int64)
+        self._position_sum, self._rotation_sum = np.zeros((2, total))
+
+    @property
+    def running(self) -> dict[str, RunningErrors]:
+        """Errors so far by length."""
+        counted = np.maximum(self._count, 1)
+        position_m, rotation_deg = self._position_sum / counted, self._rotation_sum / counted
+        columns = (self._count, position_m, rotation_deg, self._given_up)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return {name: RunningErrors(*row) for name, row in zip(self._names, rows, strict=True)}
 
     def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
         """Return a tracker of other lengths; new ones count from a pair, by number."""
@@ -88,90 +100,71 @@ class RelativeTracker:
             store: All pairs from the oldest open start on.
             scale: Of the present alignment.
         """
-        found = [*self._ended(store, "m"), *self._ended(store, "s")]
-        if not found:
-            return ()
-        starts = np.concatenate([each[1] for each in found])
-        ends = np.concatenate([each[2] for each in found])
-        errors = self._errors(store, starts, ends, scale)
-        reports, begin = [], 0
-        for length, mine, _ in found:
-            part = slice(begin, begin + len(mine))
-            begin = part.stop
-            self.running[str(length)].add(errors.position_m[part], errors.rotation_deg[part])
-            last = part.stop - 1
-            reports.append(
-                RelativeEnd(
-                    str(length),
-                    int(store.stamps()[ends[last] - store.begin]),
-                    float(errors.position_m[last]),
-                    float(errors.rotation_deg[last]),
-                )
-            )
-        return tuple(reports)
+        return (*self._measure(store, "m", scale), *self._measure(store, "s", scale))
 
     def oldest_needed(self, store: PairStore) -> int:
         """Return the number of the oldest pair that may still begin a sub-trajectory."""
+        oldest = int(self._next.min(initial=store.end))
         limit = store.end - MOST_OPEN_STARTS
-        for length, start in self._next.items():
-            if start < limit:
-                self.running[str(length)].given_up += limit - start
-                self._next[length] = limit
-        return min(self._next.values(), default=store.end)
+        if oldest < limit:
+            self._given_up += np.maximum(limit - self._next, 0)
+            np.maximum(self._next, limit, out=self._next)
+        return max(oldest, limit)
 
-    def _ended(self, store: PairStore, unit: str) -> list[tuple[Length, Indices, Indices]]:
-        """Return the pairs, by number, that begin and end sub-trajectories decided by now."""
-        lengths = [length for length in self._lengths if length.unit == unit]
-        if not lengths:
-            return []
-        first = min(self._next[length] for length in lengths)
+    def _measure(self, store: PairStore, unit: str, scale: float) -> Iterator[RelativeEnd]:
+        """Measure the sub-trajectories of the lengths in one unit; yield the newest of each."""
+        group = self._by_unit[unit]
+        names, values, begin = self._names[group], self._values[group], self._next[group]
+        if not names:
+            return
+        first = int(begin.min())
         along = store.along(first) if unit == "m" else _seconds(store.stamps(first))
-        starts: list[Indices] = []
-        for length in lengths:
-            # An end is decided when there is a pair at or beyond the length.
-            decided = int(np.searchsorted(along, along[-1] - length.value, side="right"))
-            begin = self._next[length] - first
-            starts.append(np.arange(begin, max(begin, decided)))
-            self._next[length] = first + max(begin, decided)
-        count = [len(each) for each in starts]
-        if not any(count):
-            return []
-        every = np.concatenate(starts)
-        values = np.repeat([length.value for length in lengths], count)
-        ends, accepted = nearest_ends(along, every, values)
-        found, begin = [], 0
-        for length, mine in zip(lengths, count, strict=True):
-            rows = np.flatnonzero(accepted[begin : begin + mine]) + begin
-            begin += mine
-            if len(rows):
-                found.append((length, every[rows] + first, ends[rows] + first))
-        return found
+        # An end is decided when there is a pair at or beyond the length.
+        decided = first + along.searchsorted(along[-1] - values, side="right")
+        count = np.maximum(decided - begin, 0)
+        if not count.any():
+            return
+        which = np.repeat(np.arange(len(names)), count)
+        starts = np.arange(len(which)) + (begin - first - np.cumsum(count) + count)[which]
+        self._next[group] += count
+        ends, accepted = nearest_ends(along, starts, values[which])
+        which, starts, ends = which[accepted], starts[accepted], ends[accepted]
+        position_m, rotation_deg = self._errors(store, starts + first, ends + first, scale)
+        count = np.bincount(which, minlength=len(names))
+        self._count[group] += count
+        self._position_sum[group] += np.bincount(which, position_m, len(names))
+        self._rotation_sum[group] += np.bincount(which, rotation_deg, len(names))
+        stamps = store.stamps(first)
+        newest = np.cumsum(count) - 1
+        for name, ended, row in zip(names, count.tolist(), newest.tolist(), strict=True):
+            if ended:
+                errors = float(position_m[row]), float(rotation_deg[row])
+                yield RelativeEnd(name, int(stamps[ends[row]]), *errors)
 
     def _errors(
         self, store: PairStore, starts: Indices, ends: Indices, scale: float
-    ) -> RelativeErrors:
-        rows = np.concatenate([starts, ends]) - store.begin
-        count = np.arange(len(starts))
-        return errors_at_ends(
-            _states(store.groundtruth()[rows]),
-            _states(store.estimate()[rows]),
-            count,
-            count + len(starts),
-            self._protocol.gauge,
-            scale,
-            self._protocol.re_form,
-        )
+    ) -> list[Floats]:
+        """Return position and rotation errors (K,) at the ends."""
+        truth, other = store.groundtruth(), store.estimate()
+
+        def at_ends(s: Indices, e: Indices) -> tuple[Floats, Floats]:
+            rows = np.array([s, e]) - store.begin
+            difference, between, _ = differences_at_ends(
+                _poses(truth[rows]),
+                _poses(other[rows]),
+                self._protocol.gauge,
+                scale,
+                self._protocol.re_form,
+            )
+            return lengths(difference), np.degrees(lie.angle(between))
+
+        return lie.by_blocks(at_ends, starts, ends)
+
+
+def _poses(rows: Floats) -> Poses:
+    return Poses(rows[..., POSITION], rows[..., QUATERNION])
 
 
 def _seconds(stamps: NDArray[np.int64]) -> Floats:
     since: Floats = (stamps - stamps[0]) / NANOSECONDS
     return since
-
-
-def _states(rows: Floats) -> States:
-    velocities = rows[:, VELOCITY]
-    return States(
-        rows[:, POSITION],
-        rows[:, QUATERNION],
-        None if np.isnan(velocities).any() else velocities,
-    )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.errors import lengths
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
 from trajeval_ros.trajectory import NANOSECONDS
@@ -56,7 +57,8 @@ class PairStore:
     """The newest pairs as columns, in order of arrival, each with the path up to it.
 
     Pairs are numbered from the beginning of the run; `begin` is the oldest that is held. A pair
-    takes `BYTES_PER_PAIR`.
+    takes `BYTES_PER_PAIR`. Room for as many again is made when it runs out: allocated is up to
+    twice what the pairs take, resident what they take, and while they move the double of it.
     """
 
     BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)
@@ -81,12 +83,11 @@ class PairStore:
         self._stamps[first : first + count] = pairs.stamps
         rows[:, :WIDTH] = pairs.groundtruth
         rows[:, WIDTH:-1] = pairs.estimate
-        before = max(first - 1, 0)
-        moves = np.diff(self._rows[before : first + count, POSITION], axis=0)
         if not first:
-            moves = np.concatenate([np.zeros((1, 3)), moves])[:count]
-        steps = np.sqrt(np.einsum("ni,ni->n", moves, moves))
-        rows[:, -1] = (self._rows[first - 1, -1] if first else 0.0) + np.cumsum(steps)
+            self._rows[0, -1] = 0.0
+        path = self._rows[max(first - 1, 0) : first + count]
+        steps = lengths(path[1:, POSITION] - path[:-1, POSITION])
+        path[1:, -1] = path[:1, -1] + np.cumsum(steps)
         self.end += count
 
     def drop_before(self, number: int) -> None:
@@ -122,10 +123,10 @@ class PairStore:
             return max(self.begin, self.end - int(window.size))
         if window.unit == "m":
             along = self.along()
-            return self.begin + int(np.searchsorted(along, along[-1] - window.size))
+            return self.begin + int(along.searchsorted(along[-1] - window.size))
         stamps = self.stamps()
         oldest = stamps[-1] - round(window.size * NANOSECONDS)
-        return self.begin + int(np.searchsorted(stamps, oldest))
+        return self.begin + int(stamps.searchsorted(oldest))
 
     def _make_room(self, count: int) -> None:
         if self.end - self._offset + count <= len(self._stamps):
