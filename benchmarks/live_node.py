@@ -1,6 +1,6 @@
 """CPU, losses and latency of the live node, over DDS from another process.
 
-Usage: make bench-live; needs .venv-ros. Traffic stays on the loopback interface.
+Usage: make bench-live, or BENCH="--soak 2". Traffic stays on the loopback interface.
 """
 
 from __future__ import annotations
@@ -14,10 +14,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 HERE = Path(__file__).parent
 SETTLE_S = 4.0
+ENOUGH = 10_000  # bytes of pairs, after which it is in full swing
+SOAK_SPEED = 20.0
 # Groundtruth Hz, odometry Hz, number of estimates, and what of a core it may take.
 LOADS = ((1000, 200, 1, 40.0), (200, 20, 1, 12.0), (200, 20, 4, None))
 
@@ -33,18 +37,24 @@ def environment() -> dict[str, str]:
     }
 
 
+def resident_mb(pid: int) -> float:
+    """Return the resident memory of a process, without what it shares with others."""
+    fields = Path(f"/proc/{pid}/statm").read_text().split()
+    return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 def cpu_s(pid: int) -> float:
     """Return the CPU seconds that a process has used, children apart."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure(
-    groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float
-) -> dict[str, float]:
-    """Return what one run of the node took: percent of a core, losses, latency."""
+@contextmanager
+def running(
+    rates: Sequence[float], topics: Sequence[str], seconds: float, speed: float = 1.0
+) -> Iterator[tuple[subprocess.Popen[str], subprocess.Popen[str], Path]]:
+    """Run the node and its traffic: yields both processes, once pairs are made, and the folder."""
     variables = environment()
-    topics = [f"/vio_{number}/odometry" for number in range(estimates)]
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"
         node = subprocess.Popen(
@@ -54,15 +64,32 @@ def measure(
                 "-p", f"estimate_topics:=[{','.join(topics)}]",
                 "-p", f"output:={output}",
             ],
-            env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
-        rates = [str(groundtruth_hz), str(odometry_hz), str(SETTLE_S + seconds + 1.0)]
+        numbers = [str(each) for each in (*rates, seconds, speed)]
         traffic = subprocess.Popen(
-            [sys.executable, str(HERE / "publish_traffic.py"), *rates, *topics],
+            [sys.executable, "-m", "benchmarks.publish_traffic", *numbers, *topics],
             env=variables, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        while not any(path.stat().st_size > 10_000 for path in output.glob("*.pairs")):
-            time.sleep(0.05)
+        try:
+            while not any(path.stat().st_size > ENOUGH for path in output.glob("*.pairs")):
+                if node.poll() is not None or traffic.poll() is not None:
+                    raise RuntimeError("the node or its traffic has ended early")
+                time.sleep(0.05)
+            yield node, traffic, output
+        finally:
+            for process in (traffic, node):
+                process.kill()
+                process.wait()
+
+
+def measure(
+    groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float
+) -> dict[str, float]:
+    """Return what one run of the node took: percent of a core, losses, latency."""
+    topics = [f"/vio_{number}/odometry" for number in range(estimates)]
+    rates = groundtruth_hz, odometry_hz
+    with running(rates, topics, SETTLE_S + seconds + 1.0) as (node, traffic, output):
         time.sleep(SETTLE_S)
         before, begin = cpu_s(node.pid), time.monotonic()
         time.sleep(seconds)
@@ -81,13 +108,32 @@ def measure(
     }
 
 
+def soak(hours: float, speed: float) -> None:
+    """Print the resident memory of a long run at every tenth of it."""
+    seconds = 3600.0 * hours
+    with running((200, 20), ["/vio/odometry"], seconds, speed) as (node, traffic, _):
+        begin, sizes = time.monotonic(), []
+        for tenth in range(1, 11):
+            time.sleep(max(0.0, begin + 0.098 * tenth * seconds / speed - time.monotonic()))
+            sizes.append(resident_mb(node.pid))
+            growth = 100.0 * (sizes[-1] / sizes[0] - 1.0)
+            print(f"{10 * tenth} %: {sizes[-1]:.1f} MB, {growth:+.1f} %", flush=True)
+        traffic.wait()
+
+
 def main() -> None:
     """Measure each load several times, and print the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", default=3, type=int, help="the median counts")
     parser.add_argument("--seconds", default=15.0, type=float, help="measured, each time")
+    parser.add_argument(
+        "--soak", type=float, metavar="HOURS", help="instead, the memory of so long a run at 20x"
+    )
     options = parser.parse_args()
-    print(f"load average {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
+    print(f"load average {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores", flush=True)
+    if options.soak:
+        soak(options.soak, SOAK_SPEED)
+        return
     for groundtruth_hz, odometry_hz, estimates, limit in LOADS:
         found = [
             measure(groundtruth_hz, odometry_hz, estimates, options.seconds)

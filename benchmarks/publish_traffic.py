@@ -1,6 +1,8 @@
 """Publishes a robot's traffic for so many seconds: groundtruth poses and odometry.
 
-    publish_traffic.py GROUNDTRUTH_HZ ODOMETRY_HZ SECONDS ODOMETRY_TOPIC ...
+    publish_traffic.py GROUNDTRUTH_HZ ODOMETRY_HZ SECONDS SPEED ODOMETRY_TOPIC ...
+
+SECONDS are those of the stamps, which pass SPEED times as fast as the clock's.
 
 Poses are serialised before they are due, as a driver in C++ would send them. It begins when all
 topics have a subscriber, and prints how many messages it has sent on each.
@@ -20,7 +22,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 
-SPEED = 1.5  # m/s, on a circle of 10 m
+VELOCITY = 1.5  # m/s, on a circle of 10 m
 RADIUS = 10.0
 STEP_S = 0.001
 NOISE = np.random.default_rng(1)
@@ -29,7 +31,7 @@ NOISE = np.random.default_rng(1)
 def fill(pose: Any, header: Any, time_ns: int, begin_ns: int, noise: float) -> None:
     """Place a pose on the circle, a little beside it if it is an estimate."""
     header.stamp.sec, header.stamp.nanosec = divmod(time_ns, 10**9)
-    angle = SPEED * (time_ns - begin_ns) * 1e-9 / RADIUS
+    angle = VELOCITY * (time_ns - begin_ns) * 1e-9 / RADIUS
     pose.position.x = RADIUS * np.cos(angle) + noise * NOISE.standard_normal()
     pose.position.y = RADIUS * np.sin(angle) + noise * NOISE.standard_normal()
     pose.orientation.z, pose.orientation.w = np.sin(0.5 * angle), np.cos(0.5 * angle)
@@ -37,12 +39,12 @@ def fill(pose: Any, header: Any, time_ns: int, begin_ns: int, noise: float) -> N
 
 def main() -> None:
     """Publish as asked for on the command line."""
-    groundtruth_hz, odometry_hz, seconds = (float(each) for each in sys.argv[1:4])
+    groundtruth_hz, odometry_hz, seconds, speed = (float(each) for each in sys.argv[1:5])
     rclpy.init()
     node = rclpy.create_node("traffic", start_parameter_services=False)
     qos = QoSProfile(depth=1000)
     truth = node.create_publisher(PoseStamped, "/groundtruth/pose", qos)
-    others = [node.create_publisher(Odometry, topic, qos) for topic in sys.argv[4:]]
+    others = [node.create_publisher(Odometry, topic, qos) for topic in sys.argv[5:]]
     until = time.monotonic() + 30.0
     while not all(each.get_subscription_count() for each in (truth, *others)):
         if time.monotonic() > until:
@@ -53,7 +55,7 @@ def main() -> None:
     odometry.child_frame_id = "base_link"
     begin, begin_ns = time.monotonic(), time.time_ns()
     sent = [0, 0]
-    while (now := time.monotonic() - begin) < seconds:
+    while (now := speed * (time.monotonic() - begin)) < seconds:
         while sent[0] < now * groundtruth_hz:
             fill(
                 pose.pose,

@@ -454,3 +454,28 @@ def test_what_cannot_be_live_is_refused_with_the_reason() -> None:
 @pytest.mark.parametrize("text", ["0", "30s", "50m", "500", "2.5m"])
 def test_windows_are_written_as_they_are_read(text: str) -> None:
     assert str(Window.parse(text)) == text
+
+
+def test_lengths_and_window_change_while_it_runs() -> None:
+    groundtruth, estimate = make_pair(3, 400)
+    short, long = Length(1.0, "m"), Length(2.0, "m")
+    metres = OnlineSettings(protocol=Protocol(lengths=(short,)), window=Window(20, "pairs"))
+    changing, steady = OnlineEvaluator(metres), OnlineEvaluator(metres)
+    half = groundtruth.stamps[200]
+    for evaluator in (changing, steady):
+        feed(
+            evaluator,
+            groundtruth[groundtruth.stamps <= half],
+            estimate[estimate.stamps <= half],
+        )
+    both = dataclasses.replace(metres.protocol, lengths=(long, short))
+    changing.change(dataclasses.replace(metres, protocol=both, window=Window()))
+    at_change = changing.pairs
+    for evaluator in (changing, steady):
+        feed(evaluator, groundtruth[groundtruth.stamps > half], estimate[estimate.stamps > half])
+    now, before = changing.snapshot(), steady.snapshot()
+    assert now.relative["1m"] == before.relative["1m"]
+    assert 0 < now.relative["2m"].count
+    # The wider window began with what the narrow one had left, and has forgotten nothing since.
+    assert now.window_pairs > changing.pairs - at_change
+    assert now.window_position_rmse_m is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -143,10 +144,11 @@ class OnlineEvaluator:
 
         A wider window fills as pairs come, a new length counts from the next pair.
         """
-        protocol = replace(self.settings.protocol, lengths=settings.protocol.lengths)
-        self.settings = replace(self.settings, protocol=protocol, window=settings.window)
+        protocol = dataclasses.replace(self.settings.protocol, lengths=settings.protocol.lengths)
+        self.settings = dataclasses.replace(
+            self.settings, protocol=protocol, window=settings.window
+        )
         self._relative = self._relative.with_lengths(protocol, self.store.end)
-        self._window_fresh = 0  # the window's sums are made anew with the next pair
 
     def association(self) -> Association:
         """Return all pairs, to be evaluated offline; only of a window that is the whole run.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import lie
 from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.trajectory import NANOSECONDS, travelled_distance
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -155,7 +155,7 @@ class PairingBuffer:
         self._truth, self._waiting = Stream(), Stream()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = _NEVER
-        self._forgotten_time = 0
+        self._forgotten_time, self._forgotten_path_m = 0, 0.0
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
@@ -251,6 +251,11 @@ class PairingBuffer:
         """Sum of the groundtruth's steps that are no gaps, nanoseconds."""
         return self._forgotten_time + time_without_gaps(self._truth.held[0], self.max_gap_s)
 
+    @property
+    def groundtruth_path_m(self) -> float:
+        """Length of the path through the groundtruth states, metres."""
+        return self._forgotten_path_m + _path_m(self._truth.held[1])
+
     def _finite(
         self, stamps: Stamps, rows: Floats, counts: dict[str, int]
     ) -> tuple[Stamps, Floats]:
@@ -266,7 +271,7 @@ class PairingBuffer:
         return stamps[keep], rows[keep]
 
     def _forget(self) -> None:
-        stamps, _ = self._truth.held
+        stamps, rows = self._truth.held
         if not len(stamps):
             return
         keep_from = self._truth.newest - round(self.limits.groundtruth_s * NANOSECONDS)
@@ -279,6 +284,7 @@ class PairingBuffer:
         if old:
             self._forgotten_until = int(stamps[old - 1])
             self._forgotten_time += time_without_gaps(stamps[: old + 1], self.max_gap_s)
+            self._forgotten_path_m += _path_m(rows[: old + 1])
             self._truth.drop(old)
 
     @staticmethod
@@ -290,3 +296,8 @@ class PairingBuffer:
 def _continue(newest: int, stamps: Stamps) -> bool:
     """Return whether the stamps (N,), N > 0, are in order, once each, and all newer."""
     return bool(stamps[0] > newest and (stamps[1:] > stamps[:-1]).all())
+
+
+def _path_m(rows: Floats) -> float:
+    """Return the length of the path through states (N, 10), metres."""
+    return float(travelled_distance(rows[:, POSITION])[-1]) if len(rows) else 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,11 +87,23 @@ class RelativeTracker:
     def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
         """Return a tracker of other lengths; new ones count from a pair, by number."""
         tracker = RelativeTracker(protocol)
-        for length in tracker._next:
-            tracker._next[length] = self._next.get(length, begin)
-            if length in self._next:
-                tracker.running[str(length)] = self.running[str(length)]
+        tracker._next[:] = begin
+        for new, name in enumerate(tracker._names):
+            if name in self._names:
+                old = self._names.index(name)
+                for mine, yours in zip(tracker._columns, self._columns, strict=True):
+                    mine[new] = yours[old]
         return tracker
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return (
+            self._next,
+            self._given_up,
+            self._count,
+            self._position_sum,
+            self._rotation_sum,
+        )
 
     def update(self, store: PairStore, scale: float) -> tuple[RelativeEnd, ...]:
         """Measure the sub-trajectories whose ends have arrived.
