@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from strategies import make_estimate, make_groundtruth, seeds
+from strategies import gauges, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros import Evaluation, Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.alignment import Alignment
@@ -129,7 +128,7 @@ def test_live_is_offline_on_recordings(
             assert live.position_m == pytest.approx(mean.mean, rel=1e-9)
 
 
-@given(seed=seeds, gauge=st.sampled_from([g for g in Gauge if g is not Gauge.PLANAR]))
+@given(seed=seeds, gauge=gauges)
 def test_live_is_offline(seed: int, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(seed, 300)
     protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(2, "s")), align_states=None)

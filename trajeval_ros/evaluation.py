@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros import lie
 from trajeval_ros.alignment import Alignment, align, align_first, position_weights
 from trajeval_ros.association import Association, associate
 from trajeval_ros.diagnosis import warnings_of
@@ -279,12 +280,7 @@ def _on_plane(trajectory: Trajectory) -> Trajectory:
     """Return the states projected on the xy plane: no height, and the heading alone."""
     flat = np.array([1.0, 1.0, 0.0])
     quaternions = trajectory.quaternions
-    rotations = None
-    if quaternions is not None:
-        # Vertical bodies have no heading; their quaternions' z and w vanish together.
-        heading = quaternions * np.array([0.0, 0.0, 1.0, 1.0])
-        heading[np.hypot(heading[:, 2], heading[:, 3]) < 1e-9] = [0.0, 0.0, 0.0, 1.0]
-        rotations = Rotation.from_quat(heading)
+    rotations = None if quaternions is None else Rotation.from_quat(lie.heading(quaternions))
     return dataclasses.replace(
         trajectory,
         positions=trajectory.positions * flat,

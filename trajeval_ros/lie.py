@@ -42,6 +42,16 @@ def conjugate(quaternion: Array) -> Array:
     return inverse
 
 
+def heading(quaternion: Array) -> Array:
+    """Return the rotations about z nearest to unit quaternions (N, 4): their yaw alone."""
+    turned: Array = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
+    length = np.hypot(turned[:, 2], turned[:, 3])
+    # Upside down there is no yaw: z and w vanish together.
+    turned[length < 1e-9], length[length < 1e-9] = [0.0, 0.0, 0.0, 1.0], 1.0
+    turned /= length[:, None]
+    return turned
+
+
 def multiply(left: Array, right: Array) -> Array:
     """Return the Hamilton product (..., 4): rotate by `right`, then by `left`."""
     if max(left.size, right.size) <= _FEW:

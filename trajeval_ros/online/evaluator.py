@@ -15,6 +15,7 @@ from trajeval_ros.alignment import Alignment, align_first, solve
 from trajeval_ros.association import Association, coverage_of
 from trajeval_ros.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
+from trajeval_ros.gauge import Gauge
 from trajeval_ros.moments import Moments
 from trajeval_ros.online.pairing import (
     POSITION,
@@ -22,6 +23,7 @@ from trajeval_ros.online.pairing import (
     VELOCITY,
     PairingBuffer,
     Pairs,
+    on_plane,
 )
 from trajeval_ros.online.relative import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
@@ -57,6 +59,7 @@ class OnlineEvaluator:
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
         self._offset = round(rule.time_offset_s * 1e9)
+        self._is_planar = self.settings.protocol.gauge is Gauge.PLANAR
         self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
         self.store = PairStore()
         self._record = record
@@ -71,10 +74,11 @@ class OnlineEvaluator:
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
-        self.buffer.add_groundtruth(stamps, rows)
+        self.buffer.add_groundtruth(stamps, on_plane(rows) if self._is_planar else rows)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
         """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        rows = on_plane(rows) if self._is_planar else rows
         self.buffer.add_estimate(stamps + self._offset, rows)
 
     def update(self, *, at_end: bool = False) -> Update:

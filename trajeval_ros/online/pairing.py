@@ -59,6 +59,15 @@ def states(
     return rows
 
 
+def on_plane(rows: Floats) -> Floats:
+    """Return states (N, 10) projected on the xy plane, as the planar gauge compares them."""
+    flat: Floats = rows.copy()
+    flat[:, [POSITION.stop - 1, VELOCITY.stop - 1]] *= 0.0  # what is not finite stays so
+    turned = np.isfinite(rows[:, QUATERNION]).all(axis=1)
+    flat[turned, QUATERNION] = lie.heading(rows[turned, QUATERNION])
+    return flat
+
+
 @dataclass(frozen=True)
 class Limits:
     """What a buffer holds at the most; beyond, the oldest is dropped and counted.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from trajeval_ros.alignment import align
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
+from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs, on_plane
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -22,7 +22,7 @@ class RevisedPath:
 
     Attributes:
         stamps: (M,) of the newest path, nanoseconds.
-        states: (M, 10) of the newest path.
+        states: (M, 10) of the newest path, as the gauge compares them.
     """
 
     def __init__(self, gauge: Gauge) -> None:
@@ -35,7 +35,8 @@ class RevisedPath:
 
     def renew(self, stamps: Stamps, states: Floats) -> NDArray[np.int64]:
         """Take a path (M,), (M, 10); returns the rows of poses that it is the first to have."""
-        self.stamps, self.states = stamps, states
+        self.stamps = stamps
+        self.states = on_plane(states) if self._gauge is Gauge.PLANAR else states
         newest = self._known[-1] if len(self._known) else np.iinfo(np.int64).min
         is_new = stamps > newest
         if np.count_nonzero(~is_new) != len(self._known):  # some came in between, or are gone
