@@ -49,6 +49,15 @@ class LiveFolder:
         return result_of(self.groundtruth, self.runs, self.failed)
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
+
+    place: int
+    groundtruth: Input
+    run: Run
+
+
 def evaluate_folder(folder: Path) -> LiveFolder:
     """Evaluate all estimates of a live run, going on or over.
 
@@ -61,20 +70,20 @@ def evaluate_folder(folder: Path) -> LiveFolder:
             f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
             "evaluator's output folder"
         )
-    groundtruth: Input | None = None
-    runs, failed = [], []
+    found: list[_Found] = []
+    failed: list[dict[str, str]] = []
     for path in paths:
         try:
-            truth, run = _evaluate(path)
+            estimate = _evaluate(path)
         except TrajevalError as error:
             name = path.name.removesuffix(SUFFIX)
             failed.append({"name": name, "source": str(path), "reason": str(error)})
             continue
-        groundtruth = groundtruth or truth
-        runs.append(run)
-    if groundtruth is None:
+        found.append(estimate)
+    if not found:
         raise InputError("; ".join(each["reason"] for each in failed))
-    return LiveFolder(groundtruth, runs, failed)
+    found.sort(key=lambda each: each.place)
+    return LiveFolder(found[0].groundtruth, [each.run for each in found], failed)
 
 
 def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
@@ -83,8 +92,8 @@ def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Fl
         np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
 
 
-def _evaluate(path: Path) -> tuple[Input, Run]:
-    """Evaluate one estimate; returns what it was compared with, and the run."""
+def _evaluate(path: Path) -> _Found:
+    """Evaluate one estimate."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
     if not len(recorded.stamps):
@@ -95,13 +104,13 @@ def _evaluate(path: Path) -> tuple[Input, Run]:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
-def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> tuple[Input, Run]:
+def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
     protocol = protocol_from("default", **state["settings"])
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
-    pairs, notes = _association(recorded, protocol)
+    pairs, truth_notes, notes = _association(recorded, protocol)
     live, warnings = dict(state["live"]), list(state["warnings"])
     later = len(pairs) - recorded.pairs_at_state
     if later or recorded.torn:
@@ -125,28 +134,28 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> tuple[Inp
             path_length_m=counts.get("path_length_m", 0.0),
             frame=counts["frame"],
             child_frame=counts["child_frame"],
-            notes=(*counts["notes"], *notes),
+            notes=(*counts["notes"], *said),
             fingerprint=fingerprint(trajectory),
         )
-        for side, counts, trajectory in (
-            ("groundtruth", truth, pairs.groundtruth),
-            ("estimate", estimate, pairs.estimate),
+        for side, counts, trajectory, said in (
+            ("groundtruth", truth, pairs.groundtruth, truth_notes),
+            ("estimate", estimate, pairs.estimate, notes),
         )
     )
-    return next(sides), Run(next(sides), evaluation, live)
+    return _Found(description["place"], next(sides), Run(next(sides), evaluation, live))
 
 
 def _association(
     recorded: RecordedPairs, protocol: Protocol
-) -> tuple[Association, tuple[str, ...]]:
-    """Return the pairs in order of their stamps, with the counts, and notes about them."""
+) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
+    """Return the pairs in order of their stamps, with the counts, and notes about either side."""
     order = np.argsort(recorded.stamps, kind="stable")
     stamps, truth = recorded.stamps[order], recorded.state["groundtruth"]
     later = len(stamps) - recorded.pairs_at_state
-    groundtruth, _ = _trajectory(stamps, recorded.groundtruth[order])
+    groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
     rule = protocol.association
-    return Association(
+    pairs = Association(
         rule=rule,
         groundtruth=groundtruth,
         estimate=estimate,
@@ -155,7 +164,8 @@ def _association(
             stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
         ),
         dropped=dict(recorded.state["dropped"]),
-    ), notes
+    )
+    return pairs, truth_notes, notes
 
 
 def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:

@@ -45,7 +45,7 @@ class LiveEstimate:
     """
 
     def __init__(
-        self, side: Side, settings: OnlineSettings, folder: Path, groundtruth: str
+        self, side: Side, settings: OnlineSettings, folder: Path, groundtruth: str, place: int
     ) -> None:
         """Begin, with an empty pair file.
 
@@ -54,6 +54,7 @@ class LiveEstimate:
             settings: What to do.
             folder: For its files.
             groundtruth: The groundtruth's source.
+            place: Its place among the estimates, from 0.
 
         Raises:
             InputError: The file can't be made.
@@ -66,7 +67,7 @@ class LiveEstimate:
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._folder = folder
         self._undigested: list[Pairs] = []
-        description = {"groundtruth": groundtruth, "estimate": side.source}
+        description = {"groundtruth": groundtruth, "estimate": side.source, "place": place}
         self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
 
     def take(self, now_ns: int | None) -> None:

@@ -53,7 +53,8 @@ class LiveRun:
         self.groundtruth, self.finisher = groundtruth, Finisher(folder)
         self.words = words
         self.estimates = [
-            LiveEstimate(side, settings, folder, groundtruth.source) for side in sides
+            LiveEstimate(side, settings, folder, groundtruth.source, place)
+            for place, side in enumerate(sides)
         ]
         for each in self.estimates:
             each.write_state(self._state(each))
