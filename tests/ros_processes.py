@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -21,6 +22,10 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from trajeval_ros.io.bags import Bag
+from trajeval_ros.io.pacing import play
+from trajeval_ros.io.playback import Playback, allowed_name
+from trajeval_ros.ros.messages import message_class
 from trajeval_ros.trajectory import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,8 +36,6 @@ TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 POSE, ODOM = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry"
 POINT, PATH = "geometry_msgs/msg/PointStamped", "nav_msgs/msg/Path"
 TYPES = {TRUTH: POSE, ODOMETRY: ODOM}
-# Replay begins when all topics have a subscriber; to this one a test subscribes when it wants.
-GATE = "/go"
 PATIENCE_S = 90
 
 Received = dict[str, list[bytes]]
@@ -161,12 +164,11 @@ def evaluating(
     groundtruth: str = TRUTH,
     **values: object,
 ) -> Iterator[Evaluator]:
-    """Run the evaluator; it is up and looks for publishers when the block begins."""
+    """Run the evaluator; a replay waits until it is up."""
     values = {"groundtruth_topic": groundtruth, "estimate_topics": list(estimates), **values}
     values["output"] = str(folder)
     evaluator = Evaluator(folder, [*parameters(**values), *arguments], environment)
     try:
-        evaluator.wait_for("results go to")
         yield evaluator
     finally:
         evaluator.process.kill()
@@ -243,19 +245,36 @@ class Peer:
         results: list[Any] = self.ask(f"{node}/set_parameters", SetParameters, request).results
         return results
 
-    @contextmanager
-    def gate_open(self, subscribers: Mapping[str, int]) -> Iterator[None]:
-        """Let a replay begin when topics have so many subscribers."""
-        from geometry_msgs.msg import PoseStamped
+    def play(self, bag: Path, subscribers: Mapping[str, int], rate: float) -> None:
+        """Publish a bag as `trajeval replay` does, when topics have so many subscribers."""
+        from rclpy.duration import Duration
 
-        for topic, count in subscribers.items():
-            self.until(
-                lambda: self.node.count_subscribers(topic) == count,  # noqa: B023
-                f"{count} subscribers of {topic}",
+        with Bag(bag) as opened:
+            topics = [
+                each.name for each in opened.topics if allowed_name(each.name) in subscribers
+            ]
+            playback = Playback(opened, lambda _: True, topics)
+            publishers = {
+                each: self.publisher(each.name, message_class(each.type))
+                for each in playback.channels
+            }
+            for channel, publisher in publishers.items():
+                count = subscribers[channel.name]
+                self.until(
+                    lambda: publisher.get_subscription_count() == count,  # noqa: B023
+                    f"{count} subscribers of {channel.name}",
+                )
+            play(
+                playback.messages(),
+                playback.begin_ns,
+                rate,
+                publish=lambda channel, payload: publishers[channel].publish(payload),
+                tick=lambda _: None,
+                is_stopped=lambda: False,
             )
-        gate = self.node.create_subscription(PoseStamped, GATE, print, 10)
-        yield
-        self.node.destroy_subscription(gate)
+        for publisher in publishers.values():
+            assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+            self.node.destroy_publisher(publisher)
 
 
 def _quality(*, reliable: bool = True, latched: bool = False) -> Any:
@@ -331,12 +350,10 @@ def _header(stamp: int, frame: str) -> Any:
 
 
 def write_messages(path: Path, messages: Sequence[Message]) -> None:
-    """Write a bag of messages in any order, with a gate that opens it."""
-    first = min(log_time for _, _, log_time, _ in messages)
-    gate = (GATE, POSE, first, pose_message(first, (0, 0, 0), (0, 0, 0, 1)))
+    """Write a bag of messages in any order."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}
-        for topic, kind, log_time, payload in sorted([gate, *messages], key=lambda each: each[2]):
+        for topic, kind, log_time, payload in sorted(messages, key=lambda each: each[2]):
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
             writer.write(connections[topic], log_time, payload)
@@ -350,11 +367,11 @@ def play_without_loss(
     nodes: Mapping[str, Mapping[str, Any]],
     rate: float,
 ) -> dict[str, Evaluator]:
-    """Play a gated bag to evaluators by name; once more and slower where a machine is too busy.
+    """Play a bag to evaluators by name; once more and slower where a machine is too busy.
 
     Args:
-        bag: Of `write_messages`.
-        peer: Opens the gate.
+        bag: What to play.
+        peer: Plays it.
         environment: Of the processes.
         folder: For their output.
         nodes: Options of `evaluating`, by the name of the node.
@@ -387,16 +404,12 @@ def _play(
         for name, values in nodes.items():
             node = evaluating(folder / name, environment, "-r", f"__node:={name}", **values)
             running[name] = stack.enter_context(node)
-        with subprocess.Popen(
-            replay_command(bag, "--rate", rate), env=environment, stdout=subprocess.DEVNULL
-        ) as player:
-            wanted: dict[str, int] = {}
-            for values in nodes.values():
-                topics = [values.get("groundtruth", TRUTH), *values.get("estimates", (ODOMETRY,))]
-                for topic in topics:
-                    wanted[topic] = wanted.get(topic, 0) + 1
-            with peer.gate_open(wanted):
-                assert player.wait(600) == 0
+        topics = Counter(
+            topic
+            for values in nodes.values()
+            for topic in (values.get("groundtruth", TRUTH), *values.get("estimates", (ODOMETRY,)))
+        )
+        peer.play(bag, topics, rate)
         for each in running.values():
             each.process.send_signal(signal.SIGINT)
         for each in running.values():
