@@ -13,34 +13,30 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+import pytest
+from ros_bags import ODOM, POSE
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.io.bags import Bag
 from trajeval_ros.io.pacing import play
 from trajeval_ros.io.playback import Playback, allowed_name
 from trajeval_ros.ros.messages import message_class
-from trajeval_ros.trajectory import NANOSECONDS
 
 ROOT = Path(__file__).resolve().parent.parent
 LISTENER = Path(__file__).with_name("ros_listener.py")
 EVALUATOR = ROOT / "launch_free_scripts" / "run_evaluator.py"
-STORE = get_typestore(Stores.ROS2_JAZZY)
 TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
-POSE, ODOM = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry"
-POINT, PATH = "geometry_msgs/msg/PointStamped", "nav_msgs/msg/Path"
 TYPES = {TRUTH: POSE, ODOMETRY: ODOM}
+# What two results of the same run may differ in: where it came from.
+APART = {"source", "name", "inputs", "live"}
 PATIENCE_S = 90
 
 Received = dict[str, list[bytes]]
-# Topic, type, log time in ns, payload.
-Message = tuple[str, str, int, bytes]
 
 
 @contextmanager
@@ -287,78 +283,6 @@ def _quality(*, reliable: bool = True, latched: bool = False) -> Any:
     )
 
 
-def pose_message(
-    stamp: int, position: Sequence[float], quaternion: Sequence[float], frame: str = "world"
-) -> bytes:
-    return _serialised(POSE, _pose_stamped(stamp, position, quaternion, frame))
-
-
-def point_message(stamp: int, position: Sequence[float], frame: str = "world") -> bytes:
-    types = STORE.types
-    point = types["geometry_msgs/msg/Point"](*position)
-    return _serialised(POINT, types[POINT](_header(stamp, frame), point))
-
-
-def path_message(
-    stamps: Sequence[int],
-    positions: Sequence[Sequence[float]],
-    quaternions: Sequence[Sequence[float]],
-    frame: str = "map",
-) -> bytes:
-    poses = [
-        _pose_stamped(*each, frame) for each in zip(stamps, positions, quaternions, strict=True)
-    ]
-    return _serialised(PATH, STORE.types[PATH](_header(stamps[-1], frame), poses))
-
-
-def odometry_message(
-    stamp: int,
-    position: Sequence[float],
-    quaternion: Sequence[float],
-    body_velocity: Sequence[float] = (0.0, 0.0, 0.0),
-) -> bytes:
-    types = STORE.types
-    Vector3 = types["geometry_msgs/msg/Vector3"]
-    nothing = np.zeros(36)
-    pose = types["geometry_msgs/msg/PoseWithCovariance"](_pose(position, quaternion), nothing)
-    twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(0.0, 0.0, 0.0))
-    twist = types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing)
-    return _serialised(ODOM, types[ODOM](_header(stamp, "odom"), "base_link", pose, twist))
-
-
-def _serialised(kind: str, message: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(message, kind))
-
-
-def _pose_stamped(
-    stamp: int, position: Sequence[float], quaternion: Sequence[float], frame: str
-) -> Any:
-    return STORE.types[POSE](_header(stamp, frame), _pose(position, quaternion))
-
-
-def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Any:
-    types = STORE.types
-    turn = types["geometry_msgs/msg/Quaternion"](*map(float, quaternion))
-    place = types["geometry_msgs/msg/Point"](*map(float, position))
-    return types["geometry_msgs/msg/Pose"](place, turn)
-
-
-def _header(stamp: int, frame: str) -> Any:
-    types = STORE.types
-    time = types["builtin_interfaces/msg/Time"](*divmod(int(stamp), NANOSECONDS))
-    return types["std_msgs/msg/Header"](time, frame)
-
-
-def write_messages(path: Path, messages: Sequence[Message]) -> None:
-    """Write a bag of messages in any order."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[str, Any] = {}
-        for topic, kind, log_time, payload in sorted(messages, key=lambda each: each[2]):
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
-            writer.write(connections[topic], log_time, payload)
-
-
 def play_without_loss(
     bag: Path,
     peer: Peer,
@@ -416,3 +340,30 @@ def _play(
             assert each.process.wait(PATIENCE_S) == 0, each.said
             assert "Traceback" not in each.said, each.said
     return running
+
+
+def offline(bag: Path, folder: Path, truth: str, estimates: list[str], *options: str) -> Any:
+    """Return the result of `trajeval evaluate`."""
+    arguments = ["evaluate", "--groundtruth", f"{bag}:{truth}", "--quiet"]
+    for each in estimates:
+        arguments += ["--estimate", f"{bag}:{each}"]
+    file = folder / "offline.json"
+    assert main([*arguments, *options, "--json", str(file)]) == 0
+    return json.loads(file.read_text())
+
+
+def assert_same(live: Any, recorded: Any, where: str = "result") -> None:
+    """Compare all there is: counts and words exactly, numbers to 1e-9 of their size."""
+    if isinstance(recorded, dict):
+        assert live.keys() == recorded.keys(), where
+        for key in recorded.keys() - APART:
+            assert_same(live[key], recorded[key], f"{where}.{key}")
+    elif isinstance(recorded, list):
+        assert len(live) == len(recorded), (where, live, recorded)
+        for number, (mine, other) in enumerate(zip(live, recorded, strict=True)):
+            assert_same(mine, other, f"{where}[{number}]")
+    elif isinstance(recorded, float):
+        # An error may be zero but for rounding, as that of a first state that was aligned.
+        assert live == pytest.approx(recorded, rel=1e-9, abs=1e-12), where
+    else:
+        assert live == recorded, where

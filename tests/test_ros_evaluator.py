@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import (
+from ros_bags import (
     ODOM,
-    ODOMETRY,
     PATH,
     POINT,
     POSE,
-    TRUTH,
-    Evaluator,
     Message,
-    Peer,
-    odometry_message,
+    messages_of,
     path_message,
-    play_without_loss,
-    point_message,
-    pose_message,
     write_messages,
 )
+from ros_processes import (
+    ODOMETRY,
+    TRUTH,
+    Evaluator,
+    Peer,
+    assert_same,
+    offline,
+    play_without_loss,
+)
 
-from trajeval_ros.cli.app import main
 from trajeval_ros.simulation import simulate
 from trajeval_ros.trajectory import Trajectory
 
@@ -38,31 +38,6 @@ pytest.importorskip(
 pytestmark = pytest.mark.ros
 
 POINTS, SLAM, FIRST = "/groundtruth/point", "/slam/path", "/slam/first"
-# What two results of the same run may differ in: where it came from.
-APART = {"source", "name", "inputs", "live"}
-
-
-def messages_of(source: Trajectory, topic: str, kind: str) -> list[Message]:
-    """Return a trajectory as messages, logged at their stamps."""
-    assert source.quaternions is not None
-    columns = source.stamps.tolist(), source.positions, source.quaternions
-    if kind == POINT:
-        return [
-            (topic, kind, stamp, point_message(stamp, place))
-            for stamp, place, _ in zip(*columns, strict=True)
-        ]
-    if kind == POSE:
-        return [
-            (topic, kind, stamp, pose_message(stamp, place, turn))
-            for stamp, place, turn in zip(*columns, strict=True)
-        ]
-    velocities = np.zeros((len(source), 3))
-    if source.velocities is not None and source.rotations is not None:
-        velocities = source.rotations.inv().apply(source.velocities)
-    return [
-        (topic, kind, stamp, odometry_message(stamp, place, turn, velocity))
-        for stamp, place, turn, velocity in zip(*columns, velocities, strict=True)
-    ]
 
 
 def growing_path(source: Trajectory) -> tuple[list[Message], Trajectory]:
@@ -145,33 +120,6 @@ def flown(
     return play_without_loss(flight, peer, environment, folder, NODES, rate=9.0)
 
 
-def offline(bag: Path, folder: Path, truth: str, estimates: list[str], *options: str) -> Any:
-    """Return the result of `trajeval evaluate`."""
-    arguments = ["evaluate", "--groundtruth", f"{bag}:{truth}", "--quiet"]
-    for each in estimates:
-        arguments += ["--estimate", f"{bag}:{each}"]
-    file = folder / "offline.json"
-    assert main([*arguments, *options, "--json", str(file)]) == 0
-    return json.loads(file.read_text())
-
-
-def assert_same(live: Any, recorded: Any, where: str = "result") -> None:
-    """Compare all there is: counts and words exactly, numbers to 1e-9 of their size."""
-    if isinstance(recorded, dict):
-        assert live.keys() == recorded.keys(), where
-        for key in recorded.keys() - APART:
-            assert_same(live[key], recorded[key], f"{where}.{key}")
-    elif isinstance(recorded, list):
-        assert len(live) == len(recorded), (where, live, recorded)
-        for number, (mine, other) in enumerate(zip(live, recorded, strict=True)):
-            assert_same(mine, other, f"{where}[{number}]")
-    elif isinstance(recorded, float):
-        # An error may be zero but for rounding, as that of a first state that was aligned.
-        assert live == pytest.approx(recorded, rel=1e-9, abs=1e-12), where
-    else:
-        assert live == recorded, where
-
-
 @pytest.mark.parametrize("name", OPTIONS)
 def test_live_is_offline(
     flown: dict[str, Evaluator], flight: Path, name: str, tmp_path: Path
@@ -180,7 +128,6 @@ def test_live_is_offline(
     truth, estimates = values.get("groundtruth", TRUTH), values.get("estimates", [ODOMETRY])
     recorded = offline(flight, tmp_path, truth, estimates, *OPTIONS[name])
     live = flown[name].result
-    # One below the other in order of their names; the command line keeps what was said.
     assert_same(live, recorded)
     assert [each["estimate"]["source"] for each in live["runs"]] == estimates
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_bags import STORE
 from ros_processes import (
     ODOMETRY,
     PATIENCE_S,
-    STORE,
     TRUTH,
     TYPES,
     listening,

@@ -1,0 +1,115 @@
+"""Bags of messages that nobody would record on purpose, and of some that everybody does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+POSE, ODOM = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry"
+POINT, PATH = "geometry_msgs/msg/PointStamped", "nav_msgs/msg/Path"
+
+# Topic, type, log time in ns, payload.
+Message = tuple[str, str, int, bytes]
+
+
+def pose_message(
+    stamp: int, position: Sequence[float], quaternion: Sequence[float], frame: str = "world"
+) -> bytes:
+    return _serialised(POSE, _pose_stamped(stamp, position, quaternion, frame))
+
+
+def point_message(stamp: int, position: Sequence[float], frame: str = "world") -> bytes:
+    types = STORE.types
+    point = types["geometry_msgs/msg/Point"](*position)
+    return _serialised(POINT, types[POINT](_header(stamp, frame), point))
+
+
+def path_message(
+    stamps: Sequence[int],
+    positions: Sequence[Sequence[float]],
+    quaternions: Sequence[Sequence[float]],
+    frame: str = "map",
+) -> bytes:
+    poses = [
+        _pose_stamped(*each, frame) for each in zip(stamps, positions, quaternions, strict=True)
+    ]
+    return _serialised(PATH, STORE.types[PATH](_header(stamps[-1], frame), poses))
+
+
+def odometry_message(
+    stamp: int,
+    position: Sequence[float],
+    quaternion: Sequence[float],
+    body_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+) -> bytes:
+    types = STORE.types
+    Vector3 = types["geometry_msgs/msg/Vector3"]
+    nothing = np.zeros(36)
+    pose = types["geometry_msgs/msg/PoseWithCovariance"](_pose(position, quaternion), nothing)
+    twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(0.0, 0.0, 0.0))
+    twist = types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing)
+    return _serialised(ODOM, types[ODOM](_header(stamp, "odom"), "base_link", pose, twist))
+
+
+def _serialised(kind: str, message: Any) -> bytes:
+    return bytes(STORE.serialize_cdr(message, kind))
+
+
+def _pose_stamped(
+    stamp: int, position: Sequence[float], quaternion: Sequence[float], frame: str
+) -> Any:
+    return STORE.types[POSE](_header(stamp, frame), _pose(position, quaternion))
+
+
+def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Any:
+    types = STORE.types
+    turn = types["geometry_msgs/msg/Quaternion"](*map(float, quaternion))
+    place = types["geometry_msgs/msg/Point"](*map(float, position))
+    return types["geometry_msgs/msg/Pose"](place, turn)
+
+
+def _header(stamp: int, frame: str) -> Any:
+    types = STORE.types
+    time = types["builtin_interfaces/msg/Time"](*divmod(int(stamp), NANOSECONDS))
+    return types["std_msgs/msg/Header"](time, frame)
+
+
+def messages_of(source: Trajectory, topic: str, kind: str) -> list[Message]:
+    """Return a trajectory as messages, logged at their stamps."""
+    assert source.quaternions is not None
+    columns = source.stamps.tolist(), source.positions, source.quaternions
+    if kind == POINT:
+        return [
+            (topic, kind, stamp, point_message(stamp, place))
+            for stamp, place, _ in zip(*columns, strict=True)
+        ]
+    if kind == POSE:
+        return [
+            (topic, kind, stamp, pose_message(stamp, place, turn))
+            for stamp, place, turn in zip(*columns, strict=True)
+        ]
+    velocities = np.zeros((len(source), 3))
+    if source.velocities is not None and source.rotations is not None:
+        velocities = source.rotations.inv().apply(source.velocities)
+    return [
+        (topic, kind, stamp, odometry_message(stamp, place, turn, velocity))
+        for stamp, place, turn, velocity in zip(*columns, velocities, strict=True)
+    ]
+
+
+def write_messages(path: Path, messages: Sequence[Message]) -> None:
+    """Write a bag of messages in any order."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, log_time, payload in sorted(messages, key=lambda each: each[2]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connections[topic], log_time, payload)
