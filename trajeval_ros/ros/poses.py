@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _MOST_NOTES = 20
+_STEP_BACK_S = 1.0  # messages that merely overtake each other step back by less
 
 
 class States(NamedTuple):
@@ -96,6 +97,7 @@ class PoseStream:
         self._topic = topic
         self._type = ""
         self._names: tuple[str, str] | None = None
+        self._previous: int | None = None
 
     def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
@@ -144,10 +146,25 @@ class PoseStream:
         if not poses.any():
             return
         told, seen = self.told, found.stamps[poses]
+        self._see_step_back(seen)
         told.poses += len(seen)
         earliest, latest = int(seen.min()), int(seen.max())
         told.first = earliest if told.first is None else min(told.first, earliest)
         told.last = latest if told.last is None else max(told.last, latest)
+
+    def _see_step_back(self, stamps: Stamps) -> None:
+        """Tell, once, that time doesn't go on: live errors are about the newest pairs alone."""
+        before, self._previous = self._previous, int(stamps[-1])
+        steps = np.diff(stamps if before is None else np.concatenate([[before], stamps]))
+        back_s = -float(steps.min(initial=0)) / NANOSECONDS
+        if back_s < _STEP_BACK_S or any("stamps step back" in each for each in self.told.notes):
+            return
+        sentence = (
+            f"{self._topic}: stamps step back by {back_s:.1f} s: has its clock, or a bag, begun "
+            "anew? What is older than the newest pair is in no live number; ~/reset begins anew"
+        )
+        if self.told.note(sentence):
+            self.news.append(sentence)
 
     def _see_frames(self, frame: str, child_frame: str) -> None:
         names = frame, child_frame
