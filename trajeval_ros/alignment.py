@@ -88,7 +88,6 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
     if not gauge.has_translation:
         return Solution(gauge, Similarity.identity())
     sigma = moments.covariance_pq
-    rotation = np.eye(3)
     if gauge.turns_freely:
         # numpy's own way to this routine costs three times the decomposition.
         u, d, vt, failure = lapack.dgesdd(sigma)
@@ -102,7 +101,7 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
         rotation = _about_gravity(np.arctan2(sine, cosine))
         curvature = float(np.hypot(sine, cosine))
     else:
-        return Solution(gauge, _mean_to_mean(rotation, 1.0, moments))
+        return Solution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
     # Line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma.
     best_scale = 1.0
     if moments.variance_q > 0.0:

@@ -161,12 +161,12 @@ def tilt(quaternion: Array) -> Array:
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
     """Interpolate (N, 4) unit quaternions at the fractions (N,) in [0, 1], the short way round."""
-    differences = np.stack([start - end, start + end])
+    differences = np.array([start - end, start + end])
     apart, together = np.sqrt(np.einsum("kni,kni->kn", differences, differences))
     # 2 atan2(|a-b|, |a+b|) instead of arccos: consecutive poses are a tiny angle apart. Of the
     # two quaternions of the end, the nearer one.
     half_angle = 2.0 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
-    weights = np.stack([1.0 - fraction, fraction])
+    weights = np.array([1.0 - fraction, fraction])
     # sin(f a) / sin(a), but that the length is taken out at the end anyway.
     weights = np.where(half_angle < 1e-9, weights, np.sin(weights * half_angle))
     weights[1] = np.copysign(weights[1], together - apart)

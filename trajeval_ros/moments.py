@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 # Pairs to sum at once: what stays in a core's cache.
 _BLOCK = 8192
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +152,7 @@ class Moments:
 
     def spread(self, linear: Array) -> float:
         """Return the root mean square of |p - L q - their mean|, metres."""
-        turn = np.eye(3, 6, 3)
-        turn[:, :3] = self.anchor.linear - linear
+        turn = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
         return math.sqrt(max(float(np.vdot(turn @ self.scatter, turn)), 0.0) / self.weight)
 
     def rmse(self, alignment: Similarity) -> float:
