@@ -54,7 +54,7 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
 
-bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo; BENCH="--sizes 10000 --runs 3".
+bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, time live runs; BENCH="--only online".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
 
 bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.

@@ -1,9 +1,9 @@
-"""Compares `trajeval evaluate` with evo, process by process, on the same files.
+"""Compares `trajeval evaluate` with evo, process by process, and times the live evaluator alone.
 
 Every round runs each command once, one after the other, so that what else the machine does
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
-Usage: make bench BENCH="--sizes 10000,100000 --runs 3"
+Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -68,6 +69,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--evo", required=True, type=Path, help="the program evo_ape")
     parser.add_argument("--sizes", default="10000,100000,1000000", help="poses of the pairs")
     parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
+    parser.add_argument("--only", choices=("evo", "online"), help="one part; both by default")
+    parser.add_argument("--messages", default=1_000_000, type=int, help="of a live run")
     parser.add_argument("--data", default=HERE / "data", type=Path, help="for generated files")
     parser.add_argument("--results", default=HERE / "results.json", type=Path)
     return parser.parse_args()
@@ -172,6 +175,13 @@ def relative_error_seconds(runs: int, env: Environment) -> dict[str, float]:
     return seconds
 
 
+def online_costs(messages: int, env: Environment) -> list[dict[str, Any]]:
+    """Time the live evaluator on so many messages, by window and rate of updates."""
+    command = [sys.executable, "-m", "benchmarks.online", str(messages)]
+    costs: list[dict[str, Any]] = json.loads(run(command, env).output)
+    return costs
+
+
 def evo_version(evo_ape: Path) -> str:
     """Ask evo's own environment which release it is."""
     code = "from importlib.metadata import version; print(version('evo'))"
@@ -198,6 +208,24 @@ def as_table(rows: list[Row]) -> Table:
     return table
 
 
+def online_table(costs: list[dict[str, Any]]) -> Table:
+    """Lay out what the live evaluator costs."""
+    marks = list(costs[0]["us_per_message"])
+    table = Table("live window", "updates", box=box.SIMPLE_HEAD)
+    for heading in (
+        "messages/s",
+        "when quiet",
+        *(f"us at {int(mark) // 1000}k" for mark in marks),
+    ):
+        table.add_column(heading, justify="right")
+    for row in costs:
+        at_marks = [f"{row['us_per_message'][mark]:.1f}" for mark in marks]
+        window = "whole run" if row["window"] == "0" else row["window"]
+        rates = f"{row['messages_per_s']:.0f}", f"{row['quiet_messages_per_s']:.0f}"
+        table.add_row(window, row["updates"], *rates, *at_marks)
+    return table
+
+
 def as_json(row: Row) -> dict[str, object]:
     """Return a row for results.json."""
     return {
@@ -211,40 +239,52 @@ def as_json(row: Row) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    """Measure everything, print it, keep it."""
-    options = arguments()
-    load = os.getloadavg()
+def evo_part(options: argparse.Namespace, env: Environment, console: Console) -> dict[str, Any]:
+    """Compare with evo, and time what it has no counterpart of."""
     rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as home:
-        env = environment(Path(home))
-        evo_position(options.evo, *generate(options.data, SMALL))(env)  # writes its settings
-        rows += compare_startup(options, env)
-        for count in map(int, options.sizes.split(",")):
-            rows += compare_with_evo(options, count, env)
-        relative = relative_error_seconds(options.runs, env)
-    machine = {
-        "cpus": os.cpu_count(),
-        "load_before": load,
-        "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
-        "trajeval-ros": version("trajeval-ros"),
-        "evo": evo_version(options.evo),
-        "runs": options.runs,
-    }
-    console = Console()
+    evo_position(options.evo, *generate(options.data, SMALL))(env)  # writes its settings
+    rows += compare_startup(options, env)
+    for count in map(int, options.sizes.split(",")):
+        rows += compare_with_evo(options, count, env)
+    relative = relative_error_seconds(options.runs, env)
     console.print(as_table(rows))
     small, large = relative.values()
     for poses, seconds in relative.items():
         console.print(f"relative error, 5 lengths, {poses} poses, in process: {seconds:.3f} CPU s")
     console.print(f"twice the poses take {large / small:.2f} times as long")
-    console.print(", ".join(f"{name} {value}" for name, value in machine.items()))
-    results = {
-        "machine": machine,
-        "processes": [as_json(row) for row in rows],
-        "relative_error_cpu_s": relative,
+    return {"processes": [as_json(row) for row in rows], "relative_error_cpu_s": relative}
+
+
+def online_part(options: argparse.Namespace, env: Environment, console: Console) -> dict[str, Any]:
+    """Time the live evaluator."""
+    costs = online_costs(options.messages, env)
+    console.print(online_table(costs))
+    return {"online": costs}
+
+
+def main() -> None:
+    """Measure everything, print it, keep it."""
+    options = arguments()
+    console = Console()
+    results: dict[str, Any] = {
+        "machine": {
+            "cpus": os.cpu_count(),
+            "load_before": os.getloadavg(),
+            "python": platform.python_version(),
+            "numpy": version("numpy"),
+            "scipy": version("scipy"),
+            "trajeval-ros": version("trajeval-ros"),
+            "evo": evo_version(options.evo),
+            "runs": options.runs,
+        }
     }
+    with tempfile.TemporaryDirectory() as home:
+        env = environment(Path(home))
+        if options.only != "online":
+            results |= evo_part(options, env, console)
+        if options.only != "evo":
+            results |= online_part(options, env, console)
+    console.print(", ".join(f"{name} {value}" for name, value in results["machine"].items()))
     options.results.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 
 
