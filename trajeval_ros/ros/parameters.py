@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -231,10 +230,3 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         window=Window.parse(values["window"]),
         freeze=values["align_states"] == FROZEN,
     )
-
-
-def changed(settings: OnlineSettings, values: dict[str, Any]) -> OnlineSettings:
-    """Return the settings with the values that may be set while the node runs."""
-    new = settings_of(values)
-    protocol = dataclasses.replace(settings.protocol, lengths=new.protocol.lengths)
-    return dataclasses.replace(settings, protocol=protocol, window=new.window)
