@@ -58,9 +58,14 @@ class Finisher:
         self._next_at = 0.0
 
     @property
-    def is_free(self) -> bool:
-        """Whether result.json may be written, without taking too much of the machine by now."""
-        return self._process is None and time.monotonic() >= self._next_at
+    def is_busy(self) -> bool:
+        """Whether something is being written."""
+        return self._process is not None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether to write again of one's own accord takes no more of the machine than it may."""
+        return not self.is_busy and time.monotonic() >= self._next_at
 
     def save(self) -> None:
         """Begin to write result.json."""

@@ -90,7 +90,7 @@ class LiveRun:
         Raises:
             InputError: The disk takes no more.
         """
-        if not self.has_pairs or not self.finisher.is_free:
+        if not self.has_pairs or self.finisher.is_busy:
             return False
         self.write_states()
         for each in self.estimates:

@@ -6,6 +6,7 @@ import time
 from difflib import get_close_matches
 from typing import Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -44,7 +45,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._newest: dict[str, Update] = {}
         self._snapshot_at = 0.0
         self._saved_at = time.monotonic()
-        self._saving: Future | None = None
+        self._saved = Future()
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
@@ -83,8 +84,10 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for each in self._outputs.values():
             each.advertise_lengths(self._lengths)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_service(Trigger, "~/reset", self._reset)
-        self.create_service(Trigger, "~/save", self._save)
+        # Whoever waits for ~/save must not keep other services waiting.
+        asked = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/reset", self._reset, callback_group=asked)
+        self.create_service(Trigger, "~/save", self._save, callback_group=asked)
         self.add_on_set_parameters_callback(self._set)
 
     @property
@@ -171,11 +174,10 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._line.show(parts)
 
     def _autosave(self) -> None:
-        if self._run.finisher.poll() and self._saving is not None:
-            self._saving.set_result(None)
-            self._saving = None
+        if self._run.finisher.poll():
+            self._tell_saved()
         period = self._values["autosave_period"]
-        if period and time.monotonic() >= self._saved_at + period:
+        if period and time.monotonic() >= self._saved_at + period and self._run.finisher.is_due:
             self._begin_to_save()
 
     def _begin_to_save(self) -> bool:
@@ -188,35 +190,47 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._saved_at = time.monotonic()
         return begun
 
+    def _tell_saved(self) -> None:
+        """Let those go on who wait until something is written."""
+        saved, self._saved = self._saved, Future()
+        saved.set_result(None)
+
     # What is answered.
 
     async def _save(self, request: Any, response: Any) -> Any:
         """Answer ~/save when result.json is written."""
         del request
-        if self._saving is None and self._begin_to_save():
-            self._saving = Future()
-        if self._saving is None:
-            busy = self._run.has_pairs
-            response.message = "saving already" if busy else self._why_no_pair()
+        while self._run.finisher.is_busy:  # with what was there before the newest pairs
+            await self._saved
+        finisher = self._run.finisher
+        if not self._begin_to_save():
+            response.message = self._why_no_pair()
             return response
-        await self._saving
-        trouble = self._run.finisher.trouble
-        response.success = not trouble
-        response.message = trouble or str(self._run.finisher.folder / "result.json")
+        await self._saved
+        response.success = not finisher.trouble
+        response.message = finisher.trouble or str(finisher.folder / "result.json")
         return response
 
     def _reset(self, request: Any, response: Any) -> Any:
         """Answer ~/reset: end this run, whose results stay, and begin another one."""
         del request
-        ended = self._run
+        try:
+            begun = self._new_run()
+        except TrajevalError as error:
+            response.message = str(error)
+            return response
+        ended, self._run = self._run, begun
+        ended.take(self._simulated_ns())
+        for _ in ended.update(at_end=True):
+            pass
         for trouble in ended.close():
             self._log(trouble, warn=True)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
-        self._run = self._new_run()
         self._snapshots, self._newest = {}, {}
         if ended.has_pairs:
             ended.finisher.finish_alone()
+        self._tell_saved()
         response.success = True
         response.message = (
             f"results so far are in {ended.finisher.folder}, new ones go to "
