@@ -1,0 +1,222 @@
+"""What the evaluator publishes and answers, heard and asked by another process."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import (
+    ODOMETRY,
+    TRUTH,
+    Evaluator,
+    Peer,
+    assert_same,
+    evaluating,
+    offline,
+    replay,
+    until,
+)
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+NUMBERS = ("position_error", "rotation_error", "ate_position", "ate_rotation")
+NAME = "vio_odometry"
+
+
+@dataclass
+class Heard:
+    """A run that a peer has followed.
+
+    Attributes:
+        evaluator: The evaluator, which has ended.
+        bag: What was played.
+        numbers: Values by topic, as they came.
+        messages: Other messages by topic.
+        saved: What ~/save and ~/reset answered, and the results at that time.
+        set: Results of setting parameters, by name.
+    """
+
+    evaluator: Evaluator
+    bag: Path
+    numbers: dict[str, list[float]]
+    messages: dict[str, list[Any]]
+    saved: dict[str, Any]
+    set: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def heard(
+    flights: Path,
+    peer: Peer,
+    environment: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Heard:
+    """Follow a run with simulated time, a parameter file and a remapped topic."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import TransformStamped
+    from nav_msgs.msg import Path as PathMessage
+    from std_msgs.msg import Float64
+    from std_srvs.srv import Trigger
+
+    bag, folder = flights / "mcap", tmp_path_factory.mktemp("heard")
+    topics = [*NUMBERS, "relative_error/length_8m", "relative_error/length_2_5s"]
+    floats = {each: peer.hear(f"/judge/{NAME}/{each}", Float64) for each in topics}
+    kinds = {
+        "alignment": TransformStamped,
+        "aligned_path": PathMessage,
+        "groundtruth_path": PathMessage,
+    }
+    messages = {
+        each: peer.hear(f"/judge/{NAME}/{each}", kind, latched=True)
+        for each, kind in kinds.items()
+    }
+    messages["diagnostics"] = peer.hear("/diagnostics", DiagnosticArray)
+    file = folder / "judge.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters:\n    window: 10s\n    gauge: yaw\n    lengths: 8\n"
+        "    max_gap: 1\n    publish_rate: 20\n    autosave_period: 0\n    use_sim_time: true\n"
+    )
+    arguments = ["--params-file", str(file), "-r", "__node:=judge", "-r", "/odom:=/vio/odometry"]
+    with evaluating(
+        folder / "out", environment, *arguments, estimates=["/odom"], warn_position_error_m=1e-3
+    ) as evaluator:
+        saved = {"too early": peer.ask("/judge/save", Trigger)}
+        results = {
+            "live": peer.set("/judge", window="0", lengths="8,2.5s", publish_rate=40.0),
+            "integer": peer.set("/judge", publish_rate=30),
+            "read-only": peer.set("/judge", gauge="sim3"),
+            "nonsense": peer.set("/judge", window="abc"),
+            "beyond": peer.set("/judge", publish_rate=1e4),
+        }
+        replay(bag, environment, "--rate", 8)
+        saved["saved"] = peer.ask("/judge/save", Trigger)
+        saved["result"] = evaluator.result
+        peer.until(lambda: floats["ate_position"], "numbers are published")
+        peer.until(
+            lambda: (
+                floats["ate_position"][-1].data
+                == pytest.approx(saved["result"]["runs"][0]["ate"]["position_m"]["rmse"], rel=1e-9)
+            ),
+            "the last ATE is published",
+        )
+        peer.until(
+            lambda: len(messages["aligned_path"][-1].poses) and messages["diagnostics"],
+            "paths are published",
+        )
+        first = {each: [number.data for number in of] for each, of in floats.items()}
+        messages = {each: list(of) for each, of in messages.items()}
+        saved["reset"] = peer.ask("/judge/reset", Trigger)
+        replay(bag, environment, "--rate", 8, "--end", 12)
+        saved["after reset"] = peer.ask("/judge/save", Trigger)
+        assert evaluator.end() == 0
+    return Heard(evaluator, bag, first, messages, saved, results)
+
+
+def test_the_last_published_ate_is_that_of_the_result(heard: Heard) -> None:
+    [run] = heard.saved["result"]["runs"]
+    assert heard.numbers["ate_position"][-1] == pytest.approx(
+        run["ate"]["position_m"]["rmse"], rel=1e-9
+    )
+    assert heard.numbers["ate_rotation"][-1] == pytest.approx(
+        run["ate"]["rotation_deg"]["rmse"], rel=1e-9
+    )
+    assert all(np.isfinite(heard.numbers[each]).all() for each in NUMBERS)
+    # The alignment at the time was of fewer states, so errors differ, but not by their size.
+    assert 0.0 < np.median(heard.numbers["position_error"]) < run["ate"]["position_m"]["max"]
+    assert len(heard.numbers["position_error"]) > 20
+
+
+def test_relative_errors_are_published_as_sub_trajectories_end(heard: Heard) -> None:
+    [run] = heard.saved["result"]["runs"]
+    for segment, topic in zip(run["re"]["segments"], ("length_8m", "length_2_5s"), strict=True):
+        published = heard.numbers[f"relative_error/{topic}"]
+        assert 5 < len(published) <= segment["pairs"]
+        assert min(published) >= segment["position_m"]["min"] * (1 - 1e-9)
+        assert max(published) <= segment["position_m"]["max"] * (1 + 1e-9)
+
+
+def test_the_alignment_moves_the_estimate_onto_the_groundtruth(heard: Heard) -> None:
+    [run], transform = heard.saved["result"]["runs"], heard.messages["alignment"][-1]
+    moved, turned = transform.transform.translation, transform.transform.rotation
+    alignment = run["alignment"]
+    assert [moved.x, moved.y, moved.z] == pytest.approx(alignment["translation_m"], abs=0.05)
+    quaternion = np.array([turned.x, turned.y, turned.z, turned.w])
+    assert abs(quaternion @ alignment["rotation_xyzw"]) == pytest.approx(1.0, abs=1e-4)
+    assert transform.header.frame_id == heard.saved["result"]["groundtruth"]["frame"]
+    assert transform.child_frame_id == run["estimate"]["frame"]
+
+
+def test_paths_lie_on_each_other(heard: Heard) -> None:
+    [run] = heard.saved["result"]["runs"]
+    aligned, truth = (heard.messages[each][-1] for each in ("aligned_path", "groundtruth_path"))
+    assert aligned.header.frame_id == truth.header.frame_id
+    assert 100 < len(aligned.poses) == len(truth.poses) <= 2001
+    places = [
+        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z] for p in path.poses])
+        for path in (aligned, truth)
+    ]
+    errors = np.linalg.norm(places[0] - places[1], axis=1)
+    assert errors.max() < 2.0 * run["ate"]["position_m"]["max"]
+    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in truth.poses]
+    assert stamps == sorted(stamps)
+
+
+def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
+    statuses = [each.status[0] for each in heard.messages["diagnostics"] if each.status]
+    assert {each.name for each in statuses} == {f"judge: {NAME}"}
+    last = statuses[-1]
+    values = {each.key: each.value for each in last.values}
+    [run] = heard.saved["result"]["runs"]
+    assert int(values["pairs"]) == run["association"]["pairs"]
+    assert values["messages lost"] == values["groundtruth messages lost"] == "0"
+    assert values["estimate"] == ODOMETRY
+    assert float(values["ATE position, whole run [m]"]) == pytest.approx(
+        run["ate"]["position_m"]["rmse"], rel=1e-5
+    )
+    assert any("is over 0.001 m" in each.message for each in statuses)
+    # In simulated time arrival and stamp are of one clock, which is why there is a risk to tell.
+    assert abs(float(values["arrival after stamp [s]"])) < 2.0
+    assert "sync risk [m]" in values
+
+
+def test_harmless_parameters_can_be_set_and_others_cannot(heard: Heard) -> None:
+    assert all(each.successful for each in heard.set["live"])
+    assert heard.set["integer"][0].successful
+    assert not heard.set["read-only"][0].successful
+    assert "read-only" in heard.set["read-only"][0].reason
+    assert not heard.set["nonsense"][0].successful
+    assert "'abc' is no window" in heard.set["nonsense"][0].reason
+    assert not heard.set["beyond"][0].successful
+    assert "publish_rate out of range" in heard.set["beyond"][0].reason
+
+
+def test_save_answers_when_it_is_written(heard: Heard, tmp_path: Path) -> None:
+    assert not heard.saved["too early"].success
+    assert "no pair" in heard.saved["too early"].message
+    assert heard.saved["saved"].success
+    assert heard.saved["saved"].message == str(heard.evaluator.folder / "result.json")
+    options = ["--gauge", "yaw", "--lengths", "8,2.5s", "--max-gap", "1"]
+    expected = offline(heard.bag, tmp_path, TRUTH, [ODOMETRY], *options)
+    saved = heard.saved["result"]
+    # What comes after the last groundtruth is decided at the end.
+    assert_same(saved, expected)
+
+
+def test_reset_begins_anew_and_leaves_what_was(heard: Heard) -> None:
+    assert heard.saved["reset"].success
+    anew = heard.evaluator.folder.with_name("out_2")
+    assert str(anew) in heard.saved["reset"].message
+    assert heard.saved["after reset"].message == str(anew / "result.json")
+    later = json.loads((anew / "result.json").read_text())
+    [run] = later["runs"]
+    assert 180 < run["association"]["pairs"] < 260
+    assert run["live"]["jumps"] == 0
+    until(lambda: (heard.evaluator.folder / "errors.npz").exists(), "the first run is finished")
+    assert_same(heard.evaluator.result, heard.saved["result"])
