@@ -108,6 +108,11 @@ class LiveRun:
             if self._received > before:
                 quiet_since = time.monotonic()
             time.sleep(_QUIET_S / 10)
+        self.conclude(now_ns)
+
+    def conclude(self, now_ns: int | None) -> None:
+        """Take and evaluate what has arrived, and what waits for groundtruth that won't come."""
+        self.take(now_ns)
         for each in self.estimates:
             each.update(at_end=True)
             each.digest()

@@ -220,9 +220,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             response.message = str(error)
             return response
         ended, self._run = self._run, begun
-        ended.take(self._simulated_ns())
-        for _ in ended.update(at_end=True):
-            pass
+        ended.conclude(self._simulated_ns())
         for trouble in ended.close():
             self._log(trouble, warn=True)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
