@@ -164,13 +164,15 @@ class LiveEstimate:
 
 
 def joined(several: list[Pairs]) -> list[Pairs]:
-    """Return one block of pairs instead of several, none instead of none."""
+    """Return one block of pairs, in order of their stamps, instead of several; none for none."""
     if len(several) < 2:
         return several
+    stamps = np.concatenate([each.stamps for each in several])
+    order = np.argsort(stamps, kind="stable")  # late ones go where they belong
     return [
         Pairs(
-            np.concatenate([each.stamps for each in several]),
-            np.concatenate([each.groundtruth for each in several]),
-            np.concatenate([each.estimate for each in several]),
+            stamps[order],
+            np.concatenate([each.groundtruth for each in several])[order],
+            np.concatenate([each.estimate for each in several])[order],
         )
     ]
