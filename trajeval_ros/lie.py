@@ -3,6 +3,8 @@
 Quaternions are xyzw, Hamilton, unit, of shape (..., 4); all functions broadcast.
 `Rotation` stays the type that the package passes around. These functions serve the two places
 where it costs too much: products of long batches and spherical interpolation.
+The functions from `skew` on are of rotation matrices and vectors: the exponential and its
+Jacobians, series where the closed forms cancel.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 # Rows of a few columns that stay in a core's cache: twice as fast as whole columns at a time.
@@ -173,3 +176,82 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
     mixed = weights[0, :, None] * start + weights[1, :, None] * end
     unit: Array = mixed / np.sqrt(np.einsum("ni,ni->n", mixed, mixed))[:, None]
     return unit
+
+
+def skew(vector: Array) -> Array:
+    """Return the matrices (..., 3, 3) whose product with x is the cross product `vector` x x."""
+    matrix = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
+
+
+def exp(rotation_vector: Array) -> Array:
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3): Rodrigues."""
+    sine, cosine, _ = _rodrigues(rotation_vector)
+    cross = skew(rotation_vector)
+    matrix: Array = np.eye(3) + sine * cross + cosine * (cross @ cross)
+    return matrix
+
+
+def log(matrix: Array) -> Array:
+    """Return the rotation vectors (..., 3), at most pi long, of rotation matrices (..., 3, 3)."""
+    vectors = np.asarray(Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_rotvec())
+    return vectors.reshape(matrix.shape[:-1])
+
+
+def yaw_of_matrix(matrix: Array) -> Array:
+    """Return the signed twist about gravity (...), rad, of rotation matrices (..., 3, 3).
+
+    The same angle as `yaw` of their quaternions: it maximises tr(Rz(a)^T R), and the z component
+    of Log(Rz(a)^T R) vanishes.
+    """
+    twist: Array = np.arctan2(
+        matrix[..., 1, 0] - matrix[..., 0, 1], matrix[..., 0, 0] + matrix[..., 1, 1]
+    )
+    return twist
+
+
+def left_jacobian(rotation_vector: Array) -> Array:
+    """Return J_l (..., 3, 3) with Exp(v + dv) = Exp(J_l dv) Exp(v); J_r(v) is J_l(-v)."""
+    _, cosine, remainder = _rodrigues(rotation_vector)
+    cross = skew(rotation_vector)
+    jacobian: Array = np.eye(3) + cosine * cross + remainder * (cross @ cross)
+    return jacobian
+
+
+def inverse_left_jacobian(rotation_vector: Array) -> Array:
+    """Return the inverse of J_l (..., 3, 3), for angles below 2 pi."""
+    sine, cosine, _ = _rodrigues(rotation_vector)
+    squared = np.sum(rotation_vector * rotation_vector, axis=-1)[..., None, None]
+    small = squared < 1e-3
+    series = 1.0 / 12.0 + squared / 720.0 + squared**2 / 30240.0 + squared**3 / 1209600.0
+    factor = np.where(small, series, (1.0 - sine / (2.0 * cosine)) / np.where(small, 1.0, squared))
+    cross = skew(rotation_vector)
+    jacobian: Array = np.eye(3) - 0.5 * cross + factor * (cross @ cross)
+    return jacobian
+
+
+def _rodrigues(rotation_vector: Array) -> tuple[Array, Array, Array]:
+    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3, each (..., 1, 1)."""
+    squared = np.sum(rotation_vector * rotation_vector, axis=-1)[..., None, None]
+    small = squared < 1e-2
+    t = np.sqrt(np.where(small, 1.0, squared))
+    s = squared
+    sine = np.where(
+        small,
+        1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110)))),
+        np.sin(t) / t,
+    )
+    cosine = np.where(
+        small,
+        0.5 * (1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90)))),
+        2.0 * (np.sin(t / 2.0) / t) ** 2,
+    )
+    remainder = np.where(
+        small,
+        (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110)))) / 6,
+        (t - np.sin(t)) / t**3,
+    )
+    return sine, cosine, remainder

@@ -1,0 +1,138 @@
+"""The estimator against numbers worked out with 50 digits and numerical derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from visual_inertial_scenes import gradient, relative
+
+from trajeval_ros import lie
+from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.covariance import (
+    fixed_covariance,
+    free_covariance,
+    to_left,
+    transform,
+)
+from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.state import State
+
+NUMBERS, COVARIANCES = 1e-9, 1e-10
+
+
+class Case:
+    """The inputs of gauge.json as our objects."""
+
+    def __init__(self, numbers: dict[str, Any]) -> None:
+        self.numbers = numbers
+        given = numbers["inputs"]
+        column = {name: np.array(value) for name, value in given.items()}
+        self.preintegrated: Preintegrated = preintegrate(
+            column["omega"],
+            column["acc"],
+            given["imu_dt"],
+            ImuNoise(given["sigma_g"], given["sigma_a"]),
+        )
+        self.problem = Problem(
+            Camera(given["f"], round(2 * given["cx"]), round(2 * given["cy"]), given["sigma_px"]),
+            column["R_BC"],
+            column["uv"],
+            column["obs_cam"],
+            column["obs_lm"],
+            given["K"],
+            self.preintegrated,
+        )
+        estimate = {name: np.array(value) for name, value in given["est"].items()}
+        self.reference_rotation = lie.exp(column["ref_rotvec0"])
+        self.state = State.at(
+            estimate["p"], lie.exp(estimate["rotvec"]), estimate["v"], estimate["X"]
+        ).referred_to(self.reference_rotation, column["ref_p0"])
+
+
+@pytest.fixture(scope="module")
+def case(reference: Callable[[str], Any]) -> Case:
+    return Case(reference("gauge"))
+
+
+def test_preintegration(case: Case) -> None:
+    for k, expected in enumerate(case.numbers["preint"]):
+        computed = case.preintegrated
+        assert relative(lie.log(computed.rotations[k]), np.array(expected["dR_rotvec"])) < NUMBERS
+        assert relative(computed.velocities[k], np.array(expected["dv"])) < NUMBERS
+        assert relative(computed.positions[k], np.array(expected["dp"])) < NUMBERS
+        assert relative(computed.covariances[k], np.array(expected["cov"])) < COVARIANCES
+
+
+def test_residuals_cost_gradient_and_curvature(case: Case) -> None:
+    expected = case.numbers["at_estimate"]
+    assert relative(case.state.first_turn, np.array(expected["dphi0"])) < NUMBERS
+    visual, inertial = case.problem.residuals(case.state)
+    assert relative(visual, np.array(expected["residual_visual_px"])) < NUMBERS
+    # The reference's are not whitened: r^T Sigma^-1 r must agree.
+    raw = np.array(expected["residual_imu_unwhitened_phi_v_p"])
+    weighed = np.linalg.solve(case.preintegrated.covariances, raw[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(
+        (inertial**2).sum(axis=1), (raw * weighed).sum(axis=1), rtol=NUMBERS
+    )
+    normal = case.problem.normal_equations(case.state)
+    assert normal.cost == pytest.approx(expected["cost"], rel=NUMBERS)
+    assert relative(gradient(normal), np.array(expected["gradient"])) < NUMBERS
+    diagonal = np.concatenate(
+        [
+            np.diagonal(blocks, axis1=1, axis2=2).ravel()
+            for blocks in (normal.diagonal, normal.landmark)
+        ]
+    )
+    assert relative(diagonal, np.array(expected["hessian_diag"])) < NUMBERS
+
+
+def test_covariances(case: Case) -> None:
+    expected = case.numbers["at_estimate"]
+    fixed = fixed_covariance(case.problem, case.state)
+    assert relative(fixed, np.array(expected["cov_fixed"])) < COVARIANCES
+    free = free_covariance(case.problem, case.state)
+    assert relative(free, np.array(expected["cov_free_pinv"])) < COVARIANCES
+    left = to_left(free, case.state)
+    assert relative(left, np.array(case.numbers["cov_free_left"])) < COVARIANCES
+
+
+def test_transformation_of_covariance(case: Case) -> None:
+    free = free_covariance(case.problem, case.state)
+    turn = lie.exp(np.array([0.0, 0.0, 0.7]))
+    expected = case.numbers["eq12"]
+    covariance, state = transform(
+        free, case.state, turn @ case.reference_rotation, np.array(expected["new_ref_p0"])
+    )
+    assert relative(covariance, np.array(expected["cov"])) < COVARIANCES
+    assert relative(state.positions, np.array(expected["thetaC_p"])) < NUMBERS
+    assert relative(lie.log(state.rotations), np.array(expected["thetaC_rotvec"])) < NUMBERS
+    assert relative(state.velocities, np.array(expected["thetaC_v"])) < NUMBERS
+    assert relative(state.first_turn, np.array(expected["thetaC_dphi0"])) < NUMBERS
+
+    expected = case.numbers["eq12_same_reference"]
+    covariance, state = transform(
+        free, case.state, case.reference_rotation, case.state.reference_position
+    )
+    assert relative(covariance, np.array(expected["cov"])) < COVARIANCES
+    assert relative(state.positions, np.array(expected["thetaC_p"])) < NUMBERS
+
+
+@pytest.mark.parametrize(
+    ("handling", "name"),
+    [(Handling.FIXATION, "fix"), (Handling.PRIOR, "prior"), (Handling.FREE, "free")],
+)
+def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: str) -> None:
+    expected = case.numbers["solver"][name]
+    solution = solve(case.problem, case.state, handling, keep_last_step=False)
+    assert solution.iterations == expected["ceres_iterations"]
+    assert solution.reason == expected["ceres_reason"]
+    assert solution.cost == pytest.approx(expected["ceres_cost"], rel=NUMBERS)
+    converged = solve(case.problem, case.state, handling, function_tolerance=1e-14)
+    assert converged.cost == pytest.approx(expected["converged_cost"], rel=NUMBERS)
+    assert relative(converged.state.positions, np.array(expected["converged_p"])) < NUMBERS
+    assert relative(converged.state.velocities, np.array(expected["converged_v"])) < NUMBERS

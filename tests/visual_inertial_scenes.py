@@ -1,0 +1,71 @@
+"""Scenes and dense forms that the tests of visual_inertial share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.visual_inertial.motion import shape
+from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
+from trajeval_ros.visual_inertial.reduction import motion_matrix
+from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
+from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.state import State
+
+CONFIGURATIONS = [
+    (name, layout) for layout in ("plane", "random") for name in ("sine", "arc", "rec")
+]
+
+
+def scene_of(name: str = "sine", layout: str = "random", profile: str = "paper") -> Scene:
+    """Return one of the paper's six configurations."""
+    return make_scene(shape(name), layout, PROFILES[profile], 0)
+
+
+def solved(scene: Scene, seed: int, tolerance: float = 1e-9) -> tuple[Problem, State]:
+    """Return the problem and free-gauge estimate of a noise draw."""
+    problem = scene.measured(np.random.default_rng([77, seed]))
+    start = scene.disturbed(np.random.default_rng([78, seed]))
+    return problem, solve(problem, start, Handling.FREE, function_tolerance=tolerance).state
+
+
+def dense_hessian(normal: NormalEquations) -> np.ndarray:
+    """Return J^T J (9N + 3K, 9N + 3K)."""
+    motion, count = motion_matrix(normal), len(normal.diagonal)
+    landmarks = len(normal.landmark)
+    cross = np.zeros((count, 9, landmarks, 3))
+    cross[normal.keyframe_of, :6, normal.landmark_of] = normal.cross
+    cross = cross.reshape(9 * count, 3 * landmarks)
+    own = np.zeros((landmarks, 3, landmarks, 3))
+    own[np.arange(landmarks), :, np.arange(landmarks)] = normal.landmark
+    return np.block([[motion, cross], [cross.T, own.reshape(3 * landmarks, -1)]])
+
+
+def gradient(normal: NormalEquations) -> np.ndarray:
+    """Return J^T r (9N + 3K,)."""
+    return np.concatenate([normal.motion_gradient.ravel(), normal.landmark_gradient.ravel()])
+
+
+def stacked_residuals(problem: Problem, state: State) -> np.ndarray:
+    """Return all residuals in one column."""
+    return np.concatenate([each.ravel() for each in problem.residuals(state)])
+
+
+def numeric_jacobian(problem: Problem, state: State, step: float = 1e-6) -> np.ndarray:
+    """Return the Jacobian of all residuals by central differences."""
+    size = 9 * problem.keyframes + 3 * problem.landmarks
+    columns = []
+    for unit in np.eye(size) * step:
+        ahead = stacked_residuals(problem, state.moved(unit))
+        behind = stacked_residuals(problem, state.moved(-unit))
+        columns.append((ahead - behind) / (2.0 * step))
+    return np.stack(columns, axis=1)
+
+
+def relative(value: np.ndarray, expected: np.ndarray) -> float:
+    """Return the largest difference as a share of the largest entry."""
+    return float(np.abs(value - expected).max() / np.abs(expected).max())
+
+
+def frobenius(value: np.ndarray, expected: np.ndarray) -> float:
+    """Return the difference's Frobenius norm as a share of what is expected."""
+    return float(np.linalg.norm(value - expected) / np.linalg.norm(expected))

@@ -1,0 +1,59 @@
+"""A pinhole camera that sits in the body's origin, and what it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Columns: the camera's right, down and forward in a body whose x is forward, y left and z up.
+FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics, noise and range. The principal point is the image's centre.
+
+    Attributes:
+        focal_px: Focal length, pixels.
+        width: Of the image, pixels.
+        height: Of the image, pixels.
+        noise_px: Standard deviation of a measured coordinate, pixels.
+        nearest_m: Depth from which on a point is seen.
+        farthest_m: Depth up to which a point is seen.
+    """
+
+    focal_px: float
+    width: int
+    height: int
+    noise_px: float = 1.0
+    nearest_m: float = 0.3
+    farthest_m: float = 30.0
+
+    @property
+    def centre(self) -> Array:
+        """Principal point (2,), pixels."""
+        return np.array([self.width / 2.0, self.height / 2.0])
+
+    def pixels(self, points: Array) -> Array:
+        """Project points in the camera's frame, (..., 3) to (..., 2)."""
+        projected: Array = self.focal_px * points[..., :2] / points[..., 2:] + self.centre
+        return projected
+
+    def rays(self, pixels: Array) -> Array:
+        """Return the points of depth 1 (..., 3), in the camera's frame, behind pixels (..., 2)."""
+        plane = (pixels - self.centre) / self.focal_px
+        return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+
+    def sees(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points in the camera's frame (..., 3) are in range and in the image."""
+        depth = points[..., 2]
+        in_range = (depth > self.nearest_m) & (depth < self.farthest_m)
+        # A point behind the camera is projected at depth 1, so that nothing divides by zero.
+        pixels = self.pixels(np.where(in_range[..., None], points, 1.0))
+        inside = (pixels >= 0.0) & (pixels < [self.width, self.height])
+        seen: NDArray[np.bool_] = in_range & inside.all(axis=-1)
+        return seen

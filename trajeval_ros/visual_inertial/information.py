@@ -1,0 +1,56 @@
+"""The motion's information matrix as a sparse matrix, for runs too long for a dense one."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
+from trajeval_ros.visual_inertial.reduction import (
+    inverse_landmark_factors,
+    require_seen_landmarks,
+)
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+
+
+def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
+    """Return H_mm - W V^-1 W^T (9N, 9N), undamped; keyframes couple as far as tracks reach.
+
+    Its rank is 9N - 4, whatever the gauge.
+
+    Raises:
+        DegenerateGeometryError: A landmark's position is not determined.
+    """
+    normal = problem.normal_equations(state)
+    require_seen_landmarks(normal)
+    inverse = inverse_landmark_factors(normal, 0.0)
+    half = normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
+    # In order of keyframes, as a block-sparse matrix wants its rows.
+    order = np.lexsort((normal.landmark_of, normal.keyframe_of))
+    starts = np.searchsorted(normal.keyframe_of[order], np.arange(problem.keyframes + 1))
+    blocks = scipy.sparse.bsr_matrix(
+        (half[order], normal.landmark_of[order], starts),
+        shape=(6 * problem.keyframes, 3 * problem.landmarks),
+    )
+    shared = (blocks @ blocks.T).tocoo()
+    direct = _motion_blocks(normal)
+    rows, columns = (9 * (index // 6) + index % 6 for index in (shared.row, shared.col))
+    eliminated = scipy.sparse.coo_matrix((shared.data, (rows, columns)), shape=direct.shape)
+    information = (direct - eliminated).tocsr()
+    return (information + information.T).tocsr() / 2.0
+
+
+def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
+    """Return H_mm (9N, 9N): what couples keyframes directly."""
+    count = len(normal.diagonal)
+    diagonal = scipy.sparse.bsr_matrix(
+        (normal.diagonal, np.arange(count), np.arange(count + 1)), shape=(9 * count, 9 * count)
+    )
+    starts = np.minimum(np.arange(count + 1), count - 1)
+    coupling = scipy.sparse.bsr_matrix(
+        (normal.coupling, np.arange(1, count), starts), shape=(9 * count, 9 * count)
+    )
+    return (diagonal + coupling + coupling.T).tocsr()

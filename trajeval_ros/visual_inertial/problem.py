@@ -1,0 +1,253 @@
+"""Residuals of camera and IMU with their Jacobians, and the normal equations: eq. (1).
+
+All residuals are whitened, so the cost is half their squared length. Perturbations are on the
+left, in the world, but for the first rotation, eq. (9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Visual(NamedTuple):
+    """The M reprojection errors and their Jacobians.
+
+    d r / d landmark is `by_point`, d r / d position its negative, and d r / d rotation is
+    `by_point` [d]x with d the `rays`.
+
+    Attributes:
+        residuals: (M, 2).
+        by_point: (M, 2, 3).
+        rays: (M, 3), from keyframe to landmark, in the world, metres.
+    """
+
+    residuals: Array
+    by_point: Array
+    rays: Array
+
+
+class Inertial(NamedTuple):
+    """The N - 1 preintegration errors (rotation, velocity, position) and their Jacobians.
+
+    Attributes:
+        residuals: (N - 1, 9).
+        by_before: (N - 1, 9, 9), by (position, rotation, velocity) of the earlier keyframe.
+        by_after: (N - 1, 9, 9), by those of the later one.
+    """
+
+    residuals: Array
+    by_before: Array
+    by_after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """J^T J and J^T r by blocks, for N keyframes, K landmarks and M observations.
+
+    Attributes:
+        cost: Half the squared length of all residuals.
+        reprojection_px: Mean length of the reprojection errors, pixels.
+        diagonal: (N, 9, 9), each keyframe with itself.
+        coupling: (N - 1, 9, 9), each keyframe (rows) with the next one (columns).
+        cross: (M, 6, 3), position and rotation of the observation's keyframe (rows) with its
+            landmark (columns).
+        landmark: (K, 3, 3), each landmark with itself.
+        motion_gradient: (N, 9).
+        landmark_gradient: (K, 3).
+        keyframe_of: (M,).
+        landmark_of: (M,).
+    """
+
+    cost: float
+    reprojection_px: float
+    diagonal: Array
+    coupling: Array
+    cross: Array
+    landmark: Array
+    motion_gradient: Array
+    landmark_gradient: Array
+    keyframe_of: Indices
+    landmark_of: Indices
+
+
+class Problem:
+    """Measurements of N keyframes and K landmarks, to be explained by a `State`."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        camera_in_body: Array,
+        pixels: Array,
+        keyframe_of: Indices,
+        landmark_of: Indices,
+        landmarks: int,
+        preintegrated: Preintegrated,
+    ) -> None:
+        """Keep the measurements.
+
+        Args:
+            camera: Intrinsics and noise.
+            camera_in_body: (3, 3) rotation.
+            pixels: (M, 2) measured.
+            keyframe_of: (M,) which keyframe saw it.
+            landmark_of: (M,) which landmark it saw.
+            landmarks: Number of landmarks K.
+            preintegrated: N - 1 intervals between keyframes.
+        """
+        self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
+        self.keyframe_of, self.landmark_of = keyframe_of, landmark_of
+        self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
+        self.preintegrated = preintegrated
+        self._whiten = np.linalg.inv(np.linalg.cholesky(preintegrated.covariances))
+        # Products with these sum over the observations of a keyframe, and of a landmark.
+        self._of_keyframe = _indicator(keyframe_of, self.keyframes)
+        self._of_landmark = _indicator(landmark_of, landmarks)
+
+    def residuals(self, state: State) -> tuple[Array, Array]:
+        """Return the whitened errors of camera (M, 2) and IMU (N - 1, 9)."""
+        _, points = self._points(state)
+        return self._reprojection(points), self._inertial_errors(state)[0]
+
+    def cost(self, state: State) -> float:
+        """Return half the squared length of all residuals, eq. (1)."""
+        visual, inertial = self.residuals(state)
+        return 0.5 * float(np.vdot(visual, visual) + np.vdot(inertial, inertial))
+
+    def visual(self, state: State) -> Visual:
+        """Return the reprojection errors with their Jacobians."""
+        rays, points = self._points(state)
+        to_camera = np.swapaxes(state.rotations @ self.camera_in_body, 1, 2)
+        scale = self.camera.focal_px / self.camera.noise_px / points[:, 2]
+        # f [[1/z, 0, -x/z^2], [0, 1/z, -y/z^2]] times the rotation into the camera.
+        turned = to_camera[self.keyframe_of]
+        slope = points[:, :2] / points[:, 2:]
+        by_point = scale[:, None, None] * (turned[:, :2] - slope[:, :, None] * turned[:, None, 2])
+        return Visual(self._reprojection(points), by_point, rays)
+
+    def inertial(self, state: State) -> Inertial:
+        """Return the preintegration errors with their Jacobians."""
+        residuals, turn, speed, shift = self._inertial_errors(state)
+        into = np.swapaxes(state.rotations[:-1], 1, 2)
+        durations = self.preintegrated.durations_s[:, None, None]
+        before, after = np.zeros((2, len(residuals), 9, 9))
+        after[:, 0:3, 3:6] = lie.inverse_left_jacobian(-turn) @ np.swapaxes(
+            state.rotations[1:], 1, 2
+        )
+        before[:, 0:3, 3:6] = -after[:, 0:3, 3:6]
+        before[:, 3:6, 3:6] = into @ lie.skew(speed)
+        before[:, 3:6, 6:9], after[:, 3:6, 6:9] = -into, into
+        before[:, 6:9, 3:6] = into @ lie.skew(shift)
+        before[:, 6:9, 0:3], after[:, 6:9, 0:3] = -into, into
+        before[:, 6:9, 6:9] = -into * durations
+        # The first rotation is Exp(Dphi) R_ref: d phi = J_l(Dphi) d Dphi.
+        before[0, :, 3:6] = before[0, :, 3:6] @ lie.left_jacobian(state.first_turn)
+        return Inertial(residuals, self._whiten @ before, self._whiten @ after)
+
+    def normal_equations(self, state: State) -> NormalEquations:
+        """Return J^T J and J^T r, all blocks at once."""
+        count = self.keyframes
+        residuals, by_point, rays = self.visual(state)
+        # With E = [-I, [d]x], the Jacobian by the keyframe is by_point E: all blocks follow from
+        # G = by_point^T by_point, and products with [d]x are cross products.
+        square = np.swapaxes(by_point, 1, 2) @ by_point
+        pull = np.einsum("mij,mi->mj", by_point, residuals)
+        cross = np.empty((len(rays), 6, 3))
+        cross[:, :3] = -square
+        cross[:, 3:] = -_cross(rays[:, None, :], square).swapaxes(1, 2)
+        pose = np.empty((len(rays), 6, 6))
+        pose[:, :, :3] = -cross
+        pose[:, :, 3:] = -_cross(rays[:, None, :], cross)
+        push = np.concatenate([-pull, -_cross(rays, pull)], axis=1)
+
+        first = lie.left_jacobian(state.first_turn)
+        at_first = self.keyframe_of == 0
+        cross[at_first, 3:] = first.T @ cross[at_first, 3:]
+        visual_diagonal = (self._of_keyframe @ pose.reshape(-1, 36)).reshape(-1, 6, 6)
+        visual_diagonal[0, 3:] = first.T @ visual_diagonal[0, 3:]
+        visual_diagonal[0, :, 3:] = visual_diagonal[0, :, 3:] @ first
+        visual_gradient = self._of_keyframe @ push
+        visual_gradient[0, 3:] = first.T @ visual_gradient[0, 3:]
+
+        errors, before, after = self.inertial(state)
+        before_t, after_t = np.swapaxes(before, 1, 2), np.swapaxes(after, 1, 2)
+        diagonal, gradient = np.zeros((count, 9, 9)), np.zeros((count, 9))
+        diagonal[:, :6, :6] = visual_diagonal
+        diagonal[:-1] += before_t @ before
+        diagonal[1:] += after_t @ after
+        gradient[:, :6] = visual_gradient
+        gradient[:-1] += np.einsum("nij,ni->nj", before, errors)
+        gradient[1:] += np.einsum("nij,ni->nj", after, errors)
+        lengths = np.sqrt(np.einsum("mi,mi->m", residuals, residuals))
+        return NormalEquations(
+            cost=0.5 * float(lengths @ lengths + np.vdot(errors, errors)),
+            reprojection_px=float(lengths.mean()) * self.camera.noise_px,
+            diagonal=diagonal,
+            coupling=before_t @ after,
+            cross=cross,
+            landmark=(self._of_landmark @ square.reshape(-1, 9)).reshape(-1, 3, 3),
+            motion_gradient=gradient,
+            landmark_gradient=self._of_landmark @ pull,
+            keyframe_of=self.keyframe_of,
+            landmark_of=self.landmark_of,
+        )
+
+    def _points(self, state: State) -> tuple[Array, Array]:
+        """Return the rays in the world, and the landmarks in the camera that sees them."""
+        rays = state.landmarks[self.landmark_of] - state.positions[self.keyframe_of]
+        cameras = (state.rotations @ self.camera_in_body)[self.keyframe_of]
+        return rays, np.einsum("mji,mj->mi", cameras, rays)
+
+    def _reprojection(self, points: Array) -> Array:
+        errors: Array = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
+        return errors
+
+    def _inertial_errors(self, state: State) -> tuple[Array, Array, Array, Array]:
+        """Return the whitened errors, and the unwhitened terms that Jacobians need."""
+        measured = self.preintegrated
+        durations = measured.durations_s[:, None]
+        earlier, later = state.rotations[:-1], state.rotations[1:]
+        fall = GRAVITY * durations
+        speed = np.diff(state.velocities, axis=0) - fall
+        shift = np.diff(state.positions, axis=0) - (state.velocities[:-1] + fall / 2.0) * durations
+        into = np.swapaxes(earlier, 1, 2)
+        turn = lie.log(np.swapaxes(measured.rotations, 1, 2) @ into @ later)
+        errors = np.concatenate(
+            [
+                turn,
+                np.einsum("nij,nj->ni", into, speed) - measured.velocities,
+                np.einsum("nij,nj->ni", into, shift) - measured.positions,
+            ],
+            axis=1,
+        )
+        return np.einsum("nij,nj->ni", self._whiten, errors), turn, speed, shift
+
+
+def _indicator(group_of: Indices, groups: int) -> scipy.sparse.csr_matrix:
+    count = len(group_of)
+    return scipy.sparse.csr_matrix(
+        (np.ones(count), (group_of, np.arange(count))), shape=(groups, count)
+    )
+
+
+def _cross(left: Array, right: Array) -> Array:
+    """Return the cross products along the last axis, in a third of numpy's time."""
+    a, b, c = left[..., 0], left[..., 1], left[..., 2]
+    x, y, z = right[..., 0], right[..., 1], right[..., 2]
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = b * z - c * y
+    product[..., 1] = c * x - a * z
+    product[..., 2] = a * y - b * x
+    return product

@@ -1,0 +1,107 @@
+"""The Schur complement: landmarks eliminated from the normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.visual_inertial.problem import NormalEquations
+
+Array = NDArray[np.float64]
+
+# Pivots below this share of a landmark's largest are rounding (seen once, or without parallax).
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The normal equations of the motion alone, and the way back to the landmarks.
+
+    Attributes:
+        matrix: (9N, 9N), H_mm - W V^-1 W^T.
+        gradient: (9N,), g_m - W V^-1 g_l.
+        half: (6N, 3K), W L^-T with V = L L^T; rows are positions and rotations.
+        inverse: (K, 3, 3), L^-1.
+        pull: (3K,), L^-1 g_l.
+    """
+
+    matrix: Array
+    gradient: Array
+    half: Array
+    inverse: Array
+    pull: Array
+
+    def landmarks_after(self, motion_step: Array) -> Array:
+        """Return the landmarks' step (3K,), V^-1 (-g_l - W^T dm), that goes with (9N,)."""
+        pose_step = motion_step.reshape(-1, 9)[:, :6].ravel()
+        return self.by_inverse(-self.pull - self.half.T @ pose_step)
+
+    def by_inverse(self, columns: Array) -> Array:
+        """Return L^-T times columns (3K, ...)."""
+        blocks = columns.reshape(len(self.inverse), 3, -1)
+        product: Array = np.swapaxes(self.inverse, 1, 2) @ blocks
+        return product.reshape(columns.shape)
+
+
+def motion_matrix(normal: NormalEquations) -> Array:
+    """Return H_mm (9N, 9N): what couples keyframes directly."""
+    count = len(normal.diagonal)
+    matrix = np.zeros((count, 9, count, 9))
+    each, next_ = np.arange(count), np.arange(1, count)
+    matrix[each, :, each, :] = normal.diagonal
+    matrix[each[:-1], :, next_, :] = normal.coupling
+    matrix[next_, :, each[:-1], :] = np.swapaxes(normal.coupling, 1, 2)
+    return matrix.reshape(9 * count, 9 * count)
+
+
+def reduce_landmarks(
+    normal: NormalEquations, motion_damping: Array, landmark_damping: Array
+) -> Reduced:
+    """Eliminate the landmarks.
+
+    Args:
+        normal: The normal equations.
+        motion_damping: (9N,) added to the motion's diagonal.
+        landmark_damping: (K, 3) added to the landmarks' diagonal.
+    """
+    count, landmarks = len(normal.diagonal), len(normal.landmark)
+    inverse = inverse_landmark_factors(normal, landmark_damping)
+    by_block = np.zeros((count, 6, landmarks, 3))
+    by_block[normal.keyframe_of, :, normal.landmark_of, :] = (
+        normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
+    )
+    half = by_block.reshape(6 * count, 3 * landmarks)
+    pull = np.einsum("kij,kj->ki", inverse, normal.landmark_gradient).ravel()
+    matrix = motion_matrix(normal)
+    poses = matrix.reshape(count, 9, count, 9)[:, :6, :, :6]
+    poses -= (half @ half.T).reshape(count, 6, count, 6)
+    matrix[np.diag_indices(9 * count)] += motion_damping
+    gradient = normal.motion_gradient.copy()
+    gradient[:, :6] -= (half @ pull).reshape(count, 6)
+    return Reduced(matrix, gradient.ravel(), half, inverse, pull)
+
+
+def inverse_landmark_factors(normal: NormalEquations, damping: Array | float) -> Array:
+    """Return L^-1 (K, 3, 3) of each landmark's damped V = L L^T.
+
+    Raises:
+        numpy.linalg.LinAlgError: A V is not positive definite.
+    """
+    blocks = normal.landmark.copy()
+    blocks[:, [0, 1, 2], [0, 1, 2]] += damping
+    factors: Array = np.linalg.inv(np.linalg.cholesky(blocks))
+    return factors
+
+
+def require_seen_landmarks(normal: NormalEquations) -> None:
+    """Raise DegenerateGeometryError if the position of a landmark is not determined."""
+    eigenvalues = np.linalg.eigvalsh(normal.landmark)
+    open_ = np.flatnonzero(eigenvalues[:, 0] <= _ROUNDING * eigenvalues[:, 2])
+    if len(open_):
+        raise DegenerateGeometryError(
+            f"landmark {open_[0]} (of {len(open_)} such) is seen once or without parallax, which "
+            "leaves null directions besides the gauge's four; drop it"
+        )

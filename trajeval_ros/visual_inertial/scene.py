@@ -1,0 +1,265 @@
+"""A simulated flight: true keyframes, landmarks, and the sensors' noise (gauge paper, IV-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.landmarks import draw_landmarks
+from trajeval_ros.visual_inertial.motion import Motion
+from trajeval_ros.visual_inertial.preintegration import (
+    GRAVITY,
+    ImuNoise,
+    Preintegrated,
+    preintegrate,
+)
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+
+IMU_RATE_HZ = 200.0
+# How far off an estimator starts (gauge paper, section V-B).
+_START_POSITION_M, _START_ROTATION_DEG = 0.05, 6.0
+_START_VELOCITY_MPS, _START_LANDMARK_M = 0.05, 0.075
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Sensors, and whether the estimator's model of them is right.
+
+    Attributes:
+        camera: Intrinsics and noise.
+        imu: Noise densities.
+        landmarks: How many, where nobody says otherwise.
+        honest: True: samples and integration match exactly, so every error is noise that the
+            covariance knows. False: the IMU is sampled at the start of each interval and
+            integrated by Euler's rule, an error that no covariance accounts for.
+    """
+
+    camera: Camera
+    imu: ImuNoise
+    landmarks: int
+    honest: bool = True
+
+    @property
+    def scheme(self) -> str:
+        """Of preintegration."""
+        return "middle" if self.honest else "start"
+
+
+# The densities of EuRoC's IMU, an ADIS16448, from its sensor.yaml.
+_EUROC_IMU = ImuNoise(1.6968e-4, 2.0e-3)
+
+PROFILES = {
+    # Errors of the paper's Table II, and its number of iterations; the paper states no noise.
+    "paper": Profile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
+    "euroc": Profile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
+    "overconfident": Profile(Camera(315.0, 640, 480), _EUROC_IMU, 50, honest=False),
+}
+
+
+def profile_named(name: str) -> Profile:
+    """Return a profile by name.
+
+    Raises:
+        SettingsError: There is none of that name.
+    """
+    if name not in PROFILES:
+        raise SettingsError(f"there is no profile {name!r}; use one of {', '.join(PROFILES)}")
+    return PROFILES[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is true, and what noise-free sensors would measure of it.
+
+    Attributes:
+        profile: The sensors.
+        times_s: (N,) of the keyframes.
+        truth: Of keyframes and landmarks.
+        keyframe_of: (M,) keyframe of each observation.
+        landmark_of: (M,) landmark of each observation.
+        pixels: (M, 2).
+        angular_velocities: (N - 1, m, 3) between keyframes, rad/s.
+        accelerations: (N - 1, m, 3), m/s^2.
+        camera_in_body: (3, 3).
+    """
+
+    profile: Profile
+    times_s: Array
+    truth: State
+    keyframe_of: NDArray[np.int64]
+    landmark_of: NDArray[np.int64]
+    pixels: Array
+    angular_velocities: Array
+    accelerations: Array
+    camera_in_body: Array
+
+    def measured(self, generator: np.random.Generator) -> Problem:
+        """Return the estimation problem of one set of noisy measurements."""
+        noise = self.profile.imu
+        rate = np.sqrt(IMU_RATE_HZ)
+        pixels = self.profile.camera.noise_px * generator.standard_normal(self.pixels.shape)
+        gyroscope = noise.gyroscope * rate * generator.standard_normal(self.accelerations.shape)
+        accelerometer = (
+            noise.accelerometer * rate * generator.standard_normal(self.accelerations.shape)
+        )
+        return self._problem(
+            self.pixels + pixels,
+            self.angular_velocities + gyroscope,
+            self.accelerations + accelerometer,
+        )
+
+    def noise_free(self) -> Problem:
+        """Return the estimation problem of perfect measurements."""
+        return self._problem(self.pixels, self.angular_velocities, self.accelerations)
+
+    def _problem(self, pixels: Array, angular_velocities: Array, accelerations: Array) -> Problem:
+        preintegrated = preintegrate(
+            angular_velocities,
+            accelerations,
+            1.0 / IMU_RATE_HZ,
+            self.profile.imu,
+            self.profile.scheme,
+        )
+        return Problem(
+            self.profile.camera,
+            self.camera_in_body,
+            pixels,
+            self.keyframe_of,
+            self.landmark_of,
+            len(self.truth.landmarks),
+            preintegrated,
+        )
+
+    def disturbed(self, generator: np.random.Generator) -> State:
+        """Return the state that an estimator starts from (gauge paper, section V-B)."""
+        truth = self.truth
+        count = len(truth.positions)
+        turns = np.radians(_START_ROTATION_DEG) * _directions(generator, count)
+        rotations = lie.exp(turns) @ truth.rotations
+        positions = truth.positions + _START_POSITION_M * _directions(generator, count)
+        velocities = truth.velocities + generator.uniform(
+            -_START_VELOCITY_MPS, _START_VELOCITY_MPS, (count, 3)
+        )
+        landmarks = truth.landmarks + generator.uniform(
+            -_START_LANDMARK_M, _START_LANDMARK_M, truth.landmarks.shape
+        )
+        return State.at(positions, rotations, velocities, landmarks)
+
+
+def make_scene(
+    motion: Motion,
+    layout: str,
+    profile: Profile,
+    seed: int,
+    keyframes: int = 10,
+    landmarks: int | None = None,
+    track: int | None = None,
+) -> Scene:
+    """Return a scene: keyframes evenly over a motion, with landmarks drawn from a seed.
+
+    Args:
+        motion: Of the body.
+        layout: Of landmarks, `plane` or `random`.
+        profile: Of the sensors.
+        seed: Chooses the landmarks.
+        keyframes: How many, N.
+        landmarks: How many, K; the profile's number by default.
+        track: For how many keyframes before and after a landmark is followed; all by default.
+
+    Raises:
+        SettingsError: Too few keyframes or landmarks, or keyframes closer than the IMU's samples.
+        DegenerateGeometryError: The keyframes hardly see anything together.
+    """
+    samples = int(motion.duration_s * IMU_RATE_HZ / max(keyframes - 1, 1) + 1e-9)
+    if keyframes < 3 or samples < 1:
+        raise SettingsError(
+            f"{keyframes} keyframes in {motion.duration_s:g} s are "
+            f"{'too many for the IMU' if samples < 1 else 'too few'}; take at least 3, and less "
+            f"than {int(motion.duration_s * IMU_RATE_HZ)}"
+        )
+    wanted = profile.landmarks if landmarks is None else landmarks
+    if wanted < 8:
+        raise SettingsError(f"{wanted} landmarks are too few to hold a camera; take at least 8")
+    times = np.arange((keyframes - 1) * samples + 1) / IMU_RATE_HZ
+    rates, forces = _perfect_samples(motion, times, honest=profile.honest)
+    rates, forces = (column.reshape(keyframes - 1, samples, 3) for column in (rates, forces))
+    at_keyframes = times[::samples]
+    positions, velocities = motion.positions(at_keyframes), motion.velocities(at_keyframes)
+    rotations = motion.rotations(at_keyframes)
+    if profile.honest:
+        measured = preintegrate(rates, forces, 1.0 / IMU_RATE_HZ, profile.imu)
+        positions, rotations, velocities = _integrated(
+            measured, positions[0], rotations[0], velocities[0]
+        )
+    points, keyframe_of, landmark_of, pixels = draw_landmarks(
+        np.random.default_rng(seed),
+        layout,
+        wanted,
+        positions,
+        rotations @ motion.camera_in_body,
+        profile.camera,
+        keyframes if track is None else track,
+    )
+    return Scene(
+        profile,
+        at_keyframes,
+        State.at(positions, rotations, velocities, points),
+        keyframe_of,
+        landmark_of,
+        pixels,
+        rates,
+        forces,
+        motion.camera_in_body,
+    )
+
+
+def _perfect_samples(motion: Motion, times: Array, *, honest: bool) -> tuple[Array, Array]:
+    """Return what a noise-free IMU measures over each step between `times`."""
+    rotations = motion.rotations(times)
+    if not honest:
+        turned = np.swapaxes(rotations[:-1], 1, 2)
+        forces = motion.accelerations(times[:-1]) - GRAVITY
+        return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", turned, forces)
+    # The constant rates and forces that lead from one state of the motion to the next.
+    step_s = 1.0 / IMU_RATE_HZ
+    rates = lie.log(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]) / step_s
+    middle = rotations[:-1] @ lie.exp(rates * (step_s / 2.0))
+    forces = np.diff(motion.velocities(times), axis=0) / step_s - GRAVITY
+    return rates, np.einsum("nji,nj->ni", middle, forces)
+
+
+def _integrated(
+    measured: Preintegrated, position: Array, rotation: Array, velocity: Array
+) -> tuple[Array, Array, Array]:
+    """Return the keyframes that perfect measurements lead to from the first one.
+
+    They are the truth, some 10 um from the spline: no measurement then errs but by its noise.
+    """
+    positions, rotations, velocities = [position], [rotation], [velocity]
+    for duration_s, turn, gain, shift in zip(
+        measured.durations_s,
+        measured.rotations,
+        measured.velocities,
+        measured.positions,
+        strict=True,
+    ):
+        here, attitude, speed = positions[-1], rotations[-1], velocities[-1]
+        fall = 0.5 * GRAVITY * duration_s**2
+        positions.append(here + speed * duration_s + fall + attitude @ shift)
+        velocities.append(speed + GRAVITY * duration_s + attitude @ gain)
+        rotations.append(attitude @ turn)
+    return np.array(positions), np.array(rotations), np.array(velocities)
+
+
+def _directions(generator: np.random.Generator, count: int) -> Array:
+    vectors = generator.standard_normal((count, 3))
+    directions: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return directions

@@ -1,0 +1,231 @@
+"""Levenberg-Marquardt by the rules of Ceres, with three ways to handle the gauge.
+
+The rules are those of `levenberg_marquardt_strategy.cc` and `trust_region_minimizer.cc` with
+their default settings. How the gauge is treated is the subject (gauge paper, section III), which
+is why no library's solver is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
+from trajeval_ros.visual_inertial.reduction import Reduced, reduce_landmarks
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+
+# The first position, and the z component of the first rotation's Dphi: eq. (10).
+GAUGE_INDICES = np.array([0, 1, 2, 5])
+
+_FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 1e4, 1e16, 1e-32
+_SMALLEST_DIAGONAL, _LARGEST_DIAGONAL = 1e-6, 1e32
+_LEAST_QUALITY = 1e-3
+_MOST_ITERATIONS = 50
+_GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
+
+
+class Handling(Enum):
+    """How the gauge freedom is handled (gauge paper, Table I)."""
+
+    FIXATION = "fixation"
+    PRIOR = "prior"
+    FREE = "free"
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What the accepted states were like, (I + 1,) each, the initial state first.
+
+    Attributes:
+        cost: Half the squared length of all residuals, the prior's included.
+        reprojection_px: Mean reprojection error.
+        position_m: Distance of the first position from where it began.
+        yaw_deg: Absolute z component of the first rotation's Dphi.
+    """
+
+    cost: Array
+    reprojection_px: Array
+    position_m: Array
+    yaw_deg: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the iterations ended.
+
+    Attributes:
+        state: The estimate.
+        cost: Of the state.
+        iterations: Number of linear solves.
+        reason: `function`, `step`, `gradient`, `iterations` or `radius`: which rule ended it.
+        trace: Of the accepted states.
+    """
+
+    state: State
+    cost: float
+    iterations: int
+    reason: str
+    trace: Trace
+
+
+def solve(
+    problem: Problem,
+    initial: State,
+    handling: Handling,
+    prior_weight: float = 1e5,
+    function_tolerance: float = 1e-6,
+    *,
+    keep_last_step: bool = True,
+) -> Solution:
+    """Minimise eq. (1).
+
+    Args:
+        problem: The measurements.
+        initial: Where to begin; also where the gauge is fixed, or has its prior.
+        handling: Of the gauge freedom.
+        prior_weight: w of the gauge prior, eq. (11), for the three metres and the radian alike.
+        function_tolerance: Stop once a step changes the cost by a smaller share.
+        keep_last_step: Ceres throws the step away by which it sees that it has converged. False
+            does so too, and reproduces the paper's differences between gauges; True is nearer
+            to the minimum.
+    """
+    descent = _Descent(problem, handling, prior_weight if handling is Handling.PRIOR else 0.0)
+    state, here = initial, descent.at(initial)
+    radius, shrink = _FIRST_RADIUS, 2.0
+    scale = 1.0 / (1.0 + np.sqrt(here.curvature))
+    trace = [descent.traced(state, here)]
+    iterations, accepted, reason = 0, 0, ""
+    while not reason:
+        if here.steepest(descent.free) <= _GRADIENT_TOLERANCE:
+            reason = "gradient"
+            break
+        if iterations == _MOST_ITERATIONS:
+            reason = "iterations"
+            break
+        iterations += 1
+        scaled = np.clip(here.curvature * scale**2, _SMALLEST_DIAGONAL, _LARGEST_DIAGONAL)
+        damping = scaled / scale**2 / radius
+        step, gain = descent.step(here, damping)
+        if gain <= 0.0:
+            radius, shrink = radius / shrink, 2.0 * shrink
+            continue
+        candidate = state.moved(step)
+        cost = descent.cost(candidate)
+        change = here.cost - cost
+        if accepted and np.linalg.norm(step) <= _STEP_TOLERANCE * (_size(state) + _STEP_TOLERANCE):
+            reason = "step"
+        elif abs(change) <= function_tolerance * here.cost:
+            reason = "function"
+        if reason:
+            if keep_last_step and change >= 0.0:
+                state = candidate
+            break
+        if change <= _LEAST_QUALITY * gain:
+            radius, shrink = radius / shrink, 2.0 * shrink
+            reason = "radius" if radius < _SMALLEST_RADIUS else ""
+            continue
+        quality = change / gain
+        radius = min(_LARGEST_RADIUS, radius / max(1.0 / 3.0, 1.0 - (2.0 * quality - 1.0) ** 3))
+        shrink, accepted = 2.0, accepted + 1
+        state, here = candidate, descent.at(candidate)
+        trace.append(descent.traced(state, here))
+    columns = (np.array(column) for column in zip(*trace, strict=True))
+    return Solution(state, descent.cost(state), iterations, reason, Trace(*columns))
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The normal equations at a state, the prior's share included."""
+
+    normal: NormalEquations
+    cost: float
+    prior: Array  # (4,), gradient of the prior
+
+    @property
+    def curvature(self) -> Array:
+        """Diagonal of J^T J, (9N + 3K,), without the prior's share."""
+        motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2)
+        landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
+        return np.concatenate([motion.ravel(), landmarks.ravel()])
+
+    @property
+    def gradient(self) -> Array:
+        """J^T r, (9N + 3K,)."""
+        motion = self.normal.motion_gradient.ravel().copy()
+        motion[GAUGE_INDICES] += self.prior
+        return np.concatenate([motion, self.normal.landmark_gradient.ravel()])
+
+    def steepest(self, free: NDArray[np.bool_]) -> float:
+        """Return the largest component of the gradient along free parameters."""
+        motion, landmarks = np.split(self.gradient, [len(free)])
+        return float(max(np.abs(motion[free]).max(), np.abs(landmarks).max()))
+
+
+class _Descent:
+    """What depends on how the gauge is handled."""
+
+    def __init__(self, problem: Problem, handling: Handling, weight: float) -> None:
+        self.problem, self.weight = problem, weight
+        self.free = np.ones(9 * problem.keyframes, dtype=bool)
+        if handling is Handling.FIXATION:
+            self.free[GAUGE_INDICES] = False
+
+    def at(self, state: State) -> _Linearised:
+        normal = self.problem.normal_equations(state)
+        residual = _from_reference(state)
+        cost = normal.cost + 0.5 * self.weight * float(residual @ residual)
+        return _Linearised(normal, cost, self.weight * residual)
+
+    def cost(self, state: State) -> float:
+        residual = _from_reference(state)
+        return self.problem.cost(state) + 0.5 * self.weight * float(residual @ residual)
+
+    def traced(self, state: State, here: _Linearised) -> tuple[float, float, float, float]:
+        shift = _from_reference(state)
+        yaw_deg = float(np.degrees(np.abs(shift[3])))
+        return here.cost, here.normal.reprojection_px, float(np.linalg.norm(shift[:3])), yaw_deg
+
+    def step(self, here: _Linearised, damping: Array) -> tuple[Array, float]:
+        """Return the damped step and the decrease that it promises; 0 if there is none."""
+        motion_damping, landmark_damping = np.split(damping, [len(self.free)])
+        try:
+            reduced = reduce_landmarks(
+                here.normal, motion_damping, landmark_damping.reshape(-1, 3)
+            )
+            motion = self._solved(reduced, here.prior)
+        except np.linalg.LinAlgError:
+            # With next to no damping the free gauge's matrix is singular: damp more.
+            return np.zeros(len(damping)), 0.0
+        step = np.concatenate([motion, reduced.landmarks_after(motion)])
+        # -g d - d H d / 2 with (H + D) d = -g.
+        gain = -0.5 * float(here.gradient @ step) + 0.5 * float((damping * step) @ step)
+        return step, gain
+
+    def _solved(self, reduced: Reduced, prior: Array) -> Array:
+        matrix, gradient = reduced.matrix, reduced.gradient
+        matrix[GAUGE_INDICES, GAUGE_INDICES] += self.weight
+        gradient[GAUGE_INDICES] += prior
+        if not self.free.all():
+            matrix, gradient = matrix[np.ix_(self.free, self.free)], gradient[self.free]
+        factor = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        motion = np.zeros(len(self.free))
+        motion[self.free] = scipy.linalg.cho_solve(factor, -gradient, check_finite=False)
+        return motion
+
+
+def _from_reference(state: State) -> Array:
+    """Return the residual of the prior, eq. (11): shift (3,) and yaw of the first keyframe."""
+    shift = state.positions[0] - state.reference_position
+    return np.append(shift, state.first_turn[2])
+
+
+def _size(state: State) -> float:
+    """Return the length of all parameters; each quaternion counts 1."""
+    parts = (state.positions, state.velocities, state.landmarks)
+    return float(np.sqrt(sum(np.vdot(part, part) for part in parts) + len(state.positions)))

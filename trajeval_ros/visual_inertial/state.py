@@ -1,0 +1,107 @@
+"""The state of the estimation problem and how it is perturbed: eq. (2), (5), (8) and (9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Keyframes and landmarks; eq. (2) of the gauge paper.
+
+    A step is (9N + 3K,): for each keyframe position, rotation and velocity, then the landmarks.
+    Rotations move on the left, R <- Exp(dphi) R (eq. 8), all but the first: that is
+    Exp(Dphi) R_ref with the vector Dphi itself moved (eq. 9), so that its yaw can be held.
+
+    Attributes:
+        positions: (N, 3), metres.
+        rotations: (N, 3, 3), body to world.
+        velocities: (N, 3), m/s, in the world.
+        landmarks: (K, 3), metres.
+        first_turn: (3,), Dphi of eq. (9), rad.
+        reference_rotation: (3, 3), R_ref, the first rotation's initial value.
+        reference_position: (3,), the first position's initial value.
+    """
+
+    positions: Array
+    rotations: Array
+    velocities: Array
+    landmarks: Array
+    first_turn: Array
+    reference_rotation: Array
+    reference_position: Array
+
+    @classmethod
+    def at(cls, positions: Array, rotations: Array, velocities: Array, landmarks: Array) -> State:
+        """Return a state that is its own reference."""
+        return cls(
+            positions, rotations, velocities, landmarks, np.zeros(3), rotations[0], positions[0]
+        )
+
+    def moved(self, step: Array) -> State:
+        """Return the state after a step (9N + 3K,)."""
+        count = len(self.positions)
+        motion = step[: 9 * count].reshape(count, 9)
+        rotations = lie.exp(motion[:, 3:6]) @ self.rotations
+        first_turn = self.first_turn + motion[0, 3:6]
+        rotations[0] = lie.exp(first_turn) @ self.reference_rotation
+        return State(
+            self.positions + motion[:, :3],
+            rotations,
+            self.velocities + motion[:, 6:],
+            self.landmarks + step[9 * count :].reshape(-1, 3),
+            first_turn,
+            self.reference_rotation,
+            self.reference_position,
+        )
+
+    def transformed(self, rotation: Array, translation: Array) -> State:
+        """Return the state moved by g, eq. (5), with its references left where they are."""
+        return State(
+            self.positions @ rotation.T + translation,
+            rotation @ self.rotations,
+            self.velocities @ rotation.T,
+            self.landmarks @ rotation.T + translation,
+            self.first_turn,
+            self.reference_rotation,
+            self.reference_position,
+        ).referred_to(self.reference_rotation, self.reference_position)
+
+    def referred_to(self, rotation: Array, position: Array) -> State:
+        """Return the same state with other references."""
+        return State(
+            self.positions,
+            self.rotations,
+            self.velocities,
+            self.landmarks,
+            lie.log(self.rotations[0] @ rotation.T),
+            rotation,
+            position,
+        )
+
+    @property
+    def gauge_basis(self) -> Array:
+        """U of eq. (15), (9N + 3K, 4): how yaw about the origin and translation move the state."""
+        count = len(self.positions)
+        basis = np.zeros((3 * count + len(self.landmarks), 3, 4))
+        motion, landmarks = basis[: 3 * count].reshape(count, 9, 4), basis[3 * count :]
+        motion[:, 0:3, 0] = _about_gravity(self.positions)
+        motion[:, 3:6, 0] = [0.0, 0.0, 1.0]
+        motion[0, 3:6, 0] = lie.inverse_left_jacobian(self.first_turn)[:, 2]
+        motion[:, 6:9, 0] = _about_gravity(self.velocities)
+        landmarks[:, :, 0] = _about_gravity(self.landmarks)
+        motion[:, 0:3, 1:] = np.eye(3)
+        landmarks[:, :, 1:] = np.eye(3)
+        return basis.reshape(-1, 4)
+
+
+def _about_gravity(vectors: Array) -> Array:
+    """Return e_z x v."""
+    return np.stack([-vectors[:, 1], vectors[:, 0], np.zeros(len(vectors))], axis=1)
