@@ -7,51 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gauge_reference import Case
 from visual_inertial_scenes import gradient, relative
 
 from trajeval_ros import lie
-from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.covariance import (
     fixed_covariance,
     free_covariance,
     to_left,
     transform,
 )
-from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
-from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.solver import Handling, solve
-from trajeval_ros.visual_inertial.state import State
 
 NUMBERS, COVARIANCES = 1e-9, 1e-10
-
-
-class Case:
-    """The inputs of gauge.json as our objects."""
-
-    def __init__(self, numbers: dict[str, Any]) -> None:
-        self.numbers = numbers
-        given = numbers["inputs"]
-        column = {name: np.array(value) for name, value in given.items()}
-        self.preintegrated: Preintegrated = preintegrate(
-            column["omega"],
-            column["acc"],
-            given["imu_dt"],
-            ImuNoise(given["sigma_g"], given["sigma_a"]),
-        )
-        self.problem = Problem(
-            Camera(given["f"], round(2 * given["cx"]), round(2 * given["cy"]), given["sigma_px"]),
-            column["R_BC"],
-            column["uv"],
-            column["obs_cam"],
-            column["obs_lm"],
-            given["K"],
-            self.preintegrated,
-        )
-        estimate = {name: np.array(value) for name, value in given["est"].items()}
-        self.reference_rotation = lie.exp(column["ref_rotvec0"])
-        self.state = State.at(
-            estimate["p"], lie.exp(estimate["rotvec"]), estimate["v"], estimate["X"]
-        ).referred_to(self.reference_rotation, column["ref_p0"])
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,13 @@ from __future__ import annotations
 
 from enum import Enum
 
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
 from trajeval_ros.exceptions import SettingsError
+
+Array = NDArray[np.float64]
 
 
 class Gauge(Enum):
@@ -108,3 +114,104 @@ def gauge_for(gauge: str | None, modality: str | None, default: Gauge) -> Gauge:
             f"modality {modality} means gauge {implied.value}, not {named.value}; give only one"
         )
     return implied
+
+
+def orbit_basis(gauge: Gauge, positions: Array, velocities: Array | None = None) -> Array:
+    """Return how the gauge's generators move N states: eq. (15) of the gauge paper, any gauge.
+
+    Args:
+        gauge: `none`, `yaw`, `se3` or `sim3`.
+        positions: (N, 3), metres.
+        velocities: (N, 3), m/s; without them there are no rows for velocity.
+
+    Returns:
+        U (N, 6 or 9, k): rows are position, rotation (on the left) and velocity; columns are
+        the rotations about the world's axes that the gauge has, three translations, the scale.
+    """
+    axes = _axes(gauge)
+    block = 6 if velocities is None else 9
+    basis = np.zeros((len(positions), block, dimension(gauge)))
+    if gauge is Gauge.NONE:
+        return basis
+    turns = len(axes)
+    basis[:, :3, :turns] = np.cross(axes, positions[:, None]).swapaxes(1, 2)
+    basis[:, 3:6, :turns] = axes.T
+    basis[:, :3, turns : turns + 3] = np.eye(3)
+    if gauge.has_scale:
+        basis[:, :3, -1] = positions
+    if velocities is not None:
+        basis[:, 6:, :turns] = np.cross(axes, velocities[:, None]).swapaxes(1, 2)
+        if gauge.has_scale:
+            basis[:, 6:, -1] = velocities
+    return basis
+
+
+def first_state_normals(gauge: Gauge, count: int, block: int, first_turn: Array) -> Array:
+    """Return the gradients of the conditions that an alignment by the first state fulfils.
+
+    Args:
+        gauge: `yaw` or `se3`.
+        count: Number of states N.
+        block: Rows for each state, 6 or 9.
+        first_turn: (3,), the rotation vector of R' R^T of the first state.
+
+    Returns:
+        V (N, block, k), zero for all states but the first.
+    """
+    axes = _axes(gauge)
+    turns = len(axes)
+    normals = np.zeros((count, block, dimension(gauge)))
+    normals[0, :3, turns:] = np.eye(3)
+    normals[0, 3:6, :turns] = (axes @ lie.inverse_left_jacobian(first_turn)).T
+    return normals
+
+
+def least_squares_normals(
+    gauge: Gauge, block: int, groundtruth: Array, aligned: Array, weights: Array
+) -> Array:
+    """Return the gradients of the optimality conditions of eq. (13) of the tutorial.
+
+    Args:
+        gauge: `none`, `yaw`, `se3` or `sim3`.
+        block: Rows for each state, 6 or 9.
+        groundtruth: (N, 3) positions, metres.
+        aligned: (N, 3) aligned positions, metres.
+        weights: (N,), that add up to one; zero for states that play no part.
+
+    Returns:
+        V (N, block, k), about positions alone.
+    """
+    axes = _axes(gauge)
+    turns = len(axes)
+    normals = np.zeros((len(groundtruth), block, dimension(gauge)))
+    if gauge is Gauge.NONE:
+        return normals
+    truth = groundtruth - weights @ groundtruth
+    other = aligned - weights @ aligned
+    weight = weights[:, None]
+    normals[:, :3, :turns] = weight[:, None] * np.cross(truth[:, None], axes).swapaxes(1, 2)
+    normals[:, :3, turns : turns + 3] = weight[:, None] * np.eye(3)
+    if gauge.has_scale:
+        normals[:, :3, -1] = weight * (truth - 2.0 * other)
+    return normals
+
+
+def dimension(gauge: Gauge) -> int:
+    """Return the number of directions that `none`, `yaw`, `se3` or `sim3` leave open.
+
+    Raises:
+        SettingsError: Another gauge, whose covariances are of another kind.
+    """
+    dimensions = {Gauge.NONE: 0, Gauge.YAW: 4, Gauge.SE3: 6, Gauge.SIM3: 7}
+    if gauge not in dimensions:
+        raise SettingsError(
+            f"covariances can't be brought into gauge {gauge.value}: that of a visual-inertial "
+            "estimate leaves yaw and translation open, and a plane has no six; use yaw, se3 or "
+            "sim3"
+        )
+    return dimensions[gauge]
+
+
+def _axes(gauge: Gauge) -> Array:
+    """Return the axes (0, 1 or 3, 3) that the gauge turns about."""
+    return np.eye(3)[{4: slice(2, 3), 0: slice(0, 0)}.get(dimension(gauge), slice(0, 3))]

@@ -1,0 +1,87 @@
+"""Runs with known covariance, and how the tests of consistency align them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.alignment import align, align_first
+from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.similarity import Similarity
+from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.visual_inertial.scene import Scene
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
+from trajeval_ros.visual_inertial.state import State
+
+ALIGNMENTS = [
+    (Gauge.YAW, 1),
+    (Gauge.YAW, None),
+    (Gauge.SE3, 1),
+    (Gauge.SE3, None),
+    (Gauge.SIM3, None),
+]
+
+
+class Aligned(NamedTuple):
+    """An aligned run: errors (N, 9), their covariance (9N, 9N), and the alignment."""
+
+    errors: np.ndarray
+    covariance: np.ndarray
+    transformation: Transformation
+    similarity: Similarity
+
+
+def trajectory_of(scene: Scene, state: State) -> Trajectory:
+    """Return the keyframes of a state."""
+    return Trajectory(
+        np.rint(scene.times_s * 1e9).astype(np.int64),
+        state.positions,
+        Rotation.from_matrix(state.rotations),
+        state.velocities,
+    )
+
+
+def alignment_of(
+    gauge: Gauge, states: int | None, truth: Trajectory, estimate: Trajectory
+) -> Similarity:
+    """Align as `evaluation` does."""
+    if states == 1:
+        return align_first(
+            gauge,
+            truth.positions[0],
+            truth.rotations[0],
+            estimate.positions[0],
+            estimate.rotations[0],
+        ).similarity
+    part = slice(states)
+    return align(gauge, truth.positions[part], estimate.positions[part]).similarity
+
+
+def aligned_run(
+    gauge: Gauge,
+    states: int | None,
+    truth: Trajectory,
+    estimate: Trajectory,
+    covariance: np.ndarray,
+) -> Aligned:
+    """Align a run and bring its covariance (9N, 9N) along."""
+    similarity = alignment_of(gauge, states, truth, estimate)
+    moved = similarity.trajectory(estimate)
+    transformation = Transformation.of_alignment(gauge, states, truth, moved, velocities=True)
+    turned = carried(covariance, similarity, 9)
+    return Aligned(
+        errors_of(truth, moved, velocities=True),
+        transformation.covariance(turned),
+        transformation,
+        similarity,
+    )
+
+
+def some_covariance(information: np.ndarray) -> np.ndarray:
+    """Return a generalised inverse of an information matrix of rank 9N - 4: with a prior."""
+    held = information.copy()
+    held[GAUGE_INDICES, GAUGE_INDICES] *= 2.0
+    return np.linalg.inv(held)

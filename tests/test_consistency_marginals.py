@@ -1,0 +1,138 @@
+"""Covariances as messages carry them: pose by pose, or not known at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from consistency_runs import aligned_run, some_covariance, trajectory_of
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from visual_inertial_scenes import frobenius, scene_of
+
+from trajeval_ros.consistency.marginals import (
+    about_world_axes,
+    initial_uncertainty,
+    is_covariance,
+    unknown_covariances,
+    upper_bounds,
+    without_initial_prior,
+)
+from trajeval_ros.consistency.nees import diagonal_blocks
+from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.visual_inertial.covariance import fixed_covariance
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
+
+
+def _good(count: int = 5) -> np.ndarray:
+    root = np.random.default_rng(0).normal(size=(count, 6, 6))
+    return root @ np.swapaxes(root, 1, 2) * 1e-3
+
+
+def _spoilt(row: int, value: float | np.ndarray) -> np.ndarray:
+    covariances = _good()
+    covariances[row] = value
+    return covariances
+
+
+def _variance(value: float) -> np.ndarray:
+    covariances = _good()
+    covariances[2, 4, 4] = value
+    return covariances
+
+
+def _skew() -> np.ndarray:
+    covariances = _good()
+    covariances[2, 0, 1] *= 3.0
+    return covariances
+
+
+@pytest.mark.parametrize(
+    ("covariances", "why"),
+    [
+        (np.zeros((5, 6, 6)), "all zero"),
+        (_spoilt(3, 0.0), "some are all zero"),
+        (_spoilt(3, -np.eye(6)), "negative"),
+        (_variance(-1.0), "negative"),
+        (_variance(1e9), "1e\\+09"),
+        (_variance(np.nan), "not finite"),
+        (_variance(0.0), "variances of zero"),
+        (_variance(1e-9), "no covariances"),
+        (_skew(), "no covariances"),
+    ],
+)
+def test_covariances_that_say_nothing(covariances: np.ndarray, why: str) -> None:
+    assert why.replace("\\", "") in unknown_covariances(covariances)
+
+
+def test_covariances_that_say_something() -> None:
+    assert unknown_covariances(_good()) == ""
+    # Of the first pose zero is an answer: the estimator's world begins there.
+    assert unknown_covariances(_spoilt(0, 0.0)) == ""
+    assert is_covariance(_good().astype(np.float32).astype(float)).all()
+
+
+@given(st.integers(0, 1000))
+def test_body_axes_are_turned_into_the_worlds(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    rotation = Rotation.random(3, random_state=seed)
+    covariance = _good(3)
+    matrices = rotation.as_matrix()
+    turned = about_world_axes(covariance, matrices)
+    # R exp(d) = exp(R d) R: a body-frame error d is R d in the world.
+    error = generator.normal(size=(3, 6))
+    world = error.copy()
+    world[:, 3:] = rotation.apply(error[:, 3:])
+    body_nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+    world_nees = np.einsum("ni,nij,nj->n", world, np.linalg.inv(turned), world)
+    np.testing.assert_allclose(world_nees, body_nees, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def with_prior() -> tuple[np.ndarray, np.ndarray, Transformation]:
+    """Marginals with a prior of position and yaw, those of fixation, and the gauge."""
+    scene = scene_of("sine", "plane")
+    fixed = fixed_covariance(scene.noise_free(), scene.truth)
+    basis = scene.truth.gauge_basis[: len(fixed)]
+    oblique = basis @ np.linalg.inv(basis[GAUGE_INDICES])
+    prior = oblique @ np.diag([1e-4, 2e-4, 1e-4, 3e-5]) @ oblique.T
+    truth = trajectory_of(scene, scene.truth)
+    transformation = Transformation.of_alignment(Gauge.YAW, 1, truth, truth)
+    blocks = (diagonal_blocks(each, 9)[:, :6, :6] for each in (fixed + prior, fixed))
+    return (*blocks, transformation)
+
+
+def test_a_prior_of_position_and_yaw_comes_off_pose_by_pose(
+    with_prior: tuple[np.ndarray, np.ndarray, Transformation],
+) -> None:
+    published, fixed, transformation = with_prior
+    stripped = without_initial_prior(published, transformation)
+    assert frobenius(stripped, fixed) < 1e-8
+    assert np.abs(initial_uncertainty(stripped, transformation)).max() < 1e-15
+    wrong = published.copy()
+    wrong[0] *= 100.0
+    with pytest.raises(InputError, match="not that of a prior"):
+        without_initial_prior(wrong, transformation)
+
+
+def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() -> None:
+    scene = scene_of("arc", "random")
+    truth = trajectory_of(scene, scene.truth)
+    problem = scene.noise_free()
+    from trajeval_ros.visual_inertial.information import information_of
+
+    covariance = some_covariance(information_of(problem, scene.truth).toarray())
+    published = aligned_run(Gauge.YAW, 1, truth, truth, covariance).covariance
+    marginals = diagonal_blocks(published, 9)[:, :6, :6]
+    own = Transformation.of_alignment(Gauge.YAW, 1, truth, truth)
+    assert frobenius(upper_bounds(marginals, own), marginals) < 1e-6
+    for gauge, states in ((Gauge.YAW, None), (Gauge.YAW, 4), (Gauge.SIM3, None)):
+        each = Transformation.of_alignment(gauge, states, truth, truth)
+        exact = aligned_run(gauge, states, truth, truth, covariance).covariance
+        slack = upper_bounds(marginals, each) - diagonal_blocks(exact, 9)[:, :6, :6]
+        units = np.sqrt(np.diagonal(slack, axis1=1, axis2=2).max(axis=0))
+        assert np.linalg.eigvalsh(slack / units / units[:, None]).min() > -1e-9
+    none = Transformation.of_alignment(Gauge.NONE, None, truth, truth)
+    np.testing.assert_array_equal(upper_bounds(marginals, none), marginals)

@@ -1,0 +1,46 @@
+"""Covariances in five alignments' gauges against numbers of 50 digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from consistency_runs import ALIGNMENTS, aligned_run
+from gauge_reference import Case
+from visual_inertial_scenes import relative
+
+from trajeval_ros import lie
+from trajeval_ros.consistency.nees import diagonal_blocks, joint_nees, pose_nees
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.visual_inertial.covariance import fixed_covariance, free_covariance, to_left
+
+NAMES = dict(zip(ALIGNMENTS, ("first4", "yaw", "first6", "se3", "sim3"), strict=True))
+
+
+@pytest.mark.parametrize("source", ["free", "fixed"])
+@pytest.mark.parametrize(("gauge", "states"), ALIGNMENTS)
+def test_errors_covariance_and_nees(
+    reference: Callable[[str], Any], gauge: Gauge, states: int | None, source: str
+) -> None:
+    case = Case(reference("gauge"))
+    expected = case.numbers["aligned"][NAMES[gauge, states]]
+    make = free_covariance if source == "free" else fixed_covariance
+    covariance = to_left(make(case.problem, case.state), case.state)
+    truth, estimate = case.trajectory("gt"), case.trajectory("est")
+    run = aligned_run(gauge, states, truth, estimate, covariance)
+    assert run.similarity.scale == pytest.approx(expected["scale"], rel=1e-9)
+    turn = lie.log(run.similarity.rotation[None])[0]
+    np.testing.assert_allclose(turn, expected["rotvec"], atol=1e-9)
+    assert relative(run.similarity.translation, np.array(expected["t"])) < 1e-9
+    assert relative(run.errors, np.array(expected["error"])) < 1e-9
+    assert relative(run.covariance, np.array(expected["cov"])) < 1e-10
+    assert run.transformation.dof == expected["rank"]
+    normals = run.transformation.normals
+    assert joint_nees(run.errors, run.covariance, normals) == pytest.approx(
+        expected["nees_joint"], rel=1e-9
+    )
+    first = 1 if states == 1 else 0
+    single = pose_nees(run.errors[first:, :6], diagonal_blocks(run.covariance, 9)[first:, :6, :6])
+    np.testing.assert_allclose(single, expected["nees_pose6"][first:], rtol=1e-8)

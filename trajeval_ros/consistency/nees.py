@@ -1,0 +1,150 @@
+"""Normalised estimation error squared: errors measured by their own covariance.
+
+For an honest estimator the joint NEES of a run follows chi-square with as many degrees of
+freedom as the covariance has ranks, in whatever gauge (gauge paper; measured equal to 1e-3).
+The NEES of single poses depends on the gauge, and along a run they are nearly one number: their
+mean has few effective degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.exceptions import InputError
+
+Array = NDArray[np.float64]
+
+# Squared pivots of a correlation matrix below this are rounding: a direction without variance.
+_ROUNDING = 1e-13
+
+
+def joint_nees(errors: Array, covariance: Array, normals: Array) -> float:
+    """Return e' C^+ e of all states together.
+
+    The covariance's null space is known, it is spanned by the alignment's conditions. With
+    variance filled in there, the matrix is definite, and a Cholesky factor does for the
+    pseudo-inverse.
+
+    Args:
+        errors: (N, d).
+        covariance: (N d, N d), in the gauge of the errors.
+        normals: (N, d, k) of the `Transformation`.
+
+    Raises:
+        InputError: The covariance has a lower rank than N d - k.
+    """
+    size = errors.size
+    conditions = np.linalg.qr(normals.reshape(size, -1))[0]
+    # The conditions hold for finite errors to first order only; what is left of them is not noise.
+    within = errors.ravel() - conditions @ (conditions.T @ errors.ravel())
+    variances = np.diagonal(covariance)
+    # A variance of exactly zero belongs to a direction that a condition holds fixed.
+    units = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    null = np.linalg.qr(conditions * units[:, None])[0]
+    filled = covariance / units / units[:, None] + null @ null.T
+    try:
+        factor = scipy.linalg.cholesky(filled, lower=True, overwrite_a=True)
+        pivot = float(np.diagonal(factor).min()) ** 2
+    except np.linalg.LinAlgError:
+        pivot = 0.0
+    if pivot < _ROUNDING:
+        raise InputError(
+            f"the covariance is not positive definite on the {size - null.shape[1]} directions "
+            "that the alignment leaves: its rank is lower, or it is no covariance"
+        )
+    whitened = scipy.linalg.solve_triangular(factor, within / units, lower=True)
+    return float(whitened @ whitened)
+
+
+def joint_nees_by_information(
+    errors: Array,
+    information: scipy.sparse.csr_matrix,
+    extra: Array,
+    groundtruth_variances: Array | None = None,
+) -> float:
+    """Return the same for an information matrix, sparse, without ever inverting it.
+
+    A quadratic form with a pseudo-inverse is a minimum: of d' Lambda d over all errors d of the
+    estimator that the aligned errors leave possible. Open are its velocities, the directions
+    that the alignment removed, and the groundtruth's own errors.
+
+    Args:
+        errors: (N, 6), position and rotation.
+        information: (N d, N d) with d = 6 or 9, of perturbations of the aligned states.
+        extra: (N, 6, j), directions of the alignment's gauge in which the information is not
+            zero: for SE(3) two rotations, for Sim(3) the scale as well; for all of the gauge's
+            directions of an estimator with a prior.
+        groundtruth_variances: (6,) per state, or None for perfect groundtruth.
+    """
+    count = len(errors)
+    block = information.shape[0] // count
+    index = np.arange(information.shape[0]).reshape(count, block)
+    seen, unseen = index[:, :6].ravel(), index[:, 6:].ravel()
+    columns = np.concatenate([errors[:, :, None], extra], axis=2).reshape(6 * count, -1)
+    if groundtruth_variances is None:
+        square = columns.T @ (information[seen][:, seen] @ columns)
+        inner, pull = information[unseen][:, unseen], information[unseen][:, seen] @ columns
+    else:
+        weights = np.tile(1.0 / groundtruth_variances, count)
+        weighted = columns * weights[:, None]
+        square = columns.T @ weighted
+        added = np.zeros(information.shape[0])
+        added[seen] = weights
+        inner = information + scipy.sparse.diags(added)
+        pull = np.zeros((information.shape[0], columns.shape[1]))
+        pull[seen] = weighted
+    if inner.shape[0]:
+        factor = scipy.sparse.linalg.splu(inner.tocsc(), permc_spec="NATURAL")
+        square -= pull.T @ factor.solve(pull)
+    of_error, of_extra = square[0, 1:], square[1:, 1:]
+    return float(square[0, 0] - of_error @ np.linalg.solve(of_extra, of_error))
+
+
+def pose_nees(errors: Array, covariances: Array) -> Array:
+    """Return e_i' C_ii^-1 e_i (N,) from the states' own blocks (N, d, d)."""
+    units = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    scaled = covariances / units[:, :, None] / units[:, None, :]
+    normal = errors / units
+    solved = np.linalg.solve(scaled, normal[:, :, None])[:, :, 0]
+    squares: Array = np.einsum("ni,ni->n", normal, solved)
+    return squares
+
+
+def diagonal_blocks(covariance: Array, block: int) -> Array:
+    """Return the states' own blocks (N, d, d) of a joint covariance (N d, N d)."""
+    count = len(covariance) // block
+    each = np.arange(count)
+    blocks: Array = covariance.reshape(count, block, count, block)[each, :, each]
+    return blocks
+
+
+def effective_dof(covariance: Array, block: int) -> float:
+    """Return Satterthwaite's degrees of freedom of the mean NEES of a run's states.
+
+    n^2 / sum_ij |S_ii^-1/2 S_ij S_jj^-1/2|^2: n if all states were independent, d if all were
+    one. Every block on the diagonal must be definite.
+    """
+    count = len(covariance) // block
+    factors = np.linalg.inv(np.linalg.cholesky(diagonal_blocks(covariance, block)))
+    rows = factors @ covariance.reshape(count, block, -1)
+    whitened = factors @ rows.reshape(len(covariance), count, block).transpose(1, 2, 0)
+    return float(len(covariance) ** 2 / np.sum(np.square(whitened)))
+
+
+def chi_square_band(dof: float, probability: float = 0.95, runs: int = 1) -> tuple[float, float]:
+    """Return between what a mean NEES / dof of so many independent runs falls if honest."""
+    tail = (1.0 - probability) / 2.0
+    low, high = chi2.ppf([tail, 1.0 - tail], dof * runs) / (dof * runs)
+    return float(low), float(high)
+
+
+def extra_directions(transformation: Transformation) -> Array:
+    """Return the directions (N, 6, j) that an alignment removes beyond yaw and translation."""
+    names = {0: [], 4: [], 6: [0, 1], 7: [0, 1, 6]}[transformation.orbit.shape[2]]
+    return transformation.orbit[:, :6, names]
