@@ -93,8 +93,7 @@ class Transformation:
     def coefficients(self) -> Array:
         """X = (V'U)^-1 V' (k, N d): the gauge's move that undoes a perturbation's part in it."""
         orbit, normals = self._flat()
-        solved: Array = np.linalg.solve(normals.T @ orbit, normals.T)
-        return solved
+        return np.asarray(np.linalg.solve(normals.T @ orbit, normals.T))
 
     def covariance(self, covariance: Array) -> Array:
         """Return Q C Q' for a covariance (N d, N d) of perturbations of the aligned states."""
@@ -102,8 +101,8 @@ class Transformation:
         coefficients = self.coefficients
         image = coefficients @ covariance
         cross = orbit @ image
-        projected = covariance - cross - cross.T
-        projected += orbit @ (image @ coefficients.T) @ orbit.T
+        projected: Array = covariance - cross - cross.T
+        projected = projected + orbit @ (image @ coefficients.T) @ orbit.T
         symmetric: Array = (projected + projected.T) / 2.0
         return symmetric
 
