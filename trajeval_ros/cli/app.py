@@ -14,6 +14,7 @@ from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.evaluator import HELP as EVALUATOR_HELP
 from trajeval_ros.cli.evaluator import evaluator
 from trajeval_ros.cli.finish import finish
+from trajeval_ros.cli.gauge_study import gauge_study
 from trajeval_ros.cli.info import info
 from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
@@ -30,6 +31,7 @@ app = typer.Typer(
 app.command()(evaluate)
 app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)
 app.command()(finish)
+app.command()(gauge_study)
 app.command()(info)
 app.command(cls=RosCommand)(replay)
 app.command()(simulate)

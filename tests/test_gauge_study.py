@@ -1,0 +1,103 @@
+"""`trajeval gauge-study`, end to end and small."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.visual_inertial.motion import recorded, shape
+from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
+from trajeval_ros.visual_inertial.solver import Handling
+from trajeval_ros.visual_inertial.study import compare, covariances, paths, sweep
+
+FIGURES = ["cost.png", "covariances_sine_random.png", "prior_paths.png", "prior_weight.png"]
+
+
+def _nothing() -> None:
+    pass
+
+
+def test_writes_tables_numbers_and_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    folder = tmp_path / "a study"
+    assert main(["gauge-study", "--output", str(folder), "--trials", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "0.04141 / 0.1084 / 0.02182" in printed  # the paper's
+    assert "All sensors are simulated" in printed
+    assert sorted(path.name for path in folder.iterdir()) == [
+        *FIGURES,
+        "study.json",
+        "tables.md",
+    ]
+    from matplotlib.image import imread
+
+    for name in FIGURES:
+        assert imread(folder / name).std() > 0.05
+    numbers = json.loads((folder / "study.json").read_text())
+    assert len(numbers["configurations"]) == 6
+    for each in numbers["configurations"].values():
+        fixed, free = each["fixation"], each["free"]
+        # Table II: the gauges agree to a percent or so, and the errors have its size.
+        np.testing.assert_allclose(free["position_m"], fixed["position_m"], rtol=0.15)
+        assert 0.003 < np.mean(free["position_m"]) < 0.1
+        assert 0.02 < np.mean(free["rotation_deg"]) < 0.5
+    assert max(numbers["covariance_difference"].values()) < 2e-3
+    table = (folder / "tables.md").read_text()
+    assert table.count("| sine plane |") == 1
+
+
+def test_sweep_and_paths_have_the_papers_shape() -> None:
+    scene = make_scene(shape("sine"), "plane", PROFILES["paper"], 0)
+    weak, middle, strong = sweep(scene, 3, _nothing, (0.0, 10.0, 1e8))
+    assert middle.iterations.mean() > 1.5 * max(weak.iterations.mean(), strong.iterations.mean())
+    np.testing.assert_allclose(weak.position_m, strong.position_m, rtol=0.05)
+    along, held = paths(scene, (10.0, 1e8))
+    # A weak prior is given up at once and won back on the orbit; a strong one never moves.
+    assert along.position_m.max() > 0.01
+    assert along.position_m[-1] < 0.1 * along.position_m.max()
+    assert held.position_m.max() < 1e-4
+    assert along.reprojection_px[0] > 10.0 > 2.0 > along.reprojection_px[2]
+
+
+def test_real_motion(shared_data: Path) -> None:
+    from trajeval_ros.io.sources import read_trajectory
+
+    flown = read_trajectory(str(shared_data / "euroc" / "groundtruth" / "V1_02_asl.csv"))
+    motion = recorded(flown, 50.0, 15.0)
+    times = np.linspace(0.0, motion.duration_s, 100)
+    exact = flown.seconds - flown.seconds[0] - 50.0
+    near = np.clip(np.searchsorted(exact, times), 0, len(flown) - 1)
+    away = np.linalg.norm(motion.positions(times) - flown.positions[near], axis=1)
+    assert away.max() < 0.05
+    # Level and forwards, although the recorded body's x axis points up.
+    cameras = motion.rotations(times) @ motion.camera_in_body
+    assert np.mean(cameras[:, 2, 1]) < -0.9
+    scene = make_scene(motion, "random", PROFILES["paper"], 0, keyframes=30, landmarks=150)
+    outcome = compare(scene, 2, _nothing)
+    assert 0.001 < outcome[Handling.FREE].position_m.mean() < 0.2
+    assert covariances(scene).difference < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--trials", "0"], "--trials must be at least 1"),
+        (["--profile", "perfect"], "no profile"),
+        (["--motion", "nowhere.txt"], "nowhere.txt"),
+    ],
+)
+def test_says_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    folder = tmp_path / "study"
+    assert main(["gauge-study", "--output", str(folder), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert not folder.exists()

@@ -1,0 +1,170 @@
+"""Figures 4 to 7, 9 and 10 of the gauge paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.report import canvas
+from trajeval_ros.visual_inertial.solver import Handling, Trace
+from trajeval_ros.visual_inertial.study import Covariances, Trials
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+_WIDTH_IN = 6.4
+_HANDLING_COLOURS = dict(zip(Handling, canvas.COLOURS, strict=False))
+_FLOOR = 1e-7  # the paper's epsilon: what it draws as white
+
+
+def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str) -> Figure:
+    """Draw errors, iterations and time over the prior's weight: Fig. 4 and 5."""
+    panels = {
+        "p [m]": [trials.position_m.mean() for trials in outcome],
+        "φ [deg]": [trials.rotation_deg.mean() for trials in outcome],
+        "v [m/s]": [trials.velocity_mps.mean() for trials in outcome],
+        "iterations": [trials.iterations.mean() for trials in outcome],
+        "time [ms]": [1e3 * np.median(trials.seconds) for trials in outcome],
+    }
+    figure = canvas.new_figure(_WIDTH_IN, 6.0, layout="constrained")
+    figure.suptitle(title)
+    all_axes = figure.subplots(len(panels), 1, sharex=True)
+    for axes, (label, values) in zip(all_axes, panels.items(), strict=True):
+        axes.plot(weights, values, color=canvas.COLOURS[0], marker="o", markersize=3)
+        axes.set_ylabel(label)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        # Errors differ in the last digits: a scale of their own would make hills of nothing.
+        middle = float(np.median(values))
+        if label not in ("iterations", "time [ms]"):
+            low, high = min(values), max(values)
+            margin = max(0.02 * middle, high - low)
+            axes.set_ylim(middle - 1.5 * margin, middle + 1.5 * margin)
+        else:
+            axes.set_ylim(0.0, 1.15 * max(values))
+    axes = all_axes[-1]
+    axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+    axes.set_xticks([0.0, *(10.0**power for power in range(9))])
+    axes.set_xlim(-0.1, 2.0 * max(weights))
+    axes.xaxis.set_major_formatter(_plainly)
+    axes.set_xlabel("prior weight: 0 is the free gauge, infinity is fixation")
+    return figure
+
+
+def prior_paths(weights: Sequence[float], traces: Sequence[Trace], title: str) -> Figure:
+    """Draw the prior's error over the reprojection error, iteration by iteration: Fig. 6."""
+    figure = canvas.new_figure(_WIDTH_IN, 3.4, layout="constrained")
+    figure.suptitle(title)
+    left, right = figure.subplots(1, 2)
+    panels = ((left, "position_m", "position [m]"), (right, "yaw_deg", "yaw [deg]"))
+    for axes, metric, label in panels:
+        for place, (weight, trace) in enumerate(zip(weights, traces, strict=True)):
+            colour, dashes = canvas.line_style(place)
+            axes.plot(
+                trace.reprojection_px,
+                getattr(trace, metric),
+                color=colour,
+                linestyle=dashes,
+                marker="o",
+                markersize=3,
+                label=f"w = {weight:g}",
+            )
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(_plainly)
+        axes.set_xlabel("mean reprojection error [px]")
+        axes.set_ylabel(f"prior error, {label}")
+        axes.set_ylim(bottom=0.0)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    return figure
+
+
+def cost(outcome: Mapping[str, Mapping[Handling, Trials]], title: str) -> Figure:
+    """Draw iterations, time, and time per iteration relative to fixation: Fig. 7 and 11."""
+    figure = canvas.new_figure(_WIDTH_IN, 5.2, layout="constrained")
+    figure.suptitle(title)
+    panels = figure.subplots(3, 1, sharex=True)
+    places = np.arange(len(outcome))
+    width = 0.26
+    for shift, handling in enumerate(Handling):
+        trials = [each[handling] for each in outcome.values()]
+        fixed = [each[Handling.FIXATION] for each in outcome.values()]
+        values = (
+            [each.iterations.mean() for each in trials],
+            [1e3 * np.median(each.seconds) for each in trials],
+            [
+                _per_iteration(each) / _per_iteration(of_fixed)
+                for each, of_fixed in zip(trials, fixed, strict=True)
+            ],
+        )
+        for axes, heights in zip(panels, values, strict=True):
+            axes.bar(
+                places + (shift - 1) * width,
+                heights,
+                width,
+                color=_HANDLING_COLOURS[handling],
+                label=handling.value,
+            )
+    for axes, label in zip(
+        panels, ("iterations", "time [ms]", "time per iteration\n/ fixation's"), strict=True
+    ):
+        axes.set_ylabel(label)
+        axes.grid(visible=False, axis="x")
+    panels[-1].set_xticks(places, list(outcome), rotation=20, ha="right")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def covariance_matrices(covariances: Covariances, title: str) -> Figure:
+    """Draw the covariances of free gauge, transformed and fixed: Fig. 9 and 10."""
+    figure = canvas.new_figure(7.4, 3.1, layout="constrained")
+    percent = 100.0 * covariances.difference
+    figure.suptitle(f"{title}: transformed and fixed differ by {percent:.2g} % (Frobenius norm)")
+    panels = figure.subplots(1, 3)
+    named = (
+        ("free gauge", covariances.free),
+        ("free gauge, transformed", covariances.transformed),
+        ("gauge fixation", covariances.fixed),
+    )
+    images = [_by_kind(matrix) for _, matrix in named]
+    largest = max(float(image.max()) for image in images)
+    for axes, (label, _), image in zip(panels, named, images, strict=True):
+        drawn = axes.imshow(
+            image, vmin=np.log10(_FLOOR), vmax=largest, cmap="magma_r", interpolation="nearest"
+        )
+        _mark_kinds(axes, len(image))
+        axes.set_title(label)
+    figure.colorbar(drawn, ax=list(panels), shrink=0.8, label="log10 |covariance|")
+    return figure
+
+
+def _plainly(value: float, _: object = None) -> str:
+    """Return a tick's label: the house style does not set mathematics."""
+    return f"{value:g}"
+
+
+def _per_iteration(trials: Trials) -> float:
+    """Return the median time per linear solve: this machine has other things to do as well."""
+    return float(np.median(trials.seconds / trials.iterations))
+
+
+def _by_kind(matrix: Array) -> Array:
+    """Return log10 of the entries in the paper's order: all positions, rotations, velocities."""
+    order = np.arange(len(matrix)).reshape(-1, 3, 3).transpose(1, 0, 2).ravel()
+    logarithm: Array = np.log10(np.abs(matrix[np.ix_(order, order)]) + _FLOOR)
+    return logarithm
+
+
+def _mark_kinds(axes: Axes, size: int) -> None:
+    third = size / 3.0
+    middles = [third * (place + 0.5) - 0.5 for place in range(3)]
+    axes.set_xticks(middles, ["p", "φ", "v"])
+    axes.set_yticks(middles, ["p", "φ", "v"])
+    axes.grid(visible=False)
+    for place in (1, 2):
+        axes.axhline(place * third - 0.5, color="0.5", linewidth=0.5)
+        axes.axvline(place * third - 0.5, color="0.5", linewidth=0.5)

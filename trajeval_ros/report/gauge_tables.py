@@ -1,0 +1,91 @@
+"""Tables II and III of the gauge paper, with the paper's own values beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from trajeval_ros.visual_inertial.solver import Handling
+from trajeval_ros.visual_inertial.study import Trials
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+METRICS = {"position_m": "p [m]", "rotation_deg": "φ [deg]", "velocity_mps": "v [m/s]"}
+
+# RMSE of gauge fixation and of the free gauge: p (m), phi (deg), v (m/s).
+PAPER = {
+    "sine plane": ((0.04141, 0.1084, 0.02182), (0.04141, 0.1084, 0.02183)),
+    "arc plane": ((0.02328, 0.6987, 0.01303), (0.02329, 0.6987, 0.01303)),
+    "rec plane": ((0.01772, 0.1668, 0.01496), (0.01774, 0.1668, 0.01495)),
+    "sine random": ((0.03932, 0.0885, 0.01902), (0.03908, 0.0874, 0.01886)),
+    "arc random": ((0.02680, 0.6895, 0.01167), (0.02678, 0.6895, 0.01166)),
+    "rec random": ((0.02218, 0.1330, 0.009882), (0.02220, 0.1330, 0.009881)),
+    "MH_01": ((0.06936, 0.07845, 0.03092), (0.06918, 0.07857, 0.03091)),
+    "V1_02": ((0.07851, 0.4382, 0.04644), (0.07851, 0.4382, 0.04644)),
+}
+_PAPER_HANDLINGS = (Handling.FIXATION, Handling.FREE)
+HEADINGS = (
+    "configuration",
+    *(f"{handling.value} {metric}" for handling in Handling for metric in METRICS.values()),
+    *(f"paper, {handling.value}" for handling in _PAPER_HANDLINGS),
+    "iterations",
+)
+
+
+def accuracy_rows(outcome: Mapping[str, Mapping[Handling, Trials]]) -> list[list[str]]:
+    """Return a row for each configuration: means over its trials, then the paper's values."""
+    return [
+        [
+            name,
+            *(
+                f"{getattr(trials[handling], metric).mean():.5f}"
+                for handling in Handling
+                for metric in METRICS
+            ),
+            *_paper(name),
+            " / ".join(f"{trials[handling].iterations.mean():.2f}" for handling in Handling),
+        ]
+        for name, trials in outcome.items()
+    ]
+
+
+def _paper(name: str) -> list[str]:
+    known = next((values for key, values in PAPER.items() if key in name), None)
+    if known is None:
+        return ["–", "–"]
+    return [" / ".join(f"{value:.4g}" for value in values) for values in known]
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [headings, ["---"] * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def accuracy_table(outcome: Mapping[str, Mapping[Handling, Trials]]) -> Table:
+    """Return the table for a terminal: a line for each configuration and handling."""
+    from rich.table import Table
+
+    table = Table(
+        "configuration",
+        "gauge",
+        *METRICS.values(),
+        "paper (p / φ / v)",
+        "iterations",
+        title="RMSE after alignment by the first keyframe, means over trials",
+        title_justify="left",
+    )
+    for name, trials in outcome.items():
+        paper = dict(zip(_PAPER_HANDLINGS, _paper(name), strict=True))
+        for place, handling in enumerate(Handling):
+            each = trials[handling]
+            table.add_row(
+                "" if place else name,
+                handling.value,
+                *(f"{getattr(each, metric).mean():.5f}" for metric in METRICS),
+                paper.get(handling, ""),
+                f"{each.iterations.mean():.2f}",
+                end_section=handling is list(Handling)[-1],
+            )
+    return table
