@@ -41,7 +41,7 @@ FLOORS = {
     "evaluation": 6,
     "requirement": 6,
     "settings": 6,
-    "simulation": 6,
+    "simulation": 5,
     "visual_inertial": 6,
     "io": 7,
     "online": 7,

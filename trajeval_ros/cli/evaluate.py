@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from trajeval_ros.cli.consistency import CovarianceSettings
 from trajeval_ros.cli.names import names_of
 from trajeval_ros.cli.outcome import deliver
 from trajeval_ros.cli.progress import progress
@@ -24,11 +25,12 @@ if TYPE_CHECKING:
     from trajeval_ros.protocol import Protocol
     from trajeval_ros.trajectory import Trajectory
 
-INPUT, ALIGN, PAIR, MEASURE, OUTPUT = (
+INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (
     "Input",
     "Alignment",
     "Association",
     "Errors",
+    "Consistency",
     "Output",
 )
 _MODALITIES = "; ".join(
@@ -141,6 +143,32 @@ def evaluate(
             rich_help_panel=MEASURE,
         ),
     ] = None,
+    covariance: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE.npz|message|none",
+            help="Judge whether the estimate is as sure as it should be: by the joint covariance "
+            "of all its poses in a file, or by what its messages say of each.",
+            rich_help_panel=CONSISTENCY,
+        ),
+    ] = "none",
+    rotation_covariance_frame: Annotated[
+        str,
+        typer.Option(
+            metavar="world|body",
+            help="About which axes the messages' rotation covariances are: the fixed frame's, as "
+            "ROS has it, or the body's, as OpenVINS publishes them.",
+            rich_help_panel=CONSISTENCY,
+        ),
+    ] = "world",
+    groundtruth_noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="P,R",
+            help="Standard deviations of the groundtruth: position (m), rotation (deg).",
+            rich_help_panel=CONSISTENCY,
+        ),
+    ] = None,
     json: Annotated[
         str | None,
         typer.Option(
@@ -181,6 +209,10 @@ def evaluate(
         trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
 
     Numbers as evo or the authors' toolbox compute them: --protocol evo, --protocol rpg.
+
+    Whether the estimator is as sure as it should be, from the covariances in its messages:
+
+        trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
     """
     settings = protocol_from(
         protocol,
@@ -195,11 +227,14 @@ def evaluate(
         ate_form=ate_form,
         re_form=re_form,
     )
+    covariances = CovarianceSettings.parse(
+        covariance, rotation_covariance_frame, groundtruth_noise
+    )
     requirements = [Requirement.parse(text) for text in require or []]
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0])
     runs = [
-        _run(source, name, truth, settings)
+        _run(source, name, truth, settings, covariances)
         for source, name in zip(estimate, names[1:], strict=True)
     ]
     result = results.result_of(
@@ -223,10 +258,19 @@ def _read(source: str, name: str) -> Trajectory:
     return dataclasses.replace(trajectory, name=name)
 
 
-def _run(source: str, name: str, groundtruth: Trajectory, settings: Protocol) -> results.Run:
+def _run(
+    source: str,
+    name: str,
+    groundtruth: Trajectory,
+    settings: Protocol,
+    covariances: CovarianceSettings,
+) -> results.Run:
     read = _read(source, name)
     try:
         evaluation = evaluate_pair(groundtruth, read, settings)
+        consistency = covariances.judge(evaluation)
     except TrajevalError as error:
         raise InputError(f"{source}: {error}") from error
-    return results.Run(results.Input.of(source, read, evaluation.estimate), evaluation)
+    return results.Run(
+        results.Input.of(source, read, evaluation.estimate), evaluation, consistency=consistency
+    )

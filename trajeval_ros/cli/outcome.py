@@ -106,6 +106,10 @@ def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: boo
     if relative is not None:
         terminal.print()
         terminal.print(relative)
+    for run in runs:
+        if run.consistency is not None:
+            for line in tables.consistency_lines(run.estimate.name, run.consistency):
+                terminal.print(line, soft_wrap=True)
     if output is not None:
         terminal.print(f"\n{_contents(output)}", soft_wrap=True)
     terminal.file.flush()

@@ -1,4 +1,4 @@
-"""`trajeval simulate`: a bag to try everything on, without a robot."""
+"""`trajeval simulate`: bags to try everything on, without a robot."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ import shlex
 import shutil
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
+
+if TYPE_CHECKING:
+    from trajeval_ros.trajectory import Trajectory
 
 GROUNDTRUTH_TOPIC = "/groundtruth/pose"
 ESTIMATE_TOPIC = "/vio/odometry"
+_DRIFT = "drift"
 
 
 class Storage(str, Enum):
@@ -42,6 +46,22 @@ def simulate(
         Storage,
         typer.Option(help="File format inside of the bag: mcap (Jazzy's default) or sqlite3."),
     ] = Storage.MCAP,
+    profile: Annotated[
+        str,
+        typer.Option(
+            metavar="drift|paper|euroc|overconfident",
+            help="drift: a kinematic model without covariance. The others: a visual-inertial "
+            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC, "
+            "or too sure of itself (at most 10 s).",
+        ),
+    ] = _DRIFT,
+    runs: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Bags of the same flight with other noise, BAG_0, BAG_1, ...; not for drift.",
+        ),
+    ] = 1,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -49,40 +69,131 @@ def simulate(
         ),
     ] = False,
 ) -> None:
-    """Write a bag with a simulated flight: true poses and an odometry that drifts like a VIO's.
+    """Write a bag with a simulated flight: true poses, and the odometry of a VIO.
 
-    The odometry is a kinematic drift model, not an estimator: yaw, position and scale wander off,
-    roll and pitch don't, stamps jitter, its frame is its own, and it is silent for 2 s.
-
-    A bag, and how wrong the odometry in it is:
+    By default the odometry is a kinematic drift model, not an estimator: yaw, position and scale
+    wander off, roll and pitch don't, stamps jitter, its frame is its own, and it is silent for
+    2 s. A bag, and how wrong the odometry in it is:
 
         trajeval simulate flight
 
         trajeval evaluate -g flight:/groundtruth/pose -e flight:/vio/odometry --gauge yaw
+
+    With a profile it is that of a visual-inertial estimator, 10 keyframes a second, each with the
+    covariance of its pose; the joint covariance of all of them is in fly.npz:
+
+        trajeval simulate fly --profile euroc
+
+        trajeval evaluate -g fly:/groundtruth/pose -e fly:/vio/odometry --covariance fly.npz
     """
+    if profile == _DRIFT:
+        if runs != 1:
+            raise SettingsError("--runs is for estimators: choose one by --profile euroc")
+        _write_drift(output, seed, duration, storage, overwrite=overwrite)
+    else:
+        _write_runs(output, seed, duration, storage, profile, runs, overwrite=overwrite)
+
+
+def _write_runs(
+    output: Path,
+    seed: int,
+    duration: float,
+    storage: Storage,
+    profile: str,
+    runs: int,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write runs of the estimator: a bag and a joint covariance each."""
+    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.consistency.joint import JointCovariance
+    from trajeval_ros.io.joint_covariance import write_joint_covariance
+    from trajeval_ros.io.write_bag import write_bag
+    from trajeval_ros.visual_inertial.flight import fly
+    from trajeval_ros.visual_inertial.scene import PROFILES
+
+    if profile not in PROFILES:
+        raise SettingsError(
+            f"there is no profile {profile!r}; use one of {_DRIFT}, {', '.join(PROFILES)}"
+        )
+    if runs < 1 or seed < 0:
+        raise SettingsError("--runs must be at least 1, and --seed at least 0")
+    flight = fly(seed, duration, PROFILES[profile])
+    bags = [output]
+    if runs > 1:
+        bags = [output.with_name(f"{output.name}_{number}") for number in range(runs)]
+    for bag in bags:
+        _make_way(bag, overwrite=overwrite)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with progress(f"{runs} runs of {duration:g} s") as advance:
+        for number, (bag, odometry) in enumerate(
+            zip(bags, flight.runs(seed, runs), strict=True), start=1
+        ):
+            estimate = odometry.estimate
+            write_bag(bag, _topics(flight.groundtruth, estimate), storage=storage.value)
+            quaternions = estimate.quaternions
+            assert quaternions is not None
+            joint = JointCovariance(
+                estimate.stamps,
+                estimate.positions,
+                quaternions,
+                block=9,
+                information=odometry.information,
+                gauge="free",
+            )
+            write_joint_covariance(_covariance_of(bag), joint)
+            advance(number, runs)
+    how = "solved" if flight.is_solved else "sampled from the estimator's own distribution"
+    covariance = f" --covariance {shlex.quote(str(_covariance_of(bags[0])))}"
+    beside = f", {how}, with the joint covariance in {_covariance_of(bags[0]).name}"
+    _say(bags, flight.groundtruth, estimate, beside, covariance)
+
+
+def _covariance_of(bag: Path) -> Path:
+    """Return where the joint covariance of a bag's odometry is."""
+    return bag.with_name(f"{bag.name}.npz")
+
+
+def _topics(groundtruth: Trajectory, estimate: Trajectory) -> dict[str, tuple[Trajectory, str]]:
+    return {
+        GROUNDTRUTH_TOPIC: (groundtruth, "geometry_msgs/msg/PoseStamped"),
+        ESTIMATE_TOPIC: (estimate, "nav_msgs/msg/Odometry"),
+    }
+
+
+def _write_drift(
+    output: Path, seed: int, duration: float, storage: Storage, *, overwrite: bool
+) -> None:
+    """Write a flight with the kinematic drift model."""
     from trajeval_ros import simulation
     from trajeval_ros.io.write_bag import write_bag
 
     simulated = simulation.simulate(seed, duration)
     _make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
-    write_bag(
-        output,
-        {
-            GROUNDTRUTH_TOPIC: (simulated.groundtruth, "geometry_msgs/msg/PoseStamped"),
-            ESTIMATE_TOPIC: (simulated.estimate, "nav_msgs/msg/Odometry"),
-        },
-        storage=storage.value,
-    )
-    truth, estimate = simulated.groundtruth, simulated.estimate
-    bag = shlex.quote(str(output))
+    topics = _topics(simulated.groundtruth, simulated.estimate)
+    write_bag(output, topics, storage=storage.value)
+    _say([output], simulated.groundtruth, simulated.estimate)
+
+
+def _say(
+    bags: list[Path],
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    more: str = "",
+    options: str = "",
+) -> None:
+    """Print what was written, and what to do with it."""
+    names = f"{bags[0]} to {bags[-1]}" if len(bags) > 1 else str(bags[0])
     print(
-        f"wrote {output}: {truth.duration_s:.0f} s and {truth.path_length_m:.0f} m of flight, "
-        f"{len(truth)} poses on {GROUNDTRUTH_TOPIC}, {len(estimate)} on {ESTIMATE_TOPIC}"
+        f"wrote {names}: {groundtruth.duration_s:.0f} s and {groundtruth.path_length_m:.0f} m of "
+        f"flight, {len(groundtruth)} poses on {GROUNDTRUTH_TOPIC}, {len(estimate)} on "
+        f"{ESTIMATE_TOPIC}{more}"
     )
+    bag = shlex.quote(str(bags[0]))
     print(
         f"next: trajeval evaluate --groundtruth {bag}:{GROUNDTRUTH_TOPIC} "
-        f"--estimate {bag}:{ESTIMATE_TOPIC} --modality stereo-inertial"
+        f"--estimate {bag}:{ESTIMATE_TOPIC} --modality stereo-inertial{options}"
     )
 
 

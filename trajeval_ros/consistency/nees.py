@@ -67,41 +67,47 @@ def joint_nees_by_information(
     information: scipy.sparse.csr_matrix,
     extra: Array,
     groundtruth_variances: Array | None = None,
+    seen: NDArray[np.int64] | None = None,
 ) -> float:
     """Return the same for an information matrix, sparse, without ever inverting it.
 
     A quadratic form with a pseudo-inverse is a minimum: of d' Lambda d over all errors d of the
-    estimator that the aligned errors leave possible. Open are its velocities, the directions
-    that the alignment removed, and the groundtruth's own errors.
+    estimator that the aligned errors leave possible. Open are its velocities, states that were
+    not compared, the directions that the alignment removed, and the groundtruth's own errors.
 
     Args:
         errors: (N, 6), position and rotation.
-        information: (N d, N d) with d = 6 or 9, of perturbations of the aligned states.
+        information: (n, n), of perturbations of the aligned states.
         extra: (N, 6, j), directions of the alignment's gauge in which the information is not
             zero: for SE(3) two rotations, for Sim(3) the scale as well; for all of the gauge's
             directions of an estimator with a prior.
         groundtruth_variances: (6,) per state, or None for perfect groundtruth.
+        seen: (6N,), rows of the information that the errors belong to; by default n = 9N, and
+            position and rotation come first of each nine.
     """
-    count = len(errors)
-    block = information.shape[0] // count
-    index = np.arange(information.shape[0]).reshape(count, block)
-    seen, unseen = index[:, :6].ravel(), index[:, 6:].ravel()
-    columns = np.concatenate([errors[:, :, None], extra], axis=2).reshape(6 * count, -1)
+    size = information.shape[0]
+    if seen is None:
+        seen = np.arange(size).reshape(len(errors), -1)[:, :6].ravel()
+    unseen = np.setdiff1d(np.arange(size), seen)
+    columns = np.concatenate([errors[:, :, None], extra], axis=2).reshape(len(seen), -1)
     if groundtruth_variances is None:
         square = columns.T @ (information[seen][:, seen] @ columns)
         inner, pull = information[unseen][:, unseen], information[unseen][:, seen] @ columns
     else:
-        weights = np.tile(1.0 / groundtruth_variances, count)
+        weights = np.tile(1.0 / groundtruth_variances, len(errors))
         weighted = columns * weights[:, None]
         square = columns.T @ weighted
-        added = np.zeros(information.shape[0])
+        added = np.zeros(size)
         added[seen] = weights
         inner = information + scipy.sparse.diags(added)
-        pull = np.zeros((information.shape[0], columns.shape[1]))
+        pull = np.zeros((size, columns.shape[1]))
         pull[seen] = weighted
     if inner.shape[0]:
-        factor = scipy.sparse.linalg.splu(inner.tocsc(), permc_spec="NATURAL")
-        square -= pull.T @ factor.solve(pull)
+        # In the order of time, in which it is banded; it is definite, so nothing needs pivots.
+        factor = scipy.sparse.linalg.splu(
+            inner.tocsc(), permc_spec="NATURAL", options={"SymmetricMode": True}
+        )
+        square = square - pull.T @ factor.solve(pull)
     of_error, of_extra = square[0, 1:], square[1:, 1:]
     return float(square[0, 0] - of_error @ np.linalg.solve(of_extra, of_error))
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from trajeval_ros import lie
@@ -149,6 +150,35 @@ def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
     size = len(covariance)
     rows = (turn @ covariance.reshape(-1, block, size)).reshape(size, size)
     return np.asarray((turn @ rows.T.reshape(-1, block, size)).reshape(size, size).T)
+
+
+def carried_information(
+    information: scipy.sparse.csr_matrix, similarity: Similarity, block: int
+) -> scipy.sparse.csr_matrix:
+    """Return T^-T Lambda T^-1 (n, n): an information matrix turned with its states."""
+    scales = np.array([1.0 / similarity.scale, 1.0, 1.0 / similarity.scale])[: block // 3]
+    turn = np.kron(np.diag(scales), similarity.rotation)
+    count = information.shape[0] // block
+    blocks = scipy.sparse.kron(scipy.sparse.eye(count), turn, format="csr")
+    return (blocks @ information @ blocks.T).tocsr()
+
+
+def independent_noise(transformation: Transformation, variances: Array) -> Array:
+    """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
+
+    Args:
+        transformation: Q, of N states.
+        variances: (6,), of position (m^2) and rotation (rad^2); G has them for every state.
+    """
+    count, _, open_ = transformation.orbit.shape
+    own = np.diag(variances)
+    orbit = transformation.orbit[:, :6]
+    pull = transformation.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
+    shared = np.einsum("nki,i,nli->kl", pull, variances, pull)
+    cross = orbit @ (pull @ own)
+    blocks: Array = own - cross - np.swapaxes(cross, 1, 2)
+    blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
+    return blocks
 
 
 def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Array:

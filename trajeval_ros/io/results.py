@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from trajeval_ros.evaluation import Evaluation, Segments
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.judgement import Consistency
 
 SCHEMA = "trajeval/1"
 
@@ -77,11 +80,13 @@ class Run:
         estimate: Where it came from.
         evaluation: Its evaluation.
         live: What only a live run can tell; None of a recorded one.
+        consistency: Whether the estimate is as sure as it should be; None if nobody asked.
     """
 
     estimate: Input
     evaluation: Evaluation
     live: dict[str, Any] | None = None
+    consistency: Consistency | None = None
 
 
 def result_of(
@@ -167,7 +172,7 @@ def _run(run: Run) -> dict[str, Any]:
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
         "calibration": None,
-        "consistency": None,
+        "consistency": None if run.consistency is None else _consistency(run.consistency),
         "probabilistic": None,
         "live": run.live,
         "warnings": list(evaluation.warnings),
@@ -185,6 +190,21 @@ def _segment(segment: Segments) -> dict[str, Any]:
         "pairs": len(segment.errors.ends),
         "mean_length_m": segment.mean_length_m,
         **{metric: statistics_json(value) for metric, value in segment.statistics.items()},
+    }
+
+
+def _consistency(consistency: Consistency) -> dict[str, Any]:
+    joint, per_pose = consistency.joint, consistency.per_pose
+    return {
+        "gauge": consistency.gauge.value,
+        "covariance_source": consistency.covariance_source,
+        "exactness": consistency.exactness,
+        "statement": consistency.statement,
+        "verdict": consistency.verdict,
+        "joint": None
+        if joint is None
+        else {**dataclasses.asdict(joint), "nees_per_dof": joint.nees / joint.dof},
+        "per_pose": None if per_pose is None else dataclasses.asdict(per_pose),
     }
 
 
@@ -213,12 +233,19 @@ def write_errors(path: Path, runs: Sequence[Run]) -> None:
 
     Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
     `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
+    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees` (N,).
     """
     arrays: dict[str, Any] = {}
     for run in runs:
         name, evaluation = run.estimate.name, run.evaluation
         arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
         arrays |= _columns(name, evaluation.absolute)
+        if run.consistency is not None:
+            arrays |= {
+                f"{name}.consistency.{column}": values
+                for column in ("errors", "sigmas", "nees")
+                if (values := getattr(run.consistency, column)) is not None
+            }
         for segment in evaluation.segments or ():
             arrays |= _columns(f"{name}.{segment.length}", segment.errors)
     with path.open("wb") as file:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from trajeval_ros.consistency.judgement import Consistency
+
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _WIDTH_FOR_MEDIANS = 140
 ABSOLUTE = {
@@ -191,3 +193,34 @@ def _number(value: float) -> str:
     if abs(value) >= 1000.0:
         return f"{value:.1f}"
     return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
+
+
+def consistency_lines(name: str, consistency: Consistency) -> list[str]:
+    """Return what covariances and errors say together, and on what ground."""
+    lines = [
+        "",
+        f"{name}: {consistency.verdict}, by covariances of {consistency.covariance_source} in "
+        f"gauge {consistency.gauge.value}",
+        f"  {consistency.statement}",
+    ]
+    joint, per_pose = consistency.joint, consistency.per_pose
+    if joint is not None:
+        low, high = joint.band_95
+        lines.append(
+            f"  joint NEES / dof {joint.nees / joint.dof:.3f} (95 % of honest runs: {low:.3f} to "
+            f"{high:.3f}; {joint.dof} dof)"
+        )
+    if per_pose is not None:
+        # Poses of one run err together: their mean has a band only where correlations are known.
+        band = ""
+        if per_pose.band_95 is not None and per_pose.effective_dof is not None:
+            low, high = per_pose.band_95
+            band = (
+                f" (95 % of honest runs: {low:.2f} to {high:.2f}; {per_pose.effective_dof:.1f} "
+                f"effective dof of {6 * per_pose.poses})"
+            )
+        lines.append(
+            f"  NEES / 6 of single poses: mean {per_pose.mean:.3f}{band}, largest "
+            f"{per_pose.max:.3f} (95 % of honest runs: under {per_pose.limit_95:.2f})"
+        )
+    return lines

@@ -1,8 +1,9 @@
-"""Honest runs for the price of a matrix product: the estimator's own Gaussian, sampled.
+"""Runs with known covariance: solved one by one, or sampled from the estimator's own Gaussian.
 
-The normal equations are evaluated at the truth. Their solution is linear in the noise, so truth
-plus a sample of it is what an estimator would return, to first order, and its covariance is
-exactly the one that goes with it. On top comes an arbitrary gauge, as of any estimator.
+For a sample, the normal equations are evaluated at the truth. Their solution is linear in the
+noise, so truth plus a sample of it is what an estimator would return, to first order, and its
+covariance is exactly the one that goes with it. It costs a matrix product, and time grows with
+the length of the run and no faster.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from trajeval_ros import lie
 from trajeval_ros.visual_inertial.chain import Chain
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
 
 _FARTHEST_OFFSET_M = 5.0
+_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class Run:
     """An estimate in a frame of its own, and how sure it is.
 
     Attributes:
-        state: Keyframes as estimated; the landmarks are the true ones, moved into the frame.
+        state: Keyframes as estimated.
         information: (9N, 9N), rank 9N - 4, of left perturbations in the estimate's frame.
         marginals: (N, 9, 9), covariance of each keyframe in the gauge of the first one.
     """
@@ -38,6 +40,34 @@ class Run:
     state: State
     information: scipy.sparse.csr_matrix
     marginals: Array
+
+    def elsewhere(self, generator: np.random.Generator) -> Run:
+        """Return the run in a frame that is turned about gravity and shifted at will."""
+        yaw = generator.uniform(-np.pi, np.pi)
+        turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
+        shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
+        blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), turn)
+        wide = np.kron(np.eye(3), turn)
+        return Run(
+            self.state.transformed(turn, shift),
+            (blocks @ self.information @ blocks.T).tocsr(),
+            wide @ self.marginals @ wide.T,
+        )
+
+
+def solved(scene: Scene, generator: np.random.Generator) -> Run:
+    """Return what the estimator makes of one set of measurements, in the free gauge.
+
+    Raises:
+        DegenerateGeometryError: More than the gauge's four directions are open.
+    """
+    problem, start = scene.measured(generator), scene.disturbed(generator)
+    state = solve(problem, start, Handling.FREE, function_tolerance=_TOLERANCE).state
+    # As its own reference, its first rotation is perturbed on the left like all others.
+    state = state.referred_to(state.rotations[0], state.positions[0])
+    information = information_of(problem, state)
+    run = Run(state, information, _Held(information).marginals())
+    return run.elsewhere(generator)
 
 
 class Sampler:
@@ -51,30 +81,37 @@ class Sampler:
         """
         self._truth = scene.truth
         self._information = information_of(scene.noise_free(), scene.truth)
-        size = self._information.shape[0]
-        self._kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
-        chain = Chain(self._information[self._kept][:, self._kept].tocsr())
-        self._chain = chain
-        # The first keyframe is held but for roll, pitch and velocity.
-        first = chain.marginals(np.array([0]), 5)[0]
-        rest = chain.marginals(np.arange(5, len(self._kept), 9), 9)
-        held = np.zeros((1, 9, 9))
-        held[0][np.ix_(self._kept[:5], self._kept[:5])] = first
-        self._marginals = np.concatenate([held, rest])
+        self._held = _Held(self._information)
+        self._marginals = self._held.marginals()
 
     def draw(self, generator: np.random.Generator) -> Run:
-        """Return one run, in a frame that is turned about gravity and shifted at will."""
-        truth = self._truth
-        step = np.zeros(self._information.shape[0] + truth.landmarks.size)
-        step[self._kept] = self._chain.sampled(generator.standard_normal(len(self._kept)))
-        yaw = generator.uniform(-np.pi, np.pi)
-        turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
-        shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
-        state = truth.moved(step).transformed(turn, shift)
-        blocks = scipy.sparse.kron(scipy.sparse.eye(self._information.shape[0] // 3), turn)
-        wide = np.kron(np.eye(3), turn)
-        return Run(
-            state,
-            (blocks @ self._information @ blocks.T).tocsr(),
-            wide @ self._marginals @ wide.T,
+        """Return one run; its landmarks are the true ones, moved into its frame."""
+        step = np.concatenate(
+            [self._held.sampled(generator), np.zeros(self._truth.landmarks.size)]
         )
+        run = Run(self._truth.moved(step), self._information, self._marginals)
+        return run.elsewhere(generator)
+
+
+class _Held:
+    """The motion's Gaussian with position and yaw of the first keyframe held: eq. (10)."""
+
+    def __init__(self, information: scipy.sparse.csr_matrix) -> None:
+        self._size = information.shape[0]
+        self._kept = np.setdiff1d(np.arange(self._size), GAUGE_INDICES)
+        self._chain = Chain(information[self._kept][:, self._kept].tocsr())
+
+    def sampled(self, generator: np.random.Generator) -> Array:
+        """Return a perturbation (9N,)."""
+        step = np.zeros(self._size)
+        step[self._kept] = self._chain.sampled(generator.standard_normal(len(self._kept)))
+        return step
+
+    def marginals(self) -> Array:
+        """Return the covariance of each keyframe, (N, 9, 9)."""
+        blocks = np.zeros((self._size // 9, 9, 9))
+        # Of the first keyframe, roll, pitch and velocity are not held.
+        first = self._kept[:5]
+        blocks[0][np.ix_(first, first)] = self._chain.marginals(np.array([0]), 5)[0]
+        blocks[1:] = self._chain.marginals(np.arange(5, len(self._kept), 9), 9)
+        return blocks

@@ -15,7 +15,6 @@ from trajeval_ros.visual_inertial.motion import Motion
 from trajeval_ros.visual_inertial.preintegration import (
     GRAVITY,
     ImuNoise,
-    Preintegrated,
     preintegrate,
 )
 from trajeval_ros.visual_inertial.problem import Problem
@@ -83,6 +82,7 @@ class Scene:
         profile: The sensors.
         times_s: (N,) of the keyframes.
         truth: Of keyframes and landmarks.
+        flown: The same at the IMU's rate, from 0 s to the last keyframe, without landmarks.
         keyframe_of: (M,) keyframe of each observation.
         landmark_of: (M,) landmark of each observation.
         pixels: (M, 2).
@@ -94,6 +94,7 @@ class Scene:
     profile: Profile
     times_s: Array
     truth: State
+    flown: State
     keyframe_of: NDArray[np.int64]
     landmark_of: NDArray[np.int64]
     pixels: Array
@@ -191,14 +192,8 @@ def make_scene(
     times = np.arange((keyframes - 1) * samples + 1) / IMU_RATE_HZ
     rates, forces = _perfect_samples(motion, times, honest=profile.honest)
     rates, forces = (column.reshape(keyframes - 1, samples, 3) for column in (rates, forces))
-    at_keyframes = times[::samples]
-    positions, velocities = motion.positions(at_keyframes), motion.velocities(at_keyframes)
-    rotations = motion.rotations(at_keyframes)
-    if profile.honest:
-        measured = preintegrate(rates, forces, 1.0 / IMU_RATE_HZ, profile.imu)
-        positions, rotations, velocities = _integrated(
-            measured, positions[0], rotations[0], velocities[0]
-        )
+    flown = _flown(motion, times, honest=profile.honest)
+    positions, rotations = flown.positions[::samples], flown.rotations[::samples]
     points, keyframe_of, landmark_of, pixels = draw_landmarks(
         np.random.default_rng(seed),
         layout,
@@ -210,8 +205,9 @@ def make_scene(
     )
     return Scene(
         profile,
-        at_keyframes,
-        State.at(positions, rotations, velocities, points),
+        times[::samples],
+        State.at(positions, rotations, flown.velocities[::samples], points),
+        flown,
         keyframe_of,
         landmark_of,
         pixels,
@@ -236,27 +232,18 @@ def _perfect_samples(motion: Motion, times: Array, *, honest: bool) -> tuple[Arr
     return rates, np.einsum("nji,nj->ni", middle, forces)
 
 
-def _integrated(
-    measured: Preintegrated, position: Array, rotation: Array, velocity: Array
-) -> tuple[Array, Array, Array]:
-    """Return the keyframes that perfect measurements lead to from the first one.
+def _flown(motion: Motion, times: Array, *, honest: bool) -> State:
+    """Return the truth at the IMU's rate, as a state without landmarks.
 
-    They are the truth, some 10 um from the spline: no measurement then errs but by its noise.
+    Of an honest profile it is what the perfect samples lead to, so that no measurement errs but
+    by its noise: attitude and velocity of the motion, and the sum of its velocities, which stays
+    within some 10 um of it in a flight of the paper's length.
     """
-    positions, rotations, velocities = [position], [rotation], [velocity]
-    for duration_s, turn, gain, shift in zip(
-        measured.durations_s,
-        measured.rotations,
-        measured.velocities,
-        measured.positions,
-        strict=True,
-    ):
-        here, attitude, speed = positions[-1], rotations[-1], velocities[-1]
-        fall = 0.5 * GRAVITY * duration_s**2
-        positions.append(here + speed * duration_s + fall + attitude @ shift)
-        velocities.append(speed + GRAVITY * duration_s + attitude @ gain)
-        rotations.append(attitude @ turn)
-    return np.array(positions), np.array(rotations), np.array(velocities)
+    positions, velocities = motion.positions(times), motion.velocities(times)
+    if honest:
+        steps = (velocities[:-1] + velocities[1:]) / (2.0 * IMU_RATE_HZ)
+        positions = positions[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return State.at(positions, motion.rotations(times), velocities, np.zeros((0, 3)))
 
 
 def _directions(generator: np.random.Generator, count: int) -> Array:

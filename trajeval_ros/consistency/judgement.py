@@ -1,0 +1,321 @@
+"""What a run's covariances and errors say about the estimator, and what they can't say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trajeval_ros.consistency.joint import JointCovariance
+from trajeval_ros.consistency.marginals import (
+    initial_uncertainty,
+    unknown_covariances,
+    upper_bounds,
+    without_initial_prior,
+)
+from trajeval_ros.consistency.nees import (
+    chi_square_band,
+    diagonal_blocks,
+    effective_dof,
+    extra_directions,
+    joint_nees,
+    joint_nees_by_information,
+    pose_nees,
+)
+from trajeval_ros.consistency.transformation import (
+    Transformation,
+    carried,
+    carried_information,
+    errors_of,
+    independent_noise,
+)
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.similarity import Similarity
+from trajeval_ros.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+POSE_DOF = 6
+_SIGNIFICANCE = 0.05
+# The first pose's own uncertainty, relative to the largest, that counts as none.
+_NEGLIGIBLE = 1e-4
+_UNCOUPLED = 1e-6
+
+JOINT_STATEMENT = "exact: the joint covariance was brought into the gauge of the alignment"
+OWN_GAUGE_STATEMENT = "per-pose NEES exact in the estimator's own gauge"
+STRIPPED_STATEMENT = (
+    "per-pose NEES exact in the estimator's own gauge, if what the first pose's covariance holds "
+    "is a prior of position and yaw, as it looks; it was taken off all poses"
+)
+COMMON_FRAME_STATEMENT = "per-pose NEES exact: nothing was aligned, the frames are the same"
+BOUND_STATEMENT = (
+    "bound only (cross-covariances not in the message); can show over-confidence, cannot confirm "
+    "consistency"
+)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """NEES of all poses together: chi-square with `dof` degrees of freedom if honest.
+
+    Attributes:
+        nees: e' C^+ e.
+        dof: Rank of C.
+        band_95: In which nees / dof falls for 95 % of honest runs.
+    """
+
+    nees: float
+    dof: int
+    band_95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PerPose:
+    """NEES of single poses, divided by their six degrees of freedom.
+
+    Attributes:
+        poses: How many have one; an alignment by the first pose leaves that one none.
+        mean: Over the poses.
+        max: Over the poses.
+        limit_95: Which the largest stays under in 95 % of honest runs, however poses correlate.
+        effective_dof: Of the mean, out of 6 times the poses; None where it can't be known.
+        band_95: In which the mean falls for 95 % of honest runs; None where it can't be known.
+    """
+
+    poses: int
+    mean: float
+    max: float
+    limit_95: float
+    effective_dof: float | None = None
+    band_95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Whether an estimate is as sure as it should be.
+
+    Attributes:
+        gauge: Of the alignment, and so of errors and covariances.
+        covariance_source: `message`, or the joint covariance's file.
+        exactness: `exact`, or `bound` where correlations are unknown.
+        statement: What may be claimed, in a sentence.
+        verdict: `consistent`, `over-confident`, `under-confident` or `undecided`.
+        joint: NEES of all poses together; None without a joint covariance.
+        per_pose: NEES of single poses; None where a run is too long for it.
+        nees: (N,) NEES / 6 of each pair; NaN where it has none; None as `per_pose`.
+        errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
+        sigmas: (N, 6), their standard deviations; None as `per_pose`.
+    """
+
+    gauge: Gauge
+    covariance_source: str
+    exactness: str
+    statement: str
+    verdict: str
+    joint: Joint | None
+    per_pose: PerPose | None
+    nees: Array | None
+    errors: Array
+    sigmas: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """Pairs of states and how they were aligned.
+
+    Attributes:
+        groundtruth: N states.
+        estimate: N states, paired with them, in their own frame.
+        similarity: The alignment.
+        gauge: What it could change.
+        states: By how many states, 1 for the first; None for all.
+        variances: (6,) of the groundtruth's own noise, m^2 and rad^2; None for none.
+    """
+
+    groundtruth: Trajectory
+    estimate: Trajectory
+    similarity: Similarity
+    gauge: Gauge
+    states: int | None
+    variances: Array | None = None
+
+    def transformation(self) -> Transformation:
+        """Return the S-transformation into the alignment's gauge.
+
+        Raises:
+            InputError: States without orientations.
+            SettingsError: A gauge that covariances can't be brought into.
+            DegenerateGeometryError: The states don't determine the alignment.
+        """
+        aligned = self.similarity.trajectory(self.estimate)
+        return Transformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
+
+    def errors(self) -> Array:
+        """Return the errors (N, 6)."""
+        return errors_of(self.groundtruth, self.similarity.trajectory(self.estimate))
+
+    @property
+    def first_with_nees(self) -> int:
+        """1 where the alignment takes the first pose's errors away, else 0."""
+        return 1 if self.states == 1 and self.gauge is not Gauge.NONE else 0
+
+
+def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> Consistency:
+    """Judge a run by the covariance of all its poses together: exact in every gauge.
+
+    Args:
+        aligned: The run; stamps are those of the covariance.
+        covariance: Of this estimate.
+        source: What it is called.
+
+    Raises:
+        InputError: It is no covariance of these poses, or has too low a rank for the gauge.
+    """
+    covariance.require_sound()
+    transformation, errors = aligned.transformation(), aligned.errors()
+    rows = covariance.rows_of(aligned.estimate)
+    per_pose, nees, sigmas = None, None, None
+    if covariance.is_dense:
+        turned = carried(covariance.pose_covariance(rows), aligned.similarity, POSE_DOF)
+        if aligned.variances is not None:
+            turned[np.diag_indices(len(turned))] += np.tile(aligned.variances, len(errors))
+        projected = transformation.covariance(turned)
+        value = joint_nees(errors, projected, transformation.normals)
+        first = aligned.first_with_nees
+        blocks = diagonal_blocks(projected, POSE_DOF)
+        nees, sigmas = _nees_by_pose(errors, blocks, first), _sigmas(blocks)
+        part = slice(POSE_DOF * first, None)
+        per_pose = _summary(nees, effective_dof(projected[part, part], POSE_DOF))
+    else:
+        assert covariance.information is not None
+        open_ = covariance.gauge == "free"
+        value = joint_nees_by_information(
+            errors,
+            carried_information(covariance.information, aligned.similarity, covariance.block),
+            extra_directions(transformation) if open_ else transformation.orbit[:, :POSE_DOF],
+            aligned.variances,
+            covariance.pose_rows(rows),
+        )
+    joint = Joint(value, transformation.dof, chi_square_band(transformation.dof))
+    return Consistency(
+        gauge=aligned.gauge,
+        covariance_source=source,
+        exactness="exact",
+        statement=JOINT_STATEMENT,
+        verdict=_verdict(joint),
+        joint=joint,
+        per_pose=per_pose,
+        nees=nees,
+        errors=errors,
+        sigmas=sigmas,
+    )
+
+
+def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
+    """Judge a run by the covariances of single poses, as ROS messages carry them.
+
+    Args:
+        aligned: The run; its estimate has covariances about the world's axes.
+        from_the_start: Whether the first pair's estimate is the first that was published.
+
+    Raises:
+        InputError: The covariances say nothing.
+    """
+    covariances = aligned.estimate.covariances
+    name = aligned.estimate.name or "the estimate"
+    if covariances is None:
+        raise InputError(
+            f"{name} has no covariances, or only zeros, which means unknown; give a joint "
+            "covariance with --covariance FILE.npz, or use --covariance none"
+        )
+    why = unknown_covariances(covariances)
+    if why:
+        raise InputError(f"the covariances of {name} can't be used: {why}; use --covariance none")
+    transformation, errors = aligned.transformation(), aligned.errors()
+    blocks = carried(covariances, aligned.similarity, POSE_DOF)
+    statement = BOUND_STATEMENT
+    if aligned.gauge is Gauge.NONE:
+        statement = COMMON_FRAME_STATEMENT
+    elif aligned.gauge is Gauge.YAW and aligned.states == 1 and from_the_start:
+        statement, blocks = _in_own_gauge(blocks, transformation)
+    exactness = "bound" if statement == BOUND_STATEMENT else "exact"
+    if exactness == "bound":
+        blocks = upper_bounds(blocks, transformation)
+    if aligned.variances is not None:
+        blocks = blocks + independent_noise(transformation, aligned.variances)
+    first = max(aligned.first_with_nees, 0 if (_sigmas(blocks[:1]) > 0.0).all() else 1)
+    nees = _nees_by_pose(errors, blocks, first)
+    per_pose = _summary(nees)
+    over = per_pose.max > per_pose.limit_95
+    return Consistency(
+        gauge=aligned.gauge,
+        covariance_source="message",
+        exactness=exactness,
+        statement=statement,
+        verdict="over-confident" if over else "undecided",
+        joint=None,
+        per_pose=per_pose,
+        nees=nees,
+        errors=errors,
+        sigmas=_sigmas(blocks),
+    )
+
+
+def _in_own_gauge(blocks: Array, transformation: Transformation) -> tuple[str, Array]:
+    """Return what may be said in the gauge of the first pose, and the covariances for it."""
+    initial = initial_uncertainty(blocks, transformation)
+    orbit = transformation.orbit[:, :3]
+    moved = np.trace(orbit @ initial @ np.swapaxes(orbit, 1, 2), axis1=1, axis2=2).max()
+    largest = np.trace(blocks[:, :3, :3], axis1=1, axis2=2).max()
+    if moved <= _NEGLIGIBLE * largest:
+        return OWN_GAUGE_STATEMENT, blocks
+    first = blocks[0]
+    units = np.sqrt(np.maximum(np.diagonal(first), 0.0))
+    held, tilt = [0, 1, 2, 5], [3, 4]
+    cross = np.abs(first[np.ix_(held, tilt)]) / np.maximum(
+        units[held][:, None] * units[tilt], np.finfo(float).tiny
+    )
+    if cross.max() > _UNCOUPLED:
+        return BOUND_STATEMENT, blocks
+    try:
+        return STRIPPED_STATEMENT, without_initial_prior(blocks, transformation)
+    except InputError:
+        return BOUND_STATEMENT, blocks
+
+
+def _nees_by_pose(errors: Array, blocks: Array, first: int) -> Array:
+    nees = np.full(len(errors), np.nan)
+    try:
+        nees[first:] = pose_nees(errors[first:], blocks[first:]) / POSE_DOF
+    except np.linalg.LinAlgError:
+        raise InputError("a pose's own covariance is singular, so it has no NEES") from None
+    return nees
+
+
+def _sigmas(blocks: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
+
+
+def _summary(nees: Array, dof: float | None = None) -> PerPose:
+    known = nees[np.isfinite(nees)]
+    # Bonferroni: holds whatever the correlations are, and for a bound as well.
+    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / len(known), POSE_DOF)) / POSE_DOF
+    return PerPose(
+        poses=len(known),
+        mean=float(known.mean()),
+        max=float(known.max()),
+        limit_95=limit,
+        effective_dof=dof,
+        band_95=None if dof is None else chi_square_band(dof),
+    )
+
+
+def _verdict(joint: Joint) -> str:
+    low, high = joint.band_95
+    share = joint.nees / joint.dof
+    if share > high:
+        return "over-confident"
+    return "under-confident" if share < low else "consistent"

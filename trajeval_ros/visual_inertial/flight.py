@@ -1,0 +1,130 @@
+"""Bags' worth of visual-inertial odometry: a flight, its true states, and runs of an estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.simulation import EPOCH_S, SHORTEST_S, simulate
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.visual_inertial.motion import recorded
+from trajeval_ros.visual_inertial.sampler import Run, Sampler, solved
+from trajeval_ros.visual_inertial.scene import Profile, Scene, make_scene
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+
+KEYFRAME_RATE_HZ = 10.0
+# A dense Schur complement of more keyframes takes minutes; samples take seconds.
+MOST_SOLVED = 101
+_LANDMARKS_PER_KEYFRAME = 10
+_TRACK = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """One run as an odometry publishes it.
+
+    Attributes:
+        estimate: Keyframes with velocity and pose covariance, in frame `odom`; the covariances
+            are in the gauge of the first keyframe.
+        information: (9N, 9N) of all keyframes, rank 9N - 4.
+    """
+
+    estimate: Trajectory
+    information: scipy.sparse.csr_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A flight with its sensors.
+
+    Attributes:
+        groundtruth: 200 states a second, with velocity, in frame `world`.
+        scene: Its keyframes, 10 a second, and measurements.
+        is_solved: Whether runs come from the estimator itself, or from its Gaussian.
+    """
+
+    groundtruth: Trajectory
+    scene: Scene
+    is_solved: bool
+
+    def runs(self, seed: int, count: int) -> Iterator[Odometry]:
+        """Yield so many runs that differ in noise and frame.
+
+        Raises:
+            DegenerateGeometryError: More than the gauge's four directions are open.
+        """
+        sampler = None if self.is_solved else Sampler(self.scene)
+        for number in range(count):
+            generator = np.random.default_rng([seed, number])
+            run = solved(self.scene, generator) if sampler is None else sampler.draw(generator)
+            yield Odometry(self._published(run), run.information)
+
+    def _published(self, run: Run) -> Trajectory:
+        return _trajectory(
+            run.state, self.scene.times_s, "odom", "odometry", run.marginals[:, :6, :6].copy()
+        )
+
+
+def fly(seed: int, duration_s: float, profile: Profile) -> Flight:
+    """Return the flight of `simulation.simulate` with a camera and an IMU.
+
+    Args:
+        seed: Chooses the flight and the landmarks.
+        duration_s: Of the flight, at least 5 s.
+        profile: Of the sensors.
+
+    Raises:
+        SettingsError: A flight too short, or too long to be solved where it must be.
+        DegenerateGeometryError: The keyframes hardly see anything together.
+    """
+    if not duration_s >= SHORTEST_S:
+        raise SettingsError(
+            f"a simulated flight takes at least {SHORTEST_S:g} s, not {duration_s:g}"
+        )
+    keyframes = round(duration_s * KEYFRAME_RATE_HZ) + 1
+    if not profile.honest and keyframes > MOST_SOLVED:
+        longest = (MOST_SOLVED - 1) / KEYFRAME_RATE_HZ
+        raise SettingsError(
+            f"a dishonest run can't be sampled, it has to be solved, which takes too long for "
+            f"{duration_s:g} s; use --duration {longest:g} or less"
+        )
+    # The spline's end must not hang in the air: fly a little longer than is evaluated.
+    truth = simulate(seed, duration_s + 1.0).groundtruth
+    motion = recorded(truth, 0.5, (keyframes - 1) / KEYFRAME_RATE_HZ + 0.02)
+    scene = make_scene(
+        motion,
+        "random",
+        profile,
+        seed,
+        keyframes=keyframes,
+        landmarks=_LANDMARKS_PER_KEYFRAME * keyframes,
+        track=_TRACK,
+    )
+    times = np.arange(len(scene.flown.positions)) * (
+        scene.times_s[-1] / (len(scene.flown.positions) - 1)
+    )
+    groundtruth = _trajectory(scene.flown, times, "world", "groundtruth", None)
+    return Flight(groundtruth, scene, keyframes <= MOST_SOLVED)
+
+
+def _trajectory(
+    state: State, times: Array, frame: str, name: str, covariances: Array | None
+) -> Trajectory:
+    return Trajectory(
+        stamps=EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64),
+        positions=state.positions,
+        rotations=Rotation.from_matrix(state.rotations),
+        velocities=state.velocities,
+        covariances=covariances,
+        frame=frame,
+        child_frame="base_link",
+        name=name,
+    )
