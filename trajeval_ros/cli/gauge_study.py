@@ -149,9 +149,9 @@ def _write(
     write_text(folder / "study.json", json.dumps(numbers, indent=1, allow_nan=False) + "\n")
     lines = [
         f"Root mean square errors after alignment by the first keyframe (yaw and translation), "
-        f"means over {trials} trials; profile `{profile}`. All sensors are simulated, also those "
-        "along recorded motions. Columns `paper`: p [m] / φ [deg] / v [m/s] of Tables II and III, "
-        "whose noise and, for the recordings, feature tracks are not public.\n",
+        f"means over {trials} trials: p [m] / φ [deg] / v [m/s]; profile `{profile}`. All sensors "
+        "are simulated, also those along recorded motions. The paper's values are those of its "
+        "Tables II and III, whose noise and, for the recordings, feature tracks are not public.\n",
         gauge_tables.markdown(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(outcome)),
         "Relative Frobenius difference between the transformed free-gauge covariance, eq. (12), "
         "and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on V1_02):\n",

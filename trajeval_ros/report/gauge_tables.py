@@ -27,9 +27,9 @@ PAPER = {
 _PAPER_HANDLINGS = (Handling.FIXATION, Handling.FREE)
 HEADINGS = (
     "configuration",
-    *(f"{handling.value} {metric}" for handling in Handling for metric in METRICS.values()),
+    *(handling.value for handling in Handling),
     *(f"paper, {handling.value}" for handling in _PAPER_HANDLINGS),
-    "iterations",
+    f"iterations: {', '.join(handling.value for handling in Handling)}",
 )
 
 
@@ -39,9 +39,8 @@ def accuracy_rows(outcome: Mapping[str, Mapping[Handling, Trials]]) -> list[list
         [
             name,
             *(
-                f"{getattr(trials[handling], metric).mean():.5f}"
+                " / ".join(f"{getattr(trials[handling], metric).mean():.5f}" for metric in METRICS)
                 for handling in Handling
-                for metric in METRICS
             ),
             *_paper(name),
             " / ".join(f"{trials[handling].iterations.mean():.2f}" for handling in Handling),
