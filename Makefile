@@ -26,7 +26,7 @@ help: ## List the targets.
 install: $(VENV)/.installed ## Make the environment in .venv; .venv/bin/trajeval is the command.
 
 demo: $(VENV)/.installed ## Simulate a flight, evaluate it; tables here, figures in demo_output/.
-	$(VENV)/bin/trajeval simulate $(DEMO_BAG) --profile euroc --overwrite
+	$(VENV)/bin/trajeval simulate $(DEMO_BAG) --profile euroc --duration 30 --overwrite
 	$(VENV)/bin/trajeval evaluate --groundtruth $(DEMO_GROUNDTRUTH) --estimate $(DEMO_ESTIMATE) \
 		--modality stereo-inertial --covariance $(DEMO_BAG).npz --output demo_output
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +109,16 @@ def test_groundtruth_noise_makes_errors_less_of_a_surprise(honest: Path) -> None
         assert with_noise["per_pose"]["mean"] < without["per_pose"]["mean"]
 
 
-def test_errors_npz_holds_the_bands(honest: Path, tmp_path: Path) -> None:
+def test_output_holds_the_bands(honest: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     sides = ["-g", f"{honest}:/groundtruth/pose", "-e", f"{honest}:/vio/odometry"]
     arguments = ["--gauge", "yaw", "--covariance", f"{honest}.npz", "--output", str(folder)]
     assert main(["evaluate", *sides, *arguments, "--quiet"]) == 0
+    if find_spec("matplotlib") is not None:
+        from matplotlib.image import imread
+
+        for figure in ("consistency.png", "uncertainty_top.png"):
+            assert imread(folder / figure).std() > 0.05
     with np.load(folder / "errors.npz") as arrays:
         errors, sigmas, nees = (
             arrays[f"vio/odometry.consistency.{name}"] for name in ("errors", "sigmas", "nees")
@@ -196,6 +202,9 @@ def test_says_what_is_wrong_with_a_joint_covariance(
     file.write_text("not an archive")
     assert "no npz archive" in _refused(
         honest, capsys, "--gauge", "yaw", "--covariance", str(file)
+    )
+    assert "align by gauge yaw" in _refused(
+        honest, capsys, "--gauge", "none", "--covariance", str(source)
     )
     missing = str(tmp_path / "nowhere.npz")
     assert "does not exist" in _refused(honest, capsys, "--gauge", "yaw", "--covariance", missing)

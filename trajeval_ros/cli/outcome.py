@@ -78,6 +78,13 @@ def _write_folder(folder: Path, result: dict[str, object], runs: Sequence[result
             from trajeval_ros.report.plots import write_figures
 
             write_figures([run.evaluation for run in runs], temporary)
+            for place, run in enumerate(runs, start=1):
+                if run.consistency is not None:
+                    from trajeval_ros.report.consistency_figure import write_consistency
+
+                    suffix = f"_{place}" if len(runs) > 1 else ""
+                    name = run.estimate.name
+                    write_consistency(run.evaluation, run.consistency, temporary, name, suffix)
         (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         for file in sorted(temporary.iterdir()):

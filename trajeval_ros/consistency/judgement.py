@@ -107,7 +107,7 @@ class Consistency:
         per_pose: NEES of single poses; None where a run is too long for it.
         nees: (N,) NEES / 6 of each pair; NaN where it has none; None as `per_pose`.
         errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
-        sigmas: (N, 6), their standard deviations; None as `per_pose`.
+        covariances: (N, 6, 6), of the errors of each pose; None as `per_pose`.
     """
 
     gauge: Gauge
@@ -119,7 +119,12 @@ class Consistency:
     per_pose: PerPose | None
     nees: Array | None
     errors: Array
-    sigmas: Array | None
+    covariances: Array | None
+
+    @property
+    def sigmas(self) -> Array | None:
+        """Standard deviations of the errors, (N, 6); None as `per_pose`."""
+        return None if self.covariances is None else _sigmas(self.covariances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +151,14 @@ class Aligned:
         """Return the S-transformation into the alignment's gauge.
 
         Raises:
-            InputError: States without orientations.
+            InputError: States without orientations, or a single one.
             SettingsError: A gauge that covariances can't be brought into.
             DegenerateGeometryError: The states don't determine the alignment.
         """
+        if len(self.estimate) < 2:
+            raise InputError(
+                "one pair of states says nothing about consistency; there must be two"
+            )
         aligned = self.similarity.trajectory(self.estimate)
         return Transformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
@@ -175,9 +184,14 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         InputError: It is no covariance of these poses, or has too low a rank for the gauge.
     """
     covariance.require_sound()
+    if aligned.gauge is Gauge.NONE and covariance.gauge in ("free", "first4"):
+        raise InputError(
+            f"a joint covariance in gauge {covariance.gauge} says nothing of errors in a common "
+            "frame, since position and yaw of the whole are not in it; align by gauge yaw"
+        )
     transformation, errors = aligned.transformation(), aligned.errors()
     rows = covariance.rows_of(aligned.estimate)
-    per_pose, nees, sigmas = None, None, None
+    per_pose, nees, blocks = None, None, None
     if covariance.is_dense:
         turned = carried(covariance.pose_covariance(rows), aligned.similarity, POSE_DOF)
         if aligned.variances is not None:
@@ -186,7 +200,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         value = joint_nees(errors, projected, transformation.normals)
         first = aligned.first_with_nees
         blocks = diagonal_blocks(projected, POSE_DOF)
-        nees, sigmas = _nees_by_pose(errors, blocks, first), _sigmas(blocks)
+        nees = _nees_by_pose(errors, blocks, first)
         part = slice(POSE_DOF * first, None)
         per_pose = _summary(nees, effective_dof(projected[part, part], POSE_DOF))
     else:
@@ -210,7 +224,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         per_pose=per_pose,
         nees=nees,
         errors=errors,
-        sigmas=sigmas,
+        covariances=blocks,
     )
 
 
@@ -260,7 +274,7 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
         per_pose=per_pose,
         nees=nees,
         errors=errors,
-        sigmas=_sigmas(blocks),
+        covariances=blocks,
     )
 
 

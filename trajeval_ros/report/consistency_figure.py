@@ -1,0 +1,166 @@
+"""Errors within their own uncertainty: over time, and as ellipses from above."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.consistency.judgement import Consistency
+from trajeval_ros.evaluation import Evaluation
+from trajeval_ros.report import canvas
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+_WIDTH_IN = 6.4
+_ELLIPSES = 24
+_SIGMAS = 3.0
+# Ellipses are enlarged so that the largest is this share of the flight.
+_LARGEST_ELLIPSE = 0.06
+_LABELS = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
+
+
+def write_consistency(
+    evaluation: Evaluation, consistency: Consistency, folder: Path, name: str, suffix: str = ""
+) -> list[Path]:
+    """Write `consistency.png` and `uncertainty_top.png`, where poses have covariances.
+
+    Args:
+        evaluation: Of the estimate.
+        consistency: Of the same.
+        folder: Existing folder; figures of the same names are replaced.
+        name: What the figures call the estimate.
+        suffix: Added to the files' names, to tell several estimates apart.
+
+    Returns:
+        The files that were written.
+    """
+    if consistency.covariances is None:
+        return []
+    (short,) = canvas.short_names([name])
+    figures = {"consistency": bands_over_time, "uncertainty_top": ellipses_from_above}
+    with canvas.house_style():
+        return [
+            canvas.save(draw(evaluation, consistency, short), folder / f"{file}{suffix}.png")
+            for file, draw in figures.items()
+        ]
+
+
+def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
+    """Draw the errors of each axis with +-3 sigma, and the NEES of each pose."""
+    truth = evaluation.association.groundtruth
+    max_gap_s = evaluation.protocol.association.max_gap_s
+    units = np.repeat([1.0, 180.0 / np.pi], 3)
+    assert consistency.sigmas is not None
+    errors, limits = consistency.errors * units, _SIGMAS * consistency.sigmas * units
+    figure = canvas.new_figure(_WIDTH_IN, 7.4, layout="constrained")
+    figure.suptitle(
+        f"{name}: {consistency.verdict}, gauge {consistency.gauge.value}, covariances of "
+        f"{consistency.covariance_source} ({consistency.exactness})"
+    )
+    *panels, lowest = figure.subplots(7, 1, sharex=True)
+    columns = np.concatenate([truth.seconds[:, None] - truth.seconds[0], errors, limits], axis=1)
+    rows = canvas.thinned(columns, truth.stamps, max_gap_s)
+    time = rows[:, 0]
+    for axis, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
+        limit = rows[:, 7 + axis]
+        axes.fill_between(time, -limit, limit, color=canvas.tint(canvas.COLOURS[0]), linewidth=0)
+        axes.plot(time, rows[:, 1 + axis], color=canvas.COLOURS[1], linewidth=0.9)
+        axes.set_ylabel(label)
+    _draw_nees(lowest, evaluation, consistency)
+    lowest.set_xlabel("time [s]; bands are 3 sigma, errors are estimate less groundtruth")
+    return figure
+
+
+def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -> None:
+    truth = evaluation.association.groundtruth
+    assert consistency.nees is not None
+    assert consistency.per_pose is not None
+    columns = np.stack([truth.seconds - truth.seconds[0], consistency.nees], axis=1)
+    lowest.plot(
+        *canvas.thinned(columns, truth.stamps, evaluation.protocol.association.max_gap_s).T,
+        color=canvas.COLOURS[0],
+    )
+    limit = consistency.per_pose.limit_95
+    lowest.axhline(limit, color=canvas.COLOURS[1], linestyle="--", linewidth=0.9)
+    lowest.annotate(
+        "95 % of honest runs stay below",
+        (0.01, limit),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        fontsize=7,
+        color="0.35",
+    )
+    highest = float(np.nanmax(consistency.nees))
+    lowest.set_ylim(0.0, 1.25 * max(limit, highest))
+    lowest.set_ylabel("NEES / 6")
+
+
+def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
+    """Draw the uncertainty of positions along the aligned estimate, enlarged and said so."""
+    from matplotlib.collections import EllipseCollection
+
+    assert consistency.covariances is not None
+    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    max_gap_s = evaluation.protocol.association.max_gap_s
+    extent = float(np.ptp(truth.positions[:, :2], axis=0).max())
+    along = truth.travelled
+    evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSES))
+    rows = np.unique(np.minimum(evenly, len(along) - 1))
+    values, vectors = np.linalg.eigh(consistency.covariances[rows, :2, :2])
+    # Full axes of the ellipses, metres.
+    axes_m = 2.0 * _SIGMAS * np.sqrt(np.maximum(values, 0.0))
+    largest = max(float(axes_m.max()), 1e-12)
+    factor = _enlargement(_LARGEST_ELLIPSE * extent / largest)
+    figure = canvas.new_figure(_WIDTH_IN, 5.0, layout="constrained")
+    axes = figure.subplots()
+    for trajectory, colour, width, label in (
+        (truth, canvas.GROUNDTRUTH_COLOUR, 1.6, "groundtruth"),
+        (aligned, canvas.COLOURS[0], 1.0, name),
+    ):
+        axes.plot(
+            *canvas.thinned(trajectory.positions[:, :2], trajectory.stamps, max_gap_s).T,
+            color=colour,
+            linewidth=width,
+            label=label,
+        )
+    turned = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    axes.add_collection(
+        EllipseCollection(
+            factor * axes_m[:, 1],
+            factor * axes_m[:, 0],
+            turned,
+            units="xy",
+            offsets=aligned.positions[rows, :2],
+            offset_transform=axes.transData,
+            facecolors="none",
+            edgecolors=canvas.COLOURS[1],
+            linewidths=0.9,
+        )
+    )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    canvas.head(
+        axes,
+        _WIDTH_IN,
+        f"Ellipses of 3 sigma, {factor:g} times enlarged, gauge {consistency.gauge.value} "
+        f"({consistency.exactness})",
+    )
+    return figure
+
+
+def _enlargement(wanted: float) -> float:
+    """Return the round number (1, 2, 5, 10, ...) below what is wanted, at least 1."""
+    if wanted <= 1.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted))
