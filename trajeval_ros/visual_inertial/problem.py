@@ -165,20 +165,22 @@ class Problem:
         square = np.swapaxes(by_point, 1, 2) @ by_point
         pull = np.einsum("mij,mi->mj", by_point, residuals)
         cross = np.empty((len(rays), 6, 3))
-        cross[:, :3] = -square
+        np.negative(square, out=cross[:, :3])
         cross[:, 3:] = -_cross(rays[:, None, :], square).swapaxes(1, 2)
-        pose = np.empty((len(rays), 6, 6))
-        pose[:, :, :3] = -cross
-        pose[:, :, 3:] = -_cross(rays[:, None, :], cross)
+        turning = -_cross(rays[:, None, :], cross[:, 3:])
+        summed = (self._of_keyframe @ cross.reshape(-1, 18)).reshape(-1, 6, 3)
+        visual_diagonal = np.empty((count, 6, 6))
+        visual_diagonal[:, :, :3] = -summed
+        visual_diagonal[:, :3, 3:] = -summed[:, 3:].swapaxes(1, 2)
+        visual_diagonal[:, 3:, 3:] = (self._of_keyframe @ turning.reshape(-1, 9)).reshape(-1, 3, 3)
         push = np.concatenate([-pull, -_cross(rays, pull)], axis=1)
+        visual_gradient = self._of_keyframe @ push
 
         first = lie.left_jacobian(state.first_turn)
         at_first = self.keyframe_of == 0
         cross[at_first, 3:] = first.T @ cross[at_first, 3:]
-        visual_diagonal = (self._of_keyframe @ pose.reshape(-1, 36)).reshape(-1, 6, 6)
         visual_diagonal[0, 3:] = first.T @ visual_diagonal[0, 3:]
         visual_diagonal[0, :, 3:] = visual_diagonal[0, :, 3:] @ first
-        visual_gradient = self._of_keyframe @ push
         visual_gradient[0, 3:] = first.T @ visual_gradient[0, 3:]
 
         errors, before, after = self.inertial(state)

@@ -69,11 +69,11 @@ def reduce_landmarks(
     """
     count, landmarks = len(normal.diagonal), len(normal.landmark)
     inverse = inverse_landmark_factors(normal, landmark_damping)
-    by_block = np.zeros((count, 6, landmarks, 3))
-    by_block[normal.keyframe_of, :, normal.landmark_of, :] = (
+    by_block = np.zeros((count, landmarks, 6, 3))
+    by_block[normal.keyframe_of, normal.landmark_of] = (
         normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
     )
-    half = by_block.reshape(6 * count, 3 * landmarks)
+    half = by_block.transpose(0, 2, 1, 3).reshape(6 * count, 3 * landmarks)
     pull = np.einsum("kij,kj->ki", inverse, normal.landmark_gradient).ravel()
     matrix = motion_matrix(normal)
     poses = matrix.reshape(count, 9, count, 9)[:, :6, :, :6]

@@ -100,7 +100,7 @@ def solve(
     radius, shrink = _FIRST_RADIUS, 2.0
     scale = 1.0 / (1.0 + np.sqrt(here.curvature))
     trace = [descent.traced(state, here)]
-    iterations, accepted, reason = 0, 0, ""
+    iterations, accepted, reason, reached = 0, 0, "", here.cost
     while not reason:
         if here.steepest(descent.free) <= _GRADIENT_TOLERANCE:
             reason = "gradient"
@@ -124,7 +124,7 @@ def solve(
             reason = "function"
         if reason:
             if keep_last_step and change >= 0.0:
-                state = candidate
+                state, reached = candidate, cost
             break
         if change <= _LEAST_QUALITY * gain:
             radius, shrink = radius / shrink, 2.0 * shrink
@@ -133,10 +133,10 @@ def solve(
         quality = change / gain
         radius = min(_LARGEST_RADIUS, radius / max(1.0 / 3.0, 1.0 - (2.0 * quality - 1.0) ** 3))
         shrink, accepted = 2.0, accepted + 1
-        state, here = candidate, descent.at(candidate)
+        state, here, reached = candidate, descent.at(candidate), cost
         trace.append(descent.traced(state, here))
     columns = (np.array(column) for column in zip(*trace, strict=True))
-    return Solution(state, descent.cost(state), iterations, reason, Trace(*columns))
+    return Solution(state, reached, iterations, reason, Trace(*columns))
 
 
 @dataclass(frozen=True, eq=False)
