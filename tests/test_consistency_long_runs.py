@@ -1,0 +1,84 @@
+"""Runs too long for a dense covariance, judged by their sparse information."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from consistency_runs import ALIGNMENTS, alignment_of
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.consistency.joint import JointCovariance
+from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
+from trajeval_ros.consistency.nees import chi_square_band
+from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.visual_inertial.flight import Odometry, fly
+from trajeval_ros.visual_inertial.scene import PROFILES
+
+RUNS = 12
+
+
+def _joint(odometry: Odometry) -> JointCovariance:
+    estimate = odometry.estimate
+    quaternions = np.asarray(estimate.quaternions)
+    parts = estimate.stamps, estimate.positions, quaternions, 9, None, odometry.information
+    return JointCovariance(*parts, "free")
+
+
+def _measured(truth: Trajectory, sigmas: np.ndarray, seed: int) -> Trajectory:
+    noise = sigmas * np.random.default_rng(seed).standard_normal((len(truth), 6))
+    return Trajectory(
+        truth.stamps,
+        truth.positions + noise[:, :3],
+        Rotation.from_rotvec(noise[:, 3:]) * truth.rotations,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
+    flight = fly(5, 100.0, PROFILES["euroc"])
+    sigmas = np.repeat([0.002, np.radians(0.1)], 3)
+    shares: dict[object, list[float]] = {alignment: [] for alignment in ALIGNMENTS}
+    dof = 0
+    for seed, odometry in enumerate(flight.runs(5, RUNS)):
+        estimate = odometry.estimate
+        truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, estimate.stamps)]
+        if noisy:
+            truth = _measured(truth, sigmas, seed)
+        for gauge, states in ALIGNMENTS:
+            similarity = alignment_of(gauge, states, truth, estimate)
+            variances = sigmas**2 if noisy else None
+            aligned = Aligned(truth, estimate, similarity, gauge, states, variances)
+            judged = judge_joint(aligned, _joint(odometry), "run")
+            assert judged.per_pose is None
+            assert judged.joint is not None
+            dof = judged.joint.dof
+            shares[gauge, states].append(judged.joint.nees / dof)
+    low, high = chi_square_band(dof, 0.999, RUNS)
+    for values in shares.values():
+        assert low < np.mean(values) < high
+
+
+def test_states_without_groundtruth_and_a_late_start_are_handled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight = fly(1, 8.0, PROFILES["paper"])
+    (odometry,) = flight.runs(1, 1)
+    everything = odometry.estimate
+    gauge, states = ALIGNMENTS[0]
+    matched = everything[10::3]
+    truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, matched.stamps)]
+    similarity = alignment_of(gauge, states, truth, matched)
+    aligned = Aligned(truth, matched, similarity, gauge, states)
+    judged = judge_joint(aligned, _joint(odometry), "run")
+    assert judged.joint is not None
+    assert judged.joint.dof == 6 * len(matched) - 4
+    low, high = chi_square_band(judged.joint.dof, 0.9999)
+    assert low < judged.joint.nees / judged.joint.dof < high
+    monkeypatch.setattr("trajeval_ros.consistency.joint.MOST_DENSE", 0)
+    sparse = judge_joint(aligned, _joint(odometry), "run")
+    assert sparse.joint is not None
+    assert sparse.per_pose is None
+    assert sparse.joint.nees == pytest.approx(judged.joint.nees, rel=1e-3)
+    # A bag that begins later has another first pose than the estimator's own: only a bound.
+    assert judge_marginals(aligned, from_the_start=False).exactness == "bound"
