@@ -11,6 +11,7 @@ from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
 
 OK, WARN, ERROR, STALE = range(4)
+_BY_GRAVITY = (OK, WARN, STALE, ERROR)  # silence must not hide an error
 
 _STALE_AFTER_S = 5.0
 
@@ -43,8 +44,8 @@ def diagnose(
         *_about_error(newest.position_m, limits),
         *_about_run(run, estimate, snapshot),
     ]
-    level = max((each[0] for each in complaints), default=OK)
-    gravest_first = sorted(complaints, key=lambda each: -each[0])
+    gravest_first = sorted(complaints, key=lambda each: -_BY_GRAVITY.index(each[0]))
+    level = gravest_first[0][0] if gravest_first else OK
     values = _values(run, estimate, snapshot, newest)
     return DiagnosticStatus(
         level=bytes([level]),

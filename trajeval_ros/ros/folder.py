@@ -72,10 +72,11 @@ class Finisher:
         self._start(["--json", str(self.folder / "result.json")], quiet=True)
 
     def poll(self) -> bool:
-        """Return whether result.json has been written since the last call."""
+        """Return whether writing has ended since the last call; `trouble` tells how."""
         if self._process is None or self._process.poll() is None:
             return False
-        return self._end()
+        self._end()
+        return True
 
     def finish(self, *, quiet: bool) -> bool:
         """Write everything, figures included, and wait for it; returns whether it was written.

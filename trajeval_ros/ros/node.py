@@ -273,7 +273,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         troubles = [each.writer.trouble for each in self._run.estimates if each.writer.trouble]
         if self._run.has_pairs and self._run.finisher.trouble:
             troubles.append(self._run.finisher.trouble)
-        complaint = "; ".join(dict.fromkeys(troubles))
+        complaint = troubles[0] if troubles else ""
         if complaint != self._complaint:
             folder = self._run.finisher.folder
             said = f"results can't be written to {folder}: {complaint}" if complaint else ""
