@@ -69,7 +69,9 @@ def deliver(
 def _write_folder(folder: Path, result: dict[str, object], runs: Sequence[results.Run]) -> None:
     """Write everything under a temporary name first, so that nothing is ever half written."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    # A folder that exists may be a disk of its own, and the only place that can be written.
+    beside = folder if folder.is_dir() else folder.parent
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=beside))
     try:
         results.write_errors(temporary / "errors.npz", runs)
         if _HAVE_FIGURES:
