@@ -83,7 +83,7 @@ class PairWriter:
             self.lost += len(stamps)
         else:
             self._waiting += _HEAD.pack(_MAGIC, len(rows), len(text), zlib.crc32(body)) + body
-        self._write()
+        self.write()
 
     def close(self) -> None:
         """Have everything on disk, and end.
@@ -91,7 +91,7 @@ class PairWriter:
         Raises:
             InputError: The disk takes no more.
         """
-        self._write()
+        self.write()
         try:
             os.fsync(self._file)
         except OSError as error:
@@ -101,7 +101,7 @@ class PairWriter:
         if self.trouble:
             raise InputError(f"{self.path} can't be written to its end: {self.trouble}")
 
-    def _write(self) -> None:
+    def write(self) -> None:
         """Write what waits, unbuffered: what the kernel has, a kill can't take."""
         try:
             written = os.write(self._file, self._waiting) if self._waiting else 0

@@ -67,6 +67,7 @@ class LiveEstimate:
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._folder = folder
         self._undigested: list[Pairs] = []
+        self._state: Mapping[str, Any] = {}
         description = {"groundtruth": groundtruth, "estimate": side.source, "place": place}
         self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
 
@@ -96,31 +97,32 @@ class LiveEstimate:
         return found
 
     def write_state(self, state: Mapping[str, Any]) -> None:
-        """Write what `trajeval finish` can't tell from pairs.
+        """Write what `trajeval finish` can't tell from pairs, if it has changed.
 
         Args:
             state: What is known beside the estimate: settings, groundtruth, live, warnings.
         """
         told, evaluator = self.stream.told, self.evaluator
         decided = told.poses - evaluator.buffer.waiting
-        self.writer.append(
-            np.empty(0, dtype=np.int64),
-            np.empty((0, 10)),
-            np.empty((0, 10)),
-            {
-                **state,
-                "estimate": {
-                    "poses": told.poses,
-                    "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
-                    "duration_s": told.duration_s,
-                    "frame": told.frame,
-                    "child_frame": told.child_frame,
-                    "notes": told.notes,
-                },
-                "dropped": add_counts(told.dropped, evaluator.buffer.dropped),
-                "aligned_by": evaluator.frozen_at,
+        state = {
+            **state,
+            "estimate": {
+                "poses": told.poses,
+                "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
+                "duration_s": told.duration_s,
+                "frame": told.frame,
+                "child_frame": told.child_frame,
+                "notes": list(told.notes),
             },
-        )
+            "dropped": add_counts(told.dropped, evaluator.buffer.dropped),
+            "aligned_by": evaluator.frozen_at,
+        }
+        if state == self._state:
+            self.writer.write()
+            return
+        self._state = state
+        none = np.empty((0, 10))
+        self.writer.append(np.empty(0, dtype=np.int64), none, none, state)
 
     def write_revised(self) -> None:
         """Write the newest path, if there is one.

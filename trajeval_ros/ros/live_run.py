@@ -152,7 +152,7 @@ class LiveRun:
                 "frame": truth.frame,
                 "child_frame": truth.child_frame,
                 "dropped": add_counts(truth.dropped, buffer.groundtruth_dropped),
-                "notes": truth.notes,
+                "notes": list(truth.notes),
             },
             "live": {
                 "messages_lost": estimate.side.lost,
