@@ -11,6 +11,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -116,8 +117,10 @@ class Evaluator:
 
     def __init__(self, folder: Path, arguments: list[str], environment: dict[str, str]) -> None:
         self.folder = folder
-        self._log = folder.with_name(f"{folder.name}.log")
-        with self._log.open("w") as log:
+        # Not beside the folder, whose disk may be full.
+        file, name = tempfile.mkstemp(".log", f"{folder.name}_", environment["ROS_HOME"])
+        self._log = Path(name)
+        with os.fdopen(file, "w") as log:
             self.process = subprocess.Popen(
                 [sys.executable, str(EVALUATOR), *arguments],
                 env=environment,

@@ -1,0 +1,232 @@
+"""Faults around the evaluator: publishers that change, kills, signals, full disks, no data."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import (
+    ODOMETRY,
+    PATIENCE_S,
+    TRUTH,
+    Evaluator,
+    Peer,
+    assert_same,
+    evaluating,
+    offline,
+    replay,
+    replay_command,
+    until,
+)
+from strategies import assert_same_numbers
+
+from trajeval_ros.evaluation import evaluate
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.io.live_folder import evaluate_folder
+from trajeval_ros.io.pair_file import read_pairs
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.protocol import Protocol
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def flight(flights: Path) -> Path:
+    return flights / "mcap"
+
+
+def pairs_on_disk(evaluator: Evaluator) -> int:
+    [file] = evaluator.folder.glob("*.pairs")
+    return len(read_pairs(file).stamps)
+
+
+def publish(publishers: dict[str, Any], begin_s: float, seconds: float) -> None:
+    """Publish a groundtruth and an estimate that goes in circles with it."""
+    from geometry_msgs.msg import PoseStamped
+
+    for step in range(round(seconds * 100)):
+        t = begin_s + step / 100.0
+        message = PoseStamped()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(t * 1e9), 10**9)
+        message.header.frame_id = "world"
+        message.pose.orientation.w = 1.0
+        place = message.pose.position
+        place.x, place.y, place.z = 3.0 * np.cos(t / 3.0), 3.0 * np.sin(t / 3.0), np.sin(t)
+        publishers["truth"].publish(message)
+        if step % 5 == 0:
+            place.x += 0.1 * np.sin(2.0 * t)
+            publishers["estimate"].publish(message)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ({"reliable": True}, {"reliable": False}, "best_effort, volatile"),
+        ({"reliable": False}, {"reliable": True}, "reliable, volatile"),
+        ({"latched": True}, {"latched": False}, "reliable, volatile"),
+    ],
+)
+def test_a_publisher_may_change_its_quality_of_service(
+    peer: Peer,
+    environment: dict[str, str],
+    before: dict[str, bool],
+    after: dict[str, bool],
+    said: str,
+    tmp_path: Path,
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    with evaluating(tmp_path / "out", environment, gauge="se3", lengths="none") as evaluator:
+        truth = peer.publisher(TRUTH, PoseStamped)
+        for part, quality in enumerate((before, after)):
+            estimate = peer.publisher(ODOMETRY, PoseStamped, **quality)
+            if part:
+                evaluator.wait_for(f"subscribed anew to {ODOMETRY}")
+            peer.until(
+                lambda: truth.get_subscription_count() == estimate.get_subscription_count() == 1,  # noqa: B023
+                "the evaluator has subscribed",
+            )
+            for second in range(4):  # what is best effort gets lost where it comes all at once
+                begin_s = 1000.0 + 10.0 * part + second
+                publish({"truth": truth, "estimate": estimate}, begin_s, 1.0)
+                goal = 20 * (4 * part + second + 1) - 2 * (part + 1)
+                until(lambda: pairs_on_disk(evaluator) >= goal, f"{goal} pairs")  # noqa: B023
+            peer.node.destroy_publisher(estimate)
+        assert evaluator.end() == 0
+        peer.node.destroy_publisher(truth)
+    assert (
+        f"subscribed anew to {ODOMETRY}: geometry_msgs/msg/PoseStamped, {said}" in evaluator.said
+    )
+    run = evaluator.run_of(ODOMETRY)
+    assert run["association"]["pairs"] == 160
+    assert run["live"]["messages_lost"] == 0
+    assert 0.0 < run["ate"]["position_m"]["rmse"] < 0.1
+
+
+def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    # The dead are missed late; with names of their own nobody waits for them.
+    names = ["--ros-args", "-r", f"{TRUTH}:=/dead/truth", "-r", f"{ODOMETRY}:=/dead/vio"]
+    values = {"groundtruth": "/dead/truth", "estimates": ["/dead/vio"], "gauge": "yaw"}
+    with (
+        evaluating(
+            tmp_path / "out", environment, lengths="8", autosave_period=1, **values
+        ) as evaluator,
+        subprocess.Popen(
+            replay_command(flight, "--rate", 2, *names),
+            env=environment,
+            stdout=subprocess.DEVNULL,
+        ) as player,
+    ):
+        until(
+            lambda: (evaluator.folder / "result.json").exists() and pairs_on_disk(evaluator) > 200,
+            "it has saved by itself",
+        )
+        evaluator.process.kill()
+        evaluator.process.wait(PATIENCE_S)
+        player.send_signal(signal.SIGINT)
+        assert player.wait(PATIENCE_S) == 0
+    [autosaved] = evaluator.result["runs"]
+    assert 10 < autosaved["association"]["pairs"] <= pairs_on_disk(evaluator)
+    [run] = evaluate_folder(evaluator.folder).runs
+    pairs = run.evaluation.association
+    assert len(pairs) == pairs_on_disk(evaluator)
+    truth, estimate = (read_trajectory(f"{flight}:{each}") for each in (TRUTH, ODOMETRY))
+    paired = np.isin(estimate.stamps, pairs.estimate.stamps)
+    assert np.count_nonzero(paired) == len(pairs)
+    protocol = Protocol(gauge=Gauge.YAW, lengths=run.evaluation.protocol.lengths)
+    assert_same_numbers(run.evaluation, evaluate(truth, estimate[paired], protocol))
+
+
+@pytest.mark.parametrize("endings", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]])
+def test_a_signal_ends_it_with_everything_written(
+    flight: Path, environment: dict[str, str], endings: list[signal.Signals], tmp_path: Path
+) -> None:
+    with evaluating(tmp_path / "out", environment, gauge="yaw", lengths="8") as evaluator:
+        replay(flight, environment, "--rate", 10)
+        *others, last = endings
+        for each in others:
+            evaluator.process.send_signal(each)
+        assert evaluator.end(last) == 0
+    expected = offline(flight, tmp_path, TRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8")
+    assert_same(evaluator.result, expected)
+    left = {each.name for each in evaluator.folder.iterdir()}
+    assert {"result.json", "errors.npz", "vio_odometry.pairs"} <= left
+    assert not {each for each in left if each.startswith(".")}
+
+
+def test_without_groundtruth_there_is_no_result(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
+        replay(flight, environment, "--rate", 20, "--topic", ODOMETRY, "--end", 10)
+        evaluator.wait_for(f"nobody publishes {TRUTH}")
+        assert evaluator.end() == 2
+    told = [line for line in evaluator.said.splitlines() if "no pair of estimate" in line]
+    assert len(told) == 1
+    assert re.search(rf"0 poses on {TRUTH}, 1\d\d poses on {ODOMETRY}", told[0])
+    assert not (evaluator.folder / "result.json").exists()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system that is soon full."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = shutil.which("mount") and subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=72k", "tmpfs", str(folder)],
+        capture_output=True,
+        check=False,
+    ).returncode == 0  # fmt: skip
+    if not mounted:
+        pytest.skip("mounting a small file system needs privileges that this user has not")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(
+    flight: Path, peer: Peer, environment: dict[str, str], small_disk: Path, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_srvs.srv import Trigger
+
+    told = peer.hear("/diagnostics", DiagnosticArray)
+
+    def levels() -> set[bytes]:
+        return {status.level for array in told for status in array.status}
+
+    with evaluating(
+        small_disk / "out", environment, gauge="yaw", lengths="8", autosave_period=0
+    ) as evaluator:
+        replay(
+            flight, environment, "--rate", 10, "--topic", TRUTH, "--topic", ODOMETRY, "--end", 8
+        )
+        assert peer.ask("/evaluator/save", Trigger).success
+        earlier = evaluator.result
+        replay(flight, environment, "--rate", 10, "--start", 8.0)
+        evaluator.wait_for("results can't be written")
+        saved = peer.ask("/evaluator/save", Trigger)
+        assert not saved.success
+        assert "no space left on device" in saved.message
+        assert evaluator.result == earlier
+        told.clear()  # of what was said before the disk was full
+        peer.until(lambda: b"\x02" in levels(), "diagnostics tell of an error")
+        assert evaluator.said.count("results can't be written") == 1
+        subprocess.run(["mount", "-o", "remount,size=16m", "tmpfs", str(small_disk)], check=True)
+        peer.until(lambda: peer.ask("/evaluator/save", Trigger).success, "it is saved")
+        evaluator.wait_for("are written to")
+        assert evaluator.end() == 0
+    expected = offline(flight, tmp_path, TRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8")
+    assert_same(evaluator.result, expected)
+    assert [each.name for each in small_disk.iterdir()] == ["out"]
