@@ -1,0 +1,79 @@
+"""Wrong parameters are one sentence, odd ones are understood, and folders are left alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ros_processes import Peer, evaluating, parameters, run_evaluator
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+TOPICS: dict[str, Any] = {"groundtruth_topic": "/truth", "estimate_topics": ["/vio"]}
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [
+        ({"gauge": "yawn"}, "yawn"),
+        ({"window": "abc"}, "'abc' is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"),
+        ({"association": "nearest"}, "association nearest can't be live: which pairs are closest"),
+        ({"max_gap": "wide"}, "parameter max_gap must be a number, not 'wide'"),
+        ({"groundtruth_topic": ""}, "groundtruth_topic and estimate_topics must name topics"),
+        ({"estimate_topics": ["/vio", "/vio"]}, "name each topic once"),
+        ({"estimate_topics": ["/vio odometry"]}, "'/vio odometry' is no name of a topic"),
+        ({"publish_rate": 1e6}, "publish_rate"),
+        ({"output": "FILE/out"}, "can't be made: not a directory"),
+    ],
+)
+def test_a_wrong_parameter_is_one_sentence(
+    values: dict[str, Any], complaint: str, environment: dict[str, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    values = {"output": str(tmp_path / "out"), **TOPICS, **values}
+    values["output"] = values["output"].replace("FILE", str(file))
+    done = run_evaluator(environment, *parameters(**values))
+    assert done.returncode == 2, done.stderr
+    ours = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert len(ours) == 1, done.stderr
+    assert complaint in ours[0]
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    kept = tmp_path / "out" / "notes.txt"
+    kept.parent.mkdir()
+    kept.write_text("of last week")
+    odd = {"max_gap": 1, "window": 500, "align_states": 20, "windw": "3s", "estimate_topics": "/v"}
+    with evaluating(
+        tmp_path / "out", environment, *parameters(**odd), groundtruth="/truth"
+    ) as evaluator:
+        evaluator.wait_for("there is no parameter windw; did you mean window?")
+        evaluator.wait_for(f"results go to {tmp_path / 'out_2'}")
+        assert evaluator.end() == 2
+    assert "no pair of estimate and groundtruth was made" in evaluator.said
+    assert [each.name for each in kept.parent.iterdir()] == ["notes.txt"]
+    assert [each.name for each in (tmp_path / "out_2").iterdir()] == ["v.pairs"]
+
+
+def test_a_topic_without_poses_is_named_with_what_it_carries(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from std_msgs.msg import Float64
+
+    publisher = peer.publisher("/truth", Float64)
+    with evaluating(
+        tmp_path / "out", environment, groundtruth="/truth", estimates=["/nobody"]
+    ) as evaluator:
+        evaluator.wait_for("/truth carries std_msgs/msg/Float64, no poses that can be read")
+        evaluator.wait_for("nobody publishes /nobody, and there are no poses on any other topic")
+        assert evaluator.end() == 2
+    peer.node.destroy_publisher(publisher)
