@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 
 NANOSECONDS = 1_000_000_000
+# Reasons for dropping what was no state of its own, and counts in no coverage.
+NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
 _COLUMNS = ("positions", "velocities", "gyroscope_biases", "accelerometer_biases", "covariances")
 _ROW_SHAPES = {"covariances": (6, 6)}
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.association import Association, coverage_of
+from trajeval_ros.association import Association, AssociationRule, coverage_of
 from trajeval_ros.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.io.checks import judge_rotations
@@ -24,7 +24,7 @@ from trajeval_ros.io.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, rea
 from trajeval_ros.io.results import Input, Run, fingerprint, result_of, statistics_json
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.settings import protocol_from
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 
 REVISED_SUFFIX = ".revised.npz"
 
@@ -112,7 +112,7 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
     pairs, truth_notes, notes = _association(recorded, protocol)
     live, warnings = dict(state["live"]), list(state["warnings"])
-    later = len(pairs) - recorded.pairs_at_state
+    later = len(recorded.stamps) - recorded.pairs_at_state
     if later or recorded.torn:
         warnings.append(
             "the live run ended without its last counts: what was lost and dropped is told as of "
@@ -122,7 +122,7 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
     if revised.exists():
         causal = _evaluation(pairs, protocol, truth, estimate, name)
         live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
-        pairs, estimate = _revised(pairs, estimate, revised)
+        pairs, estimate = _revised(pairs, truth, estimate, revised)
     evaluation = _evaluation(pairs, protocol, truth, estimate, name)
     evaluation = dataclasses.replace(evaluation, warnings=(*evaluation.warnings, *warnings))
     sides = (
@@ -149,9 +149,11 @@ def _association(
     recorded: RecordedPairs, protocol: Protocol
 ) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
     """Return the pairs in order of their stamps, with the counts, and notes about either side."""
-    order = np.argsort(recorded.stamps, kind="stable")
-    stamps, truth = recorded.stamps[order], recorded.state["groundtruth"]
-    later = len(stamps) - recorded.pairs_at_state
+    # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
+    stamps, order = np.unique(recorded.stamps, return_index=True)
+    again = len(recorded.stamps) - len(stamps)
+    later = len(recorded.stamps) - recorded.pairs_at_state
+    truth = recorded.state["groundtruth"]
     groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
     rule = protocol.association
@@ -159,13 +161,17 @@ def _association(
         rule=rule,
         groundtruth=groundtruth,
         estimate=estimate,
-        estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later),
-        groundtruth_coverage=coverage_of(
-            stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
-        ),
-        dropped=dict(recorded.state["dropped"]),
+        estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
+        groundtruth_coverage=_groundtruth_coverage(stamps, truth, rule),
+        dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
     )
     return pairs, truth_notes, notes
+
+
+def _groundtruth_coverage(stamps: Stamps, truth: dict[str, Any], rule: AssociationRule) -> float:
+    return coverage_of(
+        stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
+    )
 
 
 def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
@@ -181,7 +187,7 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
 
 
 def _revised(
-    causal: Association, counts: dict[str, Any], path: Path
+    causal: Association, truth: dict[str, Any], counts: dict[str, Any], path: Path
 ) -> tuple[Association, dict[str, Any]]:
     """Return the pairs with the estimator's last word, and the counts of its poses."""
     try:
@@ -194,13 +200,17 @@ def _revised(
     estimate = Trajectory(stamps[places], positions[places], rotations[places])
     unpaired = len(stamps) - len(rows)
     dropped = causal.dropped
-    if sum(dropped.values()) != unpaired:
-        dropped = {"without_pair_when_first_published": unpaired} if unpaired else {}
+    if sum(count for reason, count in dropped.items() if reason not in NO_STATE) != unpaired:
+        dropped = add_counts(
+            {reason: count for reason, count in dropped.items() if reason in NO_STATE},
+            {"without_pair_when_first_published": unpaired},
+        )
     pairs = dataclasses.replace(
         causal,
         groundtruth=causal.groundtruth[rows],
         estimate=estimate,
         estimate_coverage=len(rows) / len(stamps),
+        groundtruth_coverage=_groundtruth_coverage(estimate.stamps, truth, causal.rule),
         dropped=dropped,
     )
     return pairs, {

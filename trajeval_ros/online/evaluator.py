@@ -31,13 +31,11 @@ from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import PairStore
 from trajeval_ros.similarity import Similarity
 from trajeval_ros.statistics import Statistics, statistics_of
-from trajeval_ros.trajectory import Trajectory, add_counts
+from trajeval_ros.trajectory import NO_STATE, Trajectory, add_counts
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-# Reasons for dropping what was no state of its own, and counts in no coverage.
-NO_STATE = ("duplicate_stamp", "not_finite", "zero_quaternion")
 # A frozen alignment is taken once a turn of one degree would cost as much as the errors do.
 FREEZE_AT_RAD = float(np.radians(1.0))
 

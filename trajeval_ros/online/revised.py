@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from trajeval_ros.alignment import align
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs, on_plane
+from trajeval_ros.online.pairing import POSITION, QUATERNION, WIDTH, Pairs, on_plane
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -21,8 +21,8 @@ class RevisedPath:
     poses afterwards: the revised error. It needs all poses, as the path itself does.
 
     Attributes:
-        stamps: (M,) of the newest path, nanoseconds.
-        states: (M, 10) of the newest path, as the gauge compares them.
+        stamps: (M,) of the newest path's poses, nanoseconds.
+        states: (M, 10) of these, as the gauge compares them.
     """
 
     def __init__(self, gauge: Gauge) -> None:
@@ -35,11 +35,13 @@ class RevisedPath:
 
     def renew(self, stamps: Stamps, states: Floats) -> NDArray[np.int64]:
         """Take a path (M,), (M, 10); returns the rows of poses that it is the first to have."""
-        self.stamps = stamps
-        self.states = on_plane(states) if self._gauge is Gauge.PLANAR else states
+        poses = np.isfinite(states[:, : QUATERNION.stop]).all(axis=1)
+        self.stamps, self.states = stamps[poses], states[poses]
+        if self._gauge is Gauge.PLANAR:
+            self.states = on_plane(self.states)
         newest = self._known[-1] if len(self._known) else np.iinfo(np.int64).min
         is_new = stamps > newest
-        if np.count_nonzero(~is_new) != len(self._known):  # some came in between, or are gone
+        if not np.array_equal(stamps[~is_new], self._known):  # some came in between, or are gone
             is_new = ~np.isin(stamps, self._known)
         new: NDArray[np.int64] = np.flatnonzero(is_new)
         self._known = np.union1d(self._known, stamps[new])
