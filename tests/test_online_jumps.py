@@ -1,0 +1,97 @@
+"""Jumps noticed live: a restart is one, noise and honest motion are none."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import make_element, make_groundtruth, seeds
+
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.jumps import Jump, JumpDetector
+from trajeval_ros.online.pairing import Pairs, states
+from trajeval_ros.trajectory import Trajectory
+
+
+def pairs_of(truth: Trajectory, estimate: Trajectory) -> Pairs:
+    return Pairs(
+        truth.stamps,
+        states(truth.positions, truth.quaternions),
+        states(estimate.positions, estimate.quaternions),
+    )
+
+
+def part(pairs: Pairs, begin: int, end: int) -> Pairs:
+    return Pairs(*(column[begin:end] for column in pairs))
+
+
+def detect(pairs: Pairs, cuts: list[int], scale: float = 1.0) -> list[Jump]:
+    """Return the jumps among pairs that come in batches."""
+    detector = JumpDetector()
+    found = []
+    bounds = [0, *sorted(cuts), len(pairs.stamps)]
+    for begin, end in itertools.pairwise(bounds):
+        found += detector.update(part(pairs, begin, end), scale)
+    assert detector.count == len(found)
+    return found
+
+
+def restarted(truth: Trajectory, row: int, origin: float) -> Pairs:
+    """Return pairs of an estimate that begins anew, elsewhere, at a row."""
+    pairs = pairs_of(truth, truth)
+    pairs.estimate[row:, :3] += origin
+    return pairs
+
+
+@given(seed=seeds, cuts=st.lists(st.integers(1, 199), max_size=12), row=st.integers(2, 199))
+def test_a_restart_is_found_where_it_is_however_pairs_come(
+    seed: int, cuts: list[int], row: int
+) -> None:
+    truth = make_groundtruth(seed, 200)
+    [jump] = detect(restarted(truth, row, 60.0), cuts)
+    assert jump.stamp == truth.stamps[row]
+    assert jump.position_m > 50.0
+    assert jump.rotation_deg == pytest.approx(0.0, abs=1e-4)
+
+
+@given(seed=seeds, cuts=st.lists(st.integers(1, 199), max_size=12))
+def test_an_estimate_in_another_frame_does_not_jump(seed: int, cuts: list[int]) -> None:
+    truth = make_groundtruth(seed, 200)
+    element = make_element(Gauge.SIM3, seed)
+    pairs = pairs_of(truth, element.trajectory(truth))
+    noise = np.random.default_rng(seed).normal(scale=0.02, size=(200, 3))
+    pairs.estimate[:, :3] += element.scale * noise
+    assert detect(pairs, cuts, 1.0 / element.scale) == []
+
+
+def test_a_turn_that_nobody_made_is_a_jump() -> None:
+    truth = make_groundtruth(4, 100)
+    pairs = pairs_of(truth, truth)
+    turned = make_element(Gauge.YAW, 1)
+    moved = turned.trajectory(truth)
+    assert moved.quaternions is not None
+    pairs.estimate[50:, 3:7] = moved.quaternions[50:]
+    [jump] = detect(pairs, [])
+    assert jump.stamp == truth.stamps[50]
+    assert jump.rotation_deg > 30.0
+
+
+def test_without_rotations_positions_alone_are_looked_at() -> None:
+    pairs = restarted(make_groundtruth(4, 100), 30, 20.0)
+    pairs.groundtruth[:, 3:7] = np.nan
+    [jump] = detect(pairs, [10, 40])
+    assert jump.rotation_deg == 0.0
+
+
+def test_pairs_that_come_late_are_passed_over() -> None:
+    pairs = pairs_of(*[make_groundtruth(2, 60)] * 2)
+    detector = JumpDetector()
+    assert detector.update(part(pairs, 20, 60), 1.0) == []
+    late = part(pairs, 0, 20)
+    late.estimate[:, :3] += 100.0
+    assert detector.update(late, 1.0) == []
+    assert detector.update(part(pairs, 0, 0), 1.0) == []
+    assert detector.count == 0

@@ -1,0 +1,84 @@
+"""Paths that are published anew: which poses are new, and the error of the newest version."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import make_pair, seeds
+
+from trajeval_ros.association import associate
+from trajeval_ros.evaluation import evaluate
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.pairing import Pairs, states
+from trajeval_ros.online.revised import RevisedPath
+from trajeval_ros.protocol import Protocol
+
+
+@given(
+    versions=st.lists(
+        st.lists(st.integers(0, 40), unique=True).map(sorted), min_size=1, max_size=8
+    )
+)
+def test_a_pose_is_new_once(versions: list[list[int]]) -> None:
+    path, seen = RevisedPath(Gauge.SE3), set[int]()
+    for version in versions:
+        stamps = np.array(version, dtype=np.int64)
+        rows = path.renew(stamps, states(np.zeros((len(stamps), 3)), np.ones((len(stamps), 4))))
+        assert stamps[rows].tolist() == [each for each in version if each not in seen]
+        seen.update(version)
+
+
+@given(seed=seeds, gauge=st.sampled_from([Gauge.YAW, Gauge.SE3, Gauge.SIM3, Gauge.PLANAR]))
+def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
+    pair = make_pair(seed, 120, smooth=True)
+    protocol = Protocol(gauge=gauge, lengths=())
+    evaluation = evaluate(pair.groundtruth, pair.estimate, protocol)
+    record: list[Pairs] = []
+    evaluator = OnlineEvaluator(record=record.append)
+    rows = states(pair.groundtruth.positions, pair.groundtruth.quaternions)
+    evaluator.add_groundtruth(pair.groundtruth.stamps, rows)
+    path = RevisedPath(gauge)
+    stamps = pair.estimate.stamps
+    final = states(pair.estimate.positions, pair.estimate.quaternions)
+    for end in range(10, len(stamps) + 10, 10):
+        earlier = final[:end].copy()
+        earlier[:, :3] += 0.3 * (end < len(stamps))  # the last version corrects the others
+        new = path.renew(stamps[:end], earlier)
+        evaluator.add_estimate(stamps[:end][new], earlier[new])
+    evaluator.update(at_end=True)
+    for each in record:
+        path.record(each)
+    expected = evaluation.ate["position_m"]
+    assert expected is not None
+    if gauge is Gauge.PLANAR:  # what it is given by an evaluator of that gauge is flat
+        path._truth = [(s, truth * [1.0, 1.0, 0.0]) for s, truth in path._truth]
+    assert path.position_rmse_m() == pytest.approx(expected.rmse, rel=1e-9)
+
+
+def test_poses_of_the_newest_version_that_are_none_are_left_out() -> None:
+    pair = make_pair(1, 120, smooth=True)
+    truth = associate(pair.groundtruth, pair.estimate, Protocol().association).groundtruth
+    path = RevisedPath(Gauge.SE3)
+    rows = states(pair.estimate.positions, pair.estimate.quaternions)
+    path.renew(pair.estimate.stamps, rows)
+    path.record(Pairs(truth.stamps, states(truth.positions), states(truth.positions)))
+    whole = path.position_rmse_m()
+    broken = rows.copy()
+    broken[3, 0], broken[5, 3:7] = np.nan, np.inf
+    assert not len(path.renew(pair.estimate.stamps, broken))
+    assert len(path.stamps) == len(rows) - 2
+    assert np.isfinite(path.states[:, :7]).all()
+    assert path.position_rmse_m() == pytest.approx(whole, rel=0.1)
+
+
+def test_without_groundtruth_or_motion_there_is_no_number() -> None:
+    path = RevisedPath(Gauge.SE3)
+    stamps = np.arange(2, dtype=np.int64)
+    rows = states(np.zeros((2, 3)), np.ones((2, 4)))
+    path.renew(stamps, rows)
+    assert path.position_rmse_m() is None
+    path.record(Pairs(stamps, rows, rows))
+    assert path.position_rmse_m() is None
