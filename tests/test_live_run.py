@@ -1,0 +1,246 @@
+"""A live run without a network: bytes in any batches, and what `finish` makes of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message, write_messages
+from ros_processes import assert_same, offline
+from strategies import make_pair, seeds
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.ros.inputs import Taken
+from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.poses import PoseStream
+from trajeval_ros.ros.sides import Side
+from trajeval_ros.settings import protocol_from
+from trajeval_ros.trajectory import Trajectory
+
+TRUTH, ESTIMATE = "/truth", "/vio"
+COUNT = 160
+WORDS = {"modality": None, "align_states": None, "association": None, "max_time_difference": None,
+         "max_gap": None, "time_offset": None, "ate_form": None, "re_form": None}  # fmt: skip
+
+
+class QueueSide:
+    """A side whose messages a test hands over."""
+
+    lost = 0
+    loss_is_exact = True
+    silent_s = 0.0
+
+    def __init__(self, topic: str, kind: str) -> None:
+        self.source, self.name, self.kind = topic, topic.strip("/"), kind
+        self.stream = PoseStream(topic)
+        self.queue: list[bytes] = []
+
+    def take(self, now_ns: int | None) -> list[tuple[str, Taken, NDArray[np.int64]]]:
+        assert now_ns is not None
+        taken, self.queue = self.queue, []
+        stamps = np.full(len(taken), now_ns)
+        return [(self.kind, Taken(taken, stamps.tolist()), stamps)] if taken else []
+
+
+class Live:
+    """A live run that is fed by hand."""
+
+    def __init__(self, folder: Path, kind: str, **words: Any) -> None:
+        folder.mkdir(parents=True)
+        self.folder = folder
+        self.truth, self.estimate = QueueSide(TRUTH, POSE), QueueSide(ESTIMATE, kind)
+        words = {**WORDS, "gauge": "yaw", "lengths": "2,4", **words}
+        self.run = LiveRun(
+            cast("Side", self.truth),
+            [cast("Side", self.estimate)],
+            OnlineSettings(protocol=protocol_from("default", **words)),
+            words,
+            folder,
+        )
+        self._now_ns = 0
+
+    def feed(self, messages: Sequence[Message]) -> None:
+        """Let messages arrive together."""
+        for topic, _, logged, payload in messages:
+            side = self.truth if topic == TRUTH else self.estimate
+            side.queue.append(payload)
+            self._now_ns = logged
+        self.run.take(self._now_ns)
+        for estimate, _ in self.run.update():
+            estimate.digest()
+
+    def end(self) -> None:
+        self.run.conclude(self._now_ns)
+        assert self.run.close() == []
+
+    def finish(self, *options: str) -> int:
+        return main(["finish", str(self.folder), "--quiet", *options])
+
+    @property
+    def result(self) -> Any:
+        file = self.folder / "result.json"
+        assert self.finish("--json", str(file)) == 0
+        return json.loads(file.read_text())
+
+
+def messages(seed: int, kind: str = ODOM) -> list[Message]:
+    """Return both topics' messages in order of their stamps."""
+    pair = make_pair(seed, COUNT, smooth=True)
+    both = [
+        *messages_of(pair.groundtruth, TRUTH, POSE),
+        *messages_of(pair.estimate, ESTIMATE, kind),
+    ]
+    return sorted(both, key=lambda each: each[2])
+
+
+def batches(feed: list[Message], cuts: Sequence[int]) -> list[list[Message]]:
+    return [[feed[row] for row in part] for part in np.split(np.arange(len(feed)), sorted(cuts))]
+
+
+@settings(max_examples=10)
+@given(seed=seeds, cuts=st.lists(st.integers(0, COUNT), max_size=20), late=st.integers(0, 20))
+def test_any_batches_of_bytes_give_the_offline_result(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, cuts: list[int], late: int
+) -> None:
+    folder = tmp_path_factory.mktemp("run")
+    feed = messages(seed)
+    write_messages(folder / "bag", feed)
+    live = Live(folder / "live", ODOM)
+    arriving = sorted(feed, key=lambda each: each[2] + (each[0] == ESTIMATE) * late * 10**8)
+    for batch in batches(arriving, cuts):
+        live.feed(batch)
+    live.end()
+    expected = offline(
+        folder / "bag", folder, TRUTH, [ESTIMATE], "--gauge", "yaw", "--lengths", "2,4"
+    )
+    assert_same(live.result, expected)
+
+
+def path_messages(final: Trajectory, step: int) -> list[Message]:
+    """Return a path that grows by some poses each time, and is right in its last version only."""
+    assert final.quaternions is not None
+    found = []
+    for number, end in enumerate(range(step, len(final) + step, step)):
+        aside_m = 0.8 * (number % 2) if end < len(final) else 0.0
+        places = final.positions[:end] + [aside_m, 0.0, 0.0]
+        stamps, turns = final.stamps[:end].tolist(), final.quaternions[:end]
+        found.append((ESTIMATE, PATH, stamps[-1], path_message(stamps, places.tolist(), turns)))
+    return found
+
+
+def test_a_path_has_its_revised_error_and_the_causal_one_beside_it(tmp_path: Path) -> None:
+    pair = make_pair(3, COUNT, smooth=True)
+    drawn = path_messages(pair.estimate, 7)
+    feed = sorted([*messages_of(pair.groundtruth, TRUTH, POSE), *drawn], key=lambda each: each[2])
+    write_messages(tmp_path / "bag", feed)
+    live = Live(tmp_path / "live", PATH)
+    for message in feed:
+        live.feed([message])
+    live.end()
+    options = ("--gauge", "yaw", "--lengths", "2,4")
+    expected = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *options)
+    [run], [recorded] = live.result["runs"], expected["runs"]
+    assert_same(run["ate"], recorded["ate"])
+    assert_same(run["re"], recorded["re"])
+    causal = run["live"]["causal_ate"]["position_m"]
+    assert causal["rmse"] > 1.5 * run["ate"]["position_m"]["rmse"]
+
+
+def test_a_run_that_goes_on_is_evaluated_so_far(tmp_path: Path) -> None:
+    feed = messages(5)
+    live = Live(tmp_path / "live", ODOM)
+    counts = []
+    for batch in batches(feed, [60, 120, 180]):
+        live.feed(batch)
+        live.run.write_states()
+        [run] = live.result["runs"]
+        counts.append(run["association"]["pairs"])
+        assert run["warnings"] == []
+    assert counts == sorted(set(counts))
+    live.feed([])  # nothing new
+    live.end()
+    assert live.result["runs"][0]["association"]["pairs"] >= counts[-1]
+
+
+def test_after_a_crash_the_pairs_count_and_the_missing_counts_are_told(tmp_path: Path) -> None:
+    feed = messages(6)
+    live = Live(tmp_path / "live", ODOM)
+    before, after = feed[:120], feed[120:]
+    live.feed(before)
+    live.run.write_states()
+    live.feed(after)  # and here it crashes
+    [run] = live.result["runs"]
+    assert run["association"]["pairs"] == live.run.estimates[0].evaluator.pairs
+    [told] = [each for each in run["warnings"] if "ended without its last counts" in each]
+    assert f"{run['association']['pairs'] - _pairs_of(before, tmp_path)} pairs" in told
+    with (live.folder / "vio.pairs").open("r+b") as file:
+        file.truncate(file.seek(0, 2) - 5)
+    [torn] = live.result["runs"]
+    assert 0 < torn["association"]["pairs"] < run["association"]["pairs"]
+
+
+def _pairs_of(feed: Sequence[Message], folder: Path) -> int:
+    live = Live(folder / "alone", ODOM)
+    live.feed(feed)
+    return live.run.estimates[0].evaluator.pairs
+
+
+def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages(7))
+    live.end()
+    (live.folder / "broken.pairs").write_bytes(b"no pairs")
+    result = live.result
+    [failed] = result["failed"]
+    assert failed["name"] == "broken"
+    assert "is no pair file" in failed["reason"]
+    assert [each["estimate"]["name"] for each in result["runs"]] == ["vio"]
+
+
+@pytest.mark.parametrize(
+    ("prepare", "complaint"),
+    [
+        (lambda folder: None, "holds no live run: there is no file that ends in .pairs"),
+        (lambda folder: (folder / "a.pairs").write_bytes(b"x"), "is no pair file"),
+        (lambda folder: Live(folder / "sub", ODOM).end(), "holds no live run"),
+        (lambda folder: folder.rmdir(), "holds no live run"),
+    ],
+    ids=["empty", "no pairs", "below", "missing"],
+)
+def test_a_folder_without_a_run_is_one_sentence(
+    tmp_path: Path, prepare: Any, complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    prepare(folder)
+    assert main(["finish", str(folder)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") <= 3
+    assert complaint in " ".join(said.err.split())
+
+
+def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    live.feed([each for each in messages(8) if each[0] == TRUTH])
+    live.end()
+    assert live.finish() == 2
+    assert "vio: no pair of estimate and groundtruth was made" in capsys.readouterr().err
+
+
+def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages(9))
+    live.end()
+    assert live.finish("--require", "ate.position_m.rmse<100") == 0
+    assert live.finish("--require", "ate.position_m.rmse<1e-9") == 1
+    assert live.finish("--output", str(tmp_path / "out")) == 0
+    assert {"result.json", "errors.npz"} <= {each.name for each in (tmp_path / "out").iterdir()}
