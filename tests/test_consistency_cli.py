@@ -12,7 +12,7 @@ import pytest
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.consistency.joint import JointCovariance
-from trajeval_ros.consistency.judgement import BOUND_STATEMENT, OWN_GAUGE_STATEMENT
+from trajeval_ros.consistency.verdict import BOUND_STATEMENT, OWN_GAUGE_STATEMENT
 from trajeval_ros.io.joint_covariance import read_joint_covariance, write_joint_covariance
 from trajeval_ros.io.sources import read_trajectory
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from consistency_runs import ALIGNMENTS, alignment_of
 from scipy.spatial.transform import Rotation
+from visual_inertial_scenes import frobenius
 
+from trajeval_ros.consistency import joint
 from trajeval_ros.consistency.joint import JointCovariance
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
 from trajeval_ros.consistency.nees import chi_square_band
+from trajeval_ros.gauge import Gauge
 from trajeval_ros.trajectory import Trajectory
 from trajeval_ros.visual_inertial.flight import Odometry, fly
 from trajeval_ros.visual_inertial.scene import PROFILES
@@ -33,13 +36,39 @@ def _measured(truth: Trajectory, sigmas: np.ndarray, seed: int) -> Trajectory:
     )
 
 
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("alignment", ALIGNMENTS)
+def test_bands_of_a_long_run_are_those_of_the_dense_covariance(
+    alignment: tuple[Gauge, int | None], monkeypatch: pytest.MonkeyPatch, *, noisy: bool
+) -> None:
+    flight = fly(5, 6.0, PROFILES["euroc"])
+    [odometry] = flight.runs(3, 1)
+    estimate = odometry.estimate[::2]  # not all of its poses have groundtruth
+    truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, estimate.stamps)]
+    similarity = alignment_of(*alignment, truth, estimate)
+    variances = np.repeat([0.002, np.radians(0.1)], 3) ** 2 if noisy else None
+    aligned = Aligned(truth, estimate, similarity, *alignment, variances)
+    dense = judge_joint(aligned, _joint(odometry), "run")
+    monkeypatch.setattr(joint, "MOST_DENSE", 120)
+    assert not _joint(odometry).is_dense
+    long = judge_joint(aligned, _joint(odometry), "run")
+    assert dense.covariances is not None
+    assert long.covariances is not None
+    assert frobenius(long.covariances, dense.covariances) < 1e-8
+    assert long.joint is not None
+    assert dense.joint is not None
+    assert long.joint.nees == pytest.approx(dense.joint.nees, rel=1e-5)
+    assert long.per_pose is not None
+    assert long.per_pose.effective_dof is None
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
 def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
     flight = fly(5, 100.0, PROFILES["euroc"])
     sigmas = np.repeat([0.002, np.radians(0.1)], 3)
     shares: dict[object, list[float]] = {alignment: [] for alignment in ALIGNMENTS}
-    dof = 0
+    means, dof = [], 0
     for seed, odometry in enumerate(flight.runs(5, RUNS)):
         estimate = odometry.estimate
         truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, estimate.stamps)]
@@ -50,10 +79,12 @@ def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
             variances = sigmas**2 if noisy else None
             aligned = Aligned(truth, estimate, similarity, gauge, states, variances)
             judged = judge_joint(aligned, _joint(odometry), "run")
-            assert judged.per_pose is None
+            assert judged.per_pose is not None
+            means.append(judged.per_pose.mean)
             assert judged.joint is not None
             dof = judged.joint.dof
             shares[gauge, states].append(judged.joint.nees / dof)
+    assert 0.75 < np.mean(means) < 1.33  # each of few degrees of freedom
     low, high = chi_square_band(dof, 0.999, RUNS)
     for values in shares.values():
         assert low < np.mean(values) < high
@@ -78,7 +109,9 @@ def test_states_without_groundtruth_and_a_late_start_are_handled(
     monkeypatch.setattr("trajeval_ros.consistency.joint.MOST_DENSE", 0)
     sparse = judge_joint(aligned, _joint(odometry), "run")
     assert sparse.joint is not None
-    assert sparse.per_pose is None
+    assert sparse.per_pose is not None
+    assert judged.per_pose is not None
+    assert sparse.per_pose.mean == pytest.approx(judged.per_pose.mean, rel=1e-6)
     assert sparse.joint.nees == pytest.approx(judged.joint.nees, rel=1e-3)
     # A bag that begins later has another first pose than the estimator's own: only a bound.
     assert judge_marginals(aligned, from_the_start=False).exactness == "bound"

@@ -21,6 +21,7 @@ PACKAGE = ROOT / "trajeval_ros"
 # A file imports only from floors below its own, or from its own folder.
 FLOORS = {
     "exceptions": 0,
+    "chain": 1,
     "lie": 1,
     "trajectory": 1,
     "statistics": 1,

@@ -185,7 +185,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "disk"
     folder.mkdir()
     mounted = shutil.which("mount") and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=72k", "tmpfs", str(folder)],
+        ["mount", "-t", "tmpfs", "-o", "size=40k", "tmpfs", str(folder)],
         capture_output=True,
         check=False,
     ).returncode == 0  # fmt: skip

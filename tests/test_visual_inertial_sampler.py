@@ -8,8 +8,8 @@ import scipy.sparse
 from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros import lie
+from trajeval_ros.chain import Chain
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.visual_inertial.chain import Chain
 from trajeval_ros.visual_inertial.covariance import fixed_covariance
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.sampler import Sampler
@@ -32,6 +32,8 @@ def test_chain_is_the_dense_gaussian(size: int, width: int) -> None:
     # The samples of all unit vectors are a square root of the covariance.
     root = chain.sampled(np.eye(size))
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
+    columns = generator.normal(size=(size, 2))
+    np.testing.assert_allclose(chain.solved(columns), covariance @ columns, atol=1e-12)
     block = min(size, 3)
     starts = np.arange(size - block + 1)
     blocks = chain.marginals(starts, block)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
-    from trajeval_ros.consistency.judgement import Aligned, Consistency
+    from trajeval_ros.consistency.judgement import Aligned
+    from trajeval_ros.consistency.verdict import Consistency
     from trajeval_ros.evaluation import Evaluation
 
 FRAMES = ("world", "body")

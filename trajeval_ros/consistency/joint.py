@@ -10,7 +10,8 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from trajeval_ros import lie
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.chain import Chain, bandwidth
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.gauge import Gauge, orbit_basis
 from trajeval_ros.trajectory import Trajectory
 
@@ -25,6 +26,8 @@ _ASYMMETRY = 1e-6
 _LEFT_IN_GAUGE = 1e-6
 # A dense inverse of more rows takes longer than anyone waits for a diagnostic.
 MOST_DENSE = 3000
+# Entries farther from the diagonal make a chain of few links, which is as slow.
+_WIDEST_BAND = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,21 +129,44 @@ class JointCovariance:
 
     def _inverse(self) -> Array:
         assert self.information is not None
-        information = self.information.toarray()
-        if self.gauge == "free":
-            # Any prior on position and yaw of a pose will do: the alignment takes it out again.
-            held = [0, 1, 2, 5]
-            information[held, held] *= 2.0
         try:
-            factor = scipy.linalg.cho_factor(information, lower=True)
+            factor = scipy.linalg.cho_factor(self._held().toarray(), lower=True)
         except np.linalg.LinAlgError:
-            raise InputError(
-                "the joint information matrix is not positive definite"
-                + (" but for position and yaw" if self.gauge == "free" else "")
-                + "; say gauge free if it has no prior, and give it of one connected run"
-            ) from None
-        inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(information)))
+            raise self._indefinite() from None
+        inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
         return inverse
+
+    def chain(self) -> Chain | None:
+        """Return the factors of the information, in some gauge; None where it isn't banded.
+
+        Raises:
+            InputError: The information leaves more open than the gauge.
+        """
+        assert self.information is not None
+        if bandwidth(self.information) > _WIDEST_BAND:
+            return None
+        try:
+            return Chain(self._held())
+        except DegenerateGeometryError:
+            raise self._indefinite() from None
+
+    def _held(self) -> scipy.sparse.csr_matrix:
+        """Return the information with a prior on what it leaves open."""
+        assert self.information is not None
+        if self.gauge != "free":
+            return self.information
+        # Any prior on position and yaw of a pose will do: the alignment takes it out again.
+        held = [0, 1, 2, 5]
+        prior = np.zeros(self.information.shape[0])
+        prior[held] = self.information.diagonal()[held]
+        return (self.information + scipy.sparse.diags(prior)).tocsr()
+
+    def _indefinite(self) -> InputError:
+        return InputError(
+            "the joint information matrix is not positive definite"
+            + (" but for position and yaw" if self.gauge == "free" else "")
+            + "; say gauge free if it has no prior, and give it of one connected run"
+        )
 
     def _require_free_gauge(self) -> None:
         """An information matrix of the free gauge must know nothing of translations."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from trajeval_ros.chain import Chain
 from trajeval_ros.consistency.joint import JointCovariance
 from trajeval_ros.consistency.marginals import (
     initial_uncertainty,
@@ -30,6 +30,20 @@ from trajeval_ros.consistency.transformation import (
     carried_information,
     errors_of,
     independent_noise,
+    turning,
+)
+from trajeval_ros.consistency.verdict import (
+    BOUND_STATEMENT,
+    COMMON_FRAME_STATEMENT,
+    JOINT_STATEMENT,
+    OWN_GAUGE_STATEMENT,
+    POSE_DOF,
+    STRIPPED_STATEMENT,
+    Consistency,
+    Joint,
+    sigmas_of,
+    summary_of,
+    verdict_of,
 )
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.gauge import Gauge
@@ -38,93 +52,9 @@ from trajeval_ros.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-POSE_DOF = 6
-_SIGNIFICANCE = 0.05
 # The first pose's own uncertainty, relative to the largest, that counts as none.
 _NEGLIGIBLE = 1e-4
 _UNCOUPLED = 1e-6
-
-JOINT_STATEMENT = "exact: the joint covariance was brought into the gauge of the alignment"
-OWN_GAUGE_STATEMENT = "per-pose NEES exact in the estimator's own gauge"
-STRIPPED_STATEMENT = (
-    "per-pose NEES exact in the estimator's own gauge, if what the first pose's covariance holds "
-    "is a prior of position and yaw, as it looks; it was taken off all poses"
-)
-COMMON_FRAME_STATEMENT = "per-pose NEES exact: nothing was aligned, the frames are the same"
-BOUND_STATEMENT = (
-    "bound only (cross-covariances not in the message); can show over-confidence, cannot confirm "
-    "consistency"
-)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """NEES of all poses together: chi-square with `dof` degrees of freedom if honest.
-
-    Attributes:
-        nees: e' C^+ e.
-        dof: Rank of C.
-        band_95: In which nees / dof falls for 95 % of honest runs.
-    """
-
-    nees: float
-    dof: int
-    band_95: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class PerPose:
-    """NEES of single poses, divided by their six degrees of freedom.
-
-    Attributes:
-        poses: How many have one; an alignment by the first pose leaves that one none.
-        mean: Over the poses.
-        max: Over the poses.
-        limit_95: Which the largest stays under in 95 % of honest runs, however poses correlate.
-        effective_dof: Of the mean, out of 6 times the poses; None where it can't be known.
-        band_95: In which the mean falls for 95 % of honest runs; None where it can't be known.
-    """
-
-    poses: int
-    mean: float
-    max: float
-    limit_95: float
-    effective_dof: float | None = None
-    band_95: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Consistency:
-    """Whether an estimate is as sure as it should be.
-
-    Attributes:
-        gauge: Of the alignment, and so of errors and covariances.
-        covariance_source: `message`, or the joint covariance's file.
-        exactness: `exact`, or `bound` where correlations are unknown.
-        statement: What may be claimed, in a sentence.
-        verdict: `consistent`, `over-confident`, `under-confident` or `undecided`.
-        joint: NEES of all poses together; None without a joint covariance.
-        per_pose: NEES of single poses; None where a run is too long for it.
-        nees: (N,) NEES / 6 of each pair; NaN where it has none; None as `per_pose`.
-        errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
-        covariances: (N, 6, 6), of the errors of each pose; None as `per_pose`.
-    """
-
-    gauge: Gauge
-    covariance_source: str
-    exactness: str
-    statement: str
-    verdict: str
-    joint: Joint | None
-    per_pose: PerPose | None
-    nees: Array | None
-    errors: Array
-    covariances: Array | None
-
-    @property
-    def sigmas(self) -> Array | None:
-        """Standard deviations of the errors, (N, 6); None as `per_pose`."""
-        return None if self.covariances is None else _sigmas(self.covariances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +132,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         blocks = diagonal_blocks(projected, POSE_DOF)
         nees = _nees_by_pose(errors, blocks, first)
         part = slice(POSE_DOF * first, None)
-        per_pose = _summary(nees, effective_dof(projected[part, part], POSE_DOF))
+        per_pose = summary_of(nees, effective_dof(projected[part, part], POSE_DOF))
     else:
         assert covariance.information is not None
         open_ = covariance.gauge == "free"
@@ -213,19 +143,42 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
             aligned.variances,
             covariance.pose_rows(rows),
         )
+        chain = covariance.chain()
+        if chain is not None:
+            blocks = _blocks_of_chain(chain, covariance, rows, aligned.similarity, transformation)
+            if aligned.variances is not None:
+                blocks = blocks + independent_noise(transformation, aligned.variances)
+            nees = _nees_by_pose(errors, blocks, aligned.first_with_nees)
+            per_pose = summary_of(nees)
     joint = Joint(value, transformation.dof, chi_square_band(transformation.dof))
     return Consistency(
         gauge=aligned.gauge,
         covariance_source=source,
         exactness="exact",
         statement=JOINT_STATEMENT,
-        verdict=_verdict(joint),
+        verdict=verdict_of(joint),
         joint=joint,
         per_pose=per_pose,
         nees=nees,
         errors=errors,
         covariances=blocks,
     )
+
+
+def _blocks_of_chain(
+    chain: Chain,
+    covariance: JointCovariance,
+    rows: NDArray[np.int64],
+    similarity: Similarity,
+    transformation: Transformation,
+) -> Array:
+    """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, of a run of any length."""
+    turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
+    columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
+    columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
+    solved = chain.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
+    own = chain.marginals(rows * covariance.block, POSE_DOF)
+    return transformation.blocks(turn @ own @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
 
 
 def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
@@ -260,9 +213,9 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
         blocks = upper_bounds(blocks, transformation)
     if aligned.variances is not None:
         blocks = blocks + independent_noise(transformation, aligned.variances)
-    first = max(aligned.first_with_nees, 0 if (_sigmas(blocks[:1]) > 0.0).all() else 1)
+    first = max(aligned.first_with_nees, 0 if (sigmas_of(blocks[:1]) > 0.0).all() else 1)
     nees = _nees_by_pose(errors, blocks, first)
-    per_pose = _summary(nees)
+    per_pose = summary_of(nees)
     over = per_pose.max > per_pose.limit_95
     return Consistency(
         gauge=aligned.gauge,
@@ -307,29 +260,3 @@ def _nees_by_pose(errors: Array, blocks: Array, first: int) -> Array:
     except np.linalg.LinAlgError:
         raise InputError("a pose's own covariance is singular, so it has no NEES") from None
     return nees
-
-
-def _sigmas(blocks: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
-
-
-def _summary(nees: Array, dof: float | None = None) -> PerPose:
-    known = nees[np.isfinite(nees)]
-    # Bonferroni: holds whatever the correlations are, and for a bound as well.
-    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / len(known), POSE_DOF)) / POSE_DOF
-    return PerPose(
-        poses=len(known),
-        mean=float(known.mean()),
-        max=float(known.max()),
-        limit_95=limit,
-        effective_dof=dof,
-        band_95=None if dof is None else chi_square_band(dof),
-    )
-
-
-def _verdict(joint: Joint) -> str:
-    low, high = joint.band_95
-    share = joint.nees / joint.dof
-    if share > high:
-        return "over-confident"
-    return "under-confident" if share < low else "consistent"

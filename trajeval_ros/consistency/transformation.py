@@ -108,6 +108,26 @@ class Transformation:
         return symmetric
 
     @property
+    def pull(self) -> Array:
+        """The coefficients' part in position and rotation of each state, (N, k, 6)."""
+        count, _, open_ = self.orbit.shape
+        return self.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
+
+    def blocks(self, own: Array, image: Array) -> Array:
+        """Return the states' own blocks (N, 6, 6) of Q C Q', for C of position and rotation.
+
+        Args:
+            own: (N, 6, 6) or (6, 6), the states' own blocks of C.
+            image: X C (N, k, 6), X the coefficients.
+        """
+        orbit = self.orbit[:, :6]
+        shared = np.einsum("nki,nli->kl", image, self.pull)
+        cross = orbit @ image
+        blocks: Array = own - cross - np.swapaxes(cross, 1, 2)
+        blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
+        return blocks
+
+    @property
     def dof(self) -> int:
         """Rank of a covariance in this gauge: N d less the gauge's dimension."""
         count, block, open_ = self.orbit.shape
@@ -140,11 +160,7 @@ def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
         similarity: The alignment; its scale acts on position and velocity.
         block: d: 6 for position and rotation, 9 with velocity.
     """
-    turn = np.zeros((block, block))
-    for begin, scale in zip(
-        (0, 3, 6)[: block // 3], (similarity.scale, 1.0, similarity.scale), strict=False
-    ):
-        turn[begin : begin + 3, begin : begin + 3] = scale * similarity.rotation
+    turn = turning(similarity, block)
     if covariance.ndim == 3:
         return np.asarray(turn @ covariance @ turn.T)
     size = len(covariance)
@@ -152,12 +168,17 @@ def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
     return np.asarray((turn @ rows.T.reshape(-1, block, size)).reshape(size, size).T)
 
 
+def turning(similarity: Similarity, block: int) -> Array:
+    """Return T (d, d), how a left perturbation of a state turns with it."""
+    scales = np.array([similarity.scale, 1.0, similarity.scale])[: block // 3]
+    return np.asarray(np.kron(np.diag(scales), similarity.rotation))
+
+
 def carried_information(
     information: scipy.sparse.csr_matrix, similarity: Similarity, block: int
 ) -> scipy.sparse.csr_matrix:
     """Return T^-T Lambda T^-1 (n, n): an information matrix turned with its states."""
-    scales = np.array([1.0 / similarity.scale, 1.0, 1.0 / similarity.scale])[: block // 3]
-    turn = np.kron(np.diag(scales), similarity.rotation)
+    turn = np.linalg.inv(turning(similarity, block)).T
     count = information.shape[0] // block
     blocks = scipy.sparse.kron(scipy.sparse.eye(count), turn, format="csr")
     return (blocks @ information @ blocks.T).tocsr()
@@ -170,15 +191,8 @@ def independent_noise(transformation: Transformation, variances: Array) -> Array
         transformation: Q, of N states.
         variances: (6,), of position (m^2) and rotation (rad^2); G has them for every state.
     """
-    count, _, open_ = transformation.orbit.shape
     own = np.diag(variances)
-    orbit = transformation.orbit[:, :6]
-    pull = transformation.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
-    shared = np.einsum("nki,i,nli->kl", pull, variances, pull)
-    cross = orbit @ (pull @ own)
-    blocks: Array = own - cross - np.swapaxes(cross, 1, 2)
-    blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
-    return blocks
+    return transformation.blocks(own, transformation.pull @ own)
 
 
 def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Array:

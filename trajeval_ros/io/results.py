@@ -25,7 +25,7 @@ from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from trajeval_ros.consistency.judgement import Consistency
+    from trajeval_ros.consistency.verdict import Consistency
 
 SCHEMA = "trajeval/1"
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from trajeval_ros.consistency.judgement import Consistency
+    from trajeval_ros.consistency.verdict import Consistency
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _WIDTH_FOR_MEDIANS = 140

@@ -20,6 +20,12 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 Array = NDArray[np.float64]
 
 
+def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
+    """Return how far an entry is from the diagonal at the most."""
+    entries = matrix.tocoo()
+    return int(np.abs(entries.row - entries.col).max(initial=0))
+
+
 class Chain:
     """The factors of an information matrix (n, n), positive definite and banded."""
 
@@ -29,10 +35,8 @@ class Chain:
         Raises:
             DegenerateGeometryError: The matrix is not positive definite.
         """
-        entries = information.tocoo()
-        width = int(np.abs(entries.row - entries.col).max()) if entries.nnz else 1
         size = information.shape[0]
-        links = max(size // max(width, 1), 1)
+        links = max(size // max(bandwidth(information), 1), 1)
         cuts = np.linspace(0, size, links + 1).astype(int)
         self._rows = [slice(*each) for each in itertools.pairwise(cuts)]
         # Of each link: the Cholesky factor of what is left of it, and its regression -D^-1 U on
@@ -66,6 +70,19 @@ class Chain:
             ahead = noise + regression @ ahead
             sample[rows] = ahead
         return sample
+
+    def solved(self, columns: Array) -> Array:
+        """Return the covariance times columns (n, k)."""
+        found = columns.astype(float)
+        for rows, after, regression in zip(
+            self._rows[:-1], self._rows[1:], self._regressions[:-1], strict=True
+        ):
+            found[after] += regression.T @ found[rows]
+        ahead = np.empty((0, columns.shape[1]))
+        for rows, factor, regression in self._backwards():
+            ahead = scipy.linalg.cho_solve((factor, True), found[rows]) + regression @ ahead
+            found[rows] = ahead
+        return found
 
     def marginals(self, starts: NDArray[np.int64], size: int) -> Array:
         """Return the blocks (B, size, size) on the covariance's diagonal that begin at `starts`.
