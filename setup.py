@@ -87,7 +87,7 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "rosbags>=0.11",
-        "typer>=0.12.4",
+        "typer>=0.17.4",
         "rich>=13",
     ],
     extras_require={
