@@ -16,6 +16,7 @@ from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.transforms import Edge, chain
 
 Matrices = NDArray[np.float64]
+SECOND = 10**9
 
 
 def random_edge(random: np.random.Generator, count: int, *, is_static: bool = False) -> Edge:
@@ -93,6 +94,33 @@ def test_stamps_are_sorted_and_the_last_of_equals_holds() -> None:
     edge = Edge.from_columns(np.array([5, 3, 5, 4, 6]), numbers, is_static=False)
     assert edge.stamps.tolist() == [3, 4, 5]
     assert edge.translations[:, 0].tolist() == [2.0, 4.0, 3.0]
+
+
+def test_the_edge_that_is_most_frequent_at_first_leads_to_the_end() -> None:
+    begin = 1_700_000_000 * SECOND
+    slows_down = (
+        begin + np.concatenate([np.arange(0.0, 3.0, 0.01), np.arange(3.0, 60.0, 0.5)]) * SECOND
+    )
+    steady = begin + np.arange(0.0, 60.0, 0.05) * SECOND
+    random = np.random.default_rng(1)
+    edges = {
+        key: Edge.from_columns(
+            stamps.astype(np.int64), random.normal(size=(len(stamps), 7)), False
+        )
+        for key, stamps in ((("a", "b"), steady), (("b", "c"), slows_down))
+    }
+    stamps, _, _ = chain(edges, "a", "c", "t")
+    np.testing.assert_array_equal(stamps, slows_down.astype(np.int64))
+
+
+def test_a_zero_among_times_since_1970_is_no_time() -> None:
+    numbers = np.array([[x, 0, 0, 0, 0, 0, 1] for x in (1.0, 2.0, 3.0)])
+    begin = 1_700_000_000 * SECOND
+    edge = Edge.from_columns(np.array([begin, 0, begin + 5]), numbers, is_static=False)
+    assert edge.stamps.tolist() == [begin, begin + 5]
+    simulated = Edge.from_columns(np.array([0, 5, 10]), numbers, is_static=False)
+    assert simulated.stamps.tolist() == [0, 5, 10]
+    assert len(Edge.from_columns(np.array([0]), numbers[:1], is_static=True).stamps) == 1
 
 
 def test_frames_that_do_not_fit() -> None:

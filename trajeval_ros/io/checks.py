@@ -23,7 +23,7 @@ def nearest(wanted: str, names: Collection[str]) -> str:
 
 
 def check_stamps(stamps: NDArray[np.int64], where: str) -> NDArray[np.bool_]:
-    """Return which of the stamps (N,) are times: a zero among times since 1970 is none.
+    """Return which of the stamps (N,) are times, as `times` does.
 
     Raises:
         InputError: All are zero, or all are the same.
@@ -37,6 +37,11 @@ def check_stamps(stamps: NDArray[np.int64], where: str) -> NDArray[np.bool_]:
             f"{where}: all {len(stamps)} stamps are the same, so there is no time to match poses "
             "by; have the time of each measurement written with it"
         )
+    return times(stamps)
+
+
+def times(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which of the stamps (N,) are times: a zero among times since 1970 is none."""
     if len(stamps) and np.median(stamps) > _EPOCH:
         return np.asarray(stamps != 0)
     return np.ones(len(stamps), dtype=bool)
