@@ -15,9 +15,12 @@ from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POSE, ODOM = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry"
 POINT, PATH = "geometry_msgs/msg/PointStamped", "nav_msgs/msg/Path"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 # Topic, type, log time in ns, payload.
 Message = tuple[str, str, int, bytes]
+# Parent, child, stamp, translation, quaternion xyzw.
+Transform = tuple[str, str, int, Sequence[float], Sequence[float]]
 
 
 def pose_message(
@@ -57,6 +60,22 @@ def odometry_message(
     twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(0.0, 0.0, 0.0))
     twist = types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing)
     return _serialised(ODOM, types[ODOM](_header(stamp, "odom"), "base_link", pose, twist))
+
+
+def transforms_message(*transforms: Transform) -> bytes:
+    types = STORE.types
+    stamped = [
+        types["geometry_msgs/msg/TransformStamped"](
+            _header(stamp, parent),
+            child,
+            types["geometry_msgs/msg/Transform"](
+                types["geometry_msgs/msg/Vector3"](*map(float, translation)),
+                types["geometry_msgs/msg/Quaternion"](*map(float, quaternion)),
+            ),
+        )
+        for parent, child, stamp, translation, quaternion in transforms
+    ]
+    return _serialised(TRANSFORMS, types[TRANSFORMS](stamped))
 
 
 def _serialised(kind: str, message: Any) -> bytes:

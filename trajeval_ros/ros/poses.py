@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -86,6 +87,7 @@ class PoseStream:
         arrivals: How much later than their stamps they come.
         news: Notes that nobody has been told yet.
         trouble: Why messages give no poses at present; empty if they do.
+        heard_at: When the last of them came, by `time.monotonic`; None before.
     """
 
     def __init__(self, topic: str) -> None:
@@ -94,6 +96,7 @@ class PoseStream:
         self.arrivals = Arrivals()
         self.news: list[str] = []
         self.trouble = ""
+        self.heard_at: float | None = None
         self._topic = topic
         self._type = ""
         self._names: tuple[str, str] | None = None
@@ -118,6 +121,7 @@ class PoseStream:
         self._count(new)
 
     def _see_type(self, message_type: str) -> None:
+        self.heard_at = time.monotonic()
         if message_type != self._type:
             self._type = message_type
             self.told.note(f"format: {message_type}")
@@ -156,7 +160,9 @@ class PoseStream:
         """Tell, once, that time doesn't go on: live errors are about the newest pairs alone."""
         before, self._previous = self._previous, int(stamps[-1])
         steps = np.diff(stamps if before is None else np.concatenate([[before], stamps]))
-        back_s = -float(steps.min(initial=0)) / NANOSECONDS
+        self._tell_step_back(-float(steps.min(initial=0)) / NANOSECONDS)
+
+    def _tell_step_back(self, back_s: float) -> None:
         if back_s < _STEP_BACK_S or any("stamps step back" in each for each in self.told.notes):
             return
         sentence = (

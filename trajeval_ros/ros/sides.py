@@ -50,8 +50,7 @@ class Side:
             raise SettingsError(f"{topic!r} is no name of a topic: {said}") from error
         self.name = re.sub(r"\W+", "_", self.source.strip("/"), flags=re.ASCII)
         self.name = f"topic_{self.name}" if self.name[:1].isdigit() else self.name
-        self._heard_at: float | None = None
-        self.stream: PoseStream | TransformStream
+        self.stream: PoseStream
         if colon:
             self.stream = self._transforms(frames)
             names = [topic, f"{topic}_static"]
@@ -83,7 +82,6 @@ class Side:
                 arrived = np.array(taken.received, dtype=np.int64)
                 if now_ns is not None:
                     arrived[:] = now_ns
-                self._heard_at = time.monotonic()
                 found.append((each.type, taken, arrived))
         return found
 
@@ -94,8 +92,9 @@ class Side:
 
     @property
     def silent_s(self) -> float | None:
-        """Time since the last message, seconds; None before the first."""
-        return None if self._heard_at is None else time.monotonic() - self._heard_at
+        """Time since the last message with poses, seconds; None before the first."""
+        heard_at = self.stream.heard_at
+        return None if heard_at is None else time.monotonic() - heard_at
 
     @property
     def lost(self) -> int:
@@ -109,7 +108,7 @@ class Side:
 
     def _transforms(self, frames: str) -> TransformStream:
         parent, dot, child = (each.strip("/ ") for each in frames.partition("."))
-        if not (parent and dot and child):
+        if not (parent and dot and child) or parent == child:
             raise SettingsError(
                 f"{self.source!r} names no two frames; write it as in /tf:map.base_link"
             )

@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.messages import decode_transforms
-from trajeval_ros.io.transforms import Edge, EdgeKey, chain
+from trajeval_ros.io.messages import TransformColumns, decode_transforms
+from trajeval_ros.io.transforms import (
+    LEADS_BY_S,
+    Edge,
+    EdgeKey,
+    Way,
+    common_span,
+    compose,
+    find_way,
+    leading_edge,
+)
 from trajeval_ros.online.pairing import states
 from trajeval_ros.ros.poses import PoseStream, States
 from trajeval_ros.trajectory import NANOSECONDS
 
 Stamps = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
-_MEMORY_S = 10.0  # for edges that lag behind the others
+_MEMORY_S = 10.0  # of edges while the two frames aren't connected
+_MOST_TRANSFORMS = 50_000  # of an edge that waits for the others
 _MOST_EDGES = 1000  # of trees that are not ours
+_WARN_AFTER_S = 5.0
+
+_NEVER = int(np.iinfo(np.int64).min)
 
 
 class TransformStream(PoseStream):
-    """Chains the edges between two frames at the stamps of the most frequent one.
+    """Chains the edges between two frames at the stamps of the leading one, as offline.
 
-    A pose is known when all edges have reached its stamp, as offline.
+    A pose is known when all edges have reached its stamp, and not before the leading edge is. A
+    tree has one way between two frames; once it is found, all other edges are forgotten.
     """
 
     def __init__(self, source: str, parent: str, child: str) -> None:
@@ -32,22 +46,32 @@ class TransformStream(PoseStream):
         super().__init__(source)
         self.told.frame, self.told.child_frame = parent, child
         self.told.note("format: TF")
-        self._source, self._parent, self._child = source, parent, child
-        self._moving: dict[EdgeKey, tuple[Stamps, Floats]] = {}
-        self._static: dict[EdgeKey, Edge] = {}
-        self._until = np.iinfo(np.int64).min
+        self._parent, self._child = parent, child
+        self._edges: dict[EdgeKey, Edge] = {}
+        self._way: Way = []
+        self._leading: EdgeKey | None = None
+        self._until = _NEVER
+        self._warn_at: float | None = None
 
     def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
-        """Return the states that have become known with new messages."""
+        """Return the states that have become known with new messages, as of the last of these."""
         del message_type
         edges, undecodable = decode_transforms(payloads)
         self.told.drop("undecodable", undecodable)
         for key, columns in edges.items():
-            if len(self._moving) < _MOST_EDGES or key in self._moving:
-                self._extend(key, columns.stamps, columns.numbers)
-        found = self._chained()
-        if len(found.stamps):
-            self.arrivals.see(found.stamps[-1:], arrived_ns[-1:])
+            if self._wants(key):
+                self._extend(key, columns)
+        stamps = self._new_stamps()
+        found = States(
+            stamps,
+            states(*compose(self._edges, self._way, stamps)),
+            np.full(len(stamps), len(payloads) - 1),
+        )
+        if len(stamps):
+            self._until = int(stamps[-1])
+            self.heard_at = time.monotonic()
+            self.arrivals.see(stamps[-1:], arrived_ns[-1:])
+        self._forget()
         self._count(found)
         return found
 
@@ -56,33 +80,76 @@ class TransformStream(PoseStream):
         edges, undecodable = decode_transforms(payloads)
         self.told.drop("undecodable", undecodable)
         for key, columns in edges.items():
-            if len(self._static) < _MOST_EDGES or key in self._static:
-                self._static[key] = Edge.from_columns(columns.stamps, columns.numbers, True)
+            known = self._edges.get(key)
+            # What moves is no static frame.
+            if self._wants(key) and (known is None or known.is_static):
+                self._keep(key, Edge.from_columns(columns.stamps, columns.numbers, True))
 
-    def _extend(self, key: EdgeKey, stamps: Stamps, numbers: Floats) -> None:
-        """Add transforms to an edge, and forget those of long ago."""
-        if key in self._moving:
-            held_stamps, held = self._moving[key]
-            stamps, numbers = np.concatenate([held_stamps, stamps]), np.vstack([held, numbers])
-        recent = stamps > stamps.max() - round(_MEMORY_S * NANOSECONDS)
-        self._moving[key] = stamps[recent], numbers[recent]
+    def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
+        """Add transforms to an edge that moves."""
+        timed = columns.stamps != 0  # a stamp that nobody has set
+        new = Edge.from_columns(columns.stamps[timed], columns.numbers[timed], False)
+        if key == self._leading and len(new.stamps):
+            self._tell_step_back((self._until - int(new.stamps[-1])) / NANOSECONDS)
+        known = self._edges.get(key)
+        self._keep(key, new if known is None or known.is_static else known.joined(new))
 
-    def _chained(self) -> States:
-        edges = {
-            key: Edge.from_columns(*columns, is_static=False)
-            for key, columns in self._moving.items()
-        }
-        none = np.empty(0, dtype=np.int64)
+    def _wants(self, key: EdgeKey) -> bool:
+        return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)
+
+    def _keep(self, key: EdgeKey, edge: Edge) -> None:
+        if len(edge.stamps):
+            self._edges[key] = edge
+
+    def _new_stamps(self) -> Stamps:
+        """Return the stamps that have a pose for the first time."""
         try:
-            stamps, positions, quaternions = chain(
-                {**self._static, **edges}, self._parent, self._child, self._source
-            )
+            leading, span = self._lead()
         except InputError as error:
-            self.trouble = str(error)
-            return States(none, states(np.empty((0, 3))), none)
+            self._tell_trouble(str(error))
+            return np.empty(0, dtype=np.int64)
         self.trouble = ""
-        new = stamps > self._until
-        if new.any():
-            self._until = int(stamps[new][-1])
-        found = states(positions[new], quaternions[new])
-        return States(stamps[new], found, np.zeros(len(found), dtype=np.int64))
+        stamps = self._edges[leading].within(*span)
+        return stamps[stamps > self._until]
+
+    def _lead(self) -> tuple[EdgeKey, tuple[int, int]]:
+        """Return the leading edge, and from when to when all edges are known.
+
+        Raises:
+            InputError: There are no poses so far, for a reason that a user should know.
+        """
+        if not self._way:
+            self._way = find_way(self._edges, self._parent, self._child, self._topic)
+            self._edges = {key: self._edges[key] for key, _ in self._way}
+        span = common_span(self._edges, self._way)
+        if span is None:
+            raise InputError(
+                f"{self._topic}: all transforms between {self._parent} and {self._child} are "
+                "static so far; name a frame that moves"
+            )
+        if self._leading is None:
+            if span[1] - span[0] < round(LEADS_BY_S * NANOSECONDS):
+                raise InputError(
+                    f"{self._topic}: not all transforms between {self._parent} and {self._child} "
+                    f"have come for {LEADS_BY_S:g} s so far; poses begin then"
+                )
+            self._leading = leading_edge(self._edges, self._way, span)
+        return self._leading, span
+
+    def _tell_trouble(self, trouble: str) -> None:
+        """Warn, once, of what isn't over after a while."""
+        self.trouble = trouble
+        now = time.monotonic()
+        if self._warn_at is None:
+            self._warn_at = now + _WARN_AFTER_S
+        elif now > self._warn_at:
+            self._warn_at = np.inf
+            self.news.append(trouble)
+
+    def _forget(self) -> None:
+        """Forget transforms that no pose will need."""
+        for key, edge in self._edges.items():
+            if edge.is_static:
+                continue
+            recent = int(edge.stamps[-1]) - round(_MEMORY_S * NANOSECONDS)
+            self._edges[key] = edge.since(self._until if self._way else recent)[-_MOST_TRANSFORMS:]
