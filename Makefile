@@ -40,7 +40,7 @@ test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy
 	$(JAZZY)/bin/python -m pytest -m "not slow"
 
 # Discovery must not leave this machine, and a robot's own domain must not hear of the tests.
-test-ros: $(ROS)/.installed ## Run the tests that need ROS 2, between processes over DDS.
+test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
 		ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN) \
 		$(ROS)/bin/python -m pytest -m ros
@@ -72,7 +72,7 @@ lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with t
 
 colcon-environment: $(COLCON)/.installed
 
-ros-environment: $(ROS)/.installed ## Make the environment with ROS 2 Jazzy's wheels in .venv-ros.
+ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
 	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) build install log dist *.egg-info \
@@ -109,6 +109,11 @@ $(ROS)/.installed: setup.py constraints-ros.txt
 	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
 		--editable ".[ros,test]"
 	touch $@
+
+# Without a compiler there is none; then it says so, and the tests of /tf are skipped.
+$(ROS)/.tf2_msgs: $(ROS)/.installed .ci/make_tf2_msgs .ci/tf2_msgs-requirements.txt \
+		$(wildcard tests/tf2_msgs/* tests/tf2_msgs/msg/*)
+	bash .ci/make_tf2_msgs $(ROS)
 
 $(COLCON)/.installed: setup.py constraints.txt .ci/colcon-requirements.txt
 	$(make_venv)

@@ -1,0 +1,139 @@
+"""Live transforms over DDS: the evaluator on `/tf` gives what `trajeval evaluate` gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_bags import POSE, TRANSFORMS, Message, messages_of, transforms_message, write_messages
+from ros_processes import (
+    TRUTH,
+    Evaluator,
+    assert_same,
+    evaluating,
+    offline,
+    parameters,
+    replay,
+    run_evaluator,
+)
+
+from trajeval_ros.simulation import simulate
+from trajeval_ros.trajectory import Trajectory
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytest.importorskip(
+    "tf2_msgs.msg",
+    reason="tf2_msgs is missing; `make test-ros` builds it where there are a compiler and cmake",
+    exc_type=ImportError,
+)
+pytestmark = pytest.mark.ros
+
+ESTIMATE, MARKER = "/tf:map.camera", "/tf:world.marker"
+SECOND = 10**9
+
+
+def edge(parent: str, child: str, poses: Trajectory) -> list[Message]:
+    """Return a trajectory as transforms on /tf, logged at their stamps."""
+    assert poses.quaternions is not None
+    rows = zip(poses.stamps.tolist(), poses.positions, poses.quaternions, strict=True)
+    return [
+        ("/tf", TRANSFORMS, stamp, transforms_message((parent, child, stamp, place, turn)))
+        for stamp, place, turn in rows
+    ]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of a groundtruth, and of an estimate that three publishers make the tree of."""
+    simulated = simulate(5, 40.0)
+    truth, estimate = simulated.groundtruth[::4], simulated.estimate
+    begin = int(min(truth.stamps[0], estimate.stamps[0]))
+    random = np.random.default_rng(5)
+    corrections = estimate[::4]
+    drift = np.cumsum(random.normal(scale=0.01, size=(len(corrections), 3)), axis=0)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (len(corrections), 1))
+    corrections = Trajectory.from_columns(corrections.stamps + SECOND // 200, drift, still)
+    mounted = transforms_message(("base", "camera", 0, (0.1, 0.0, 0.05), (0.5, -0.5, 0.5, 0.5)))
+    bag = tmp_path_factory.mktemp("flight") / "bag"
+    write_messages(
+        bag,
+        [
+            *messages_of(truth, TRUTH, POSE),
+            *edge("world", "marker", truth),
+            *edge("map", "odom", corrections),
+            *edge("odom", "base", estimate),
+            ("/tf_static", TRANSFORMS, begin, mounted),
+        ],
+    )
+    return bag
+
+
+def evaluate_live(
+    bag: Path, environment: dict[str, str], folder: Path, groundtruth: str
+) -> Evaluator:
+    """Evaluate a bag that another process plays; slower where a machine is too busy."""
+    rate = 8.0
+    while True:
+        with evaluating(
+            folder / f"rate_{rate:g}",
+            environment,
+            groundtruth=groundtruth,
+            estimates=[ESTIMATE],
+            gauge="yaw",
+            lengths="4,8",
+            window="0",
+        ) as evaluator:
+            played = {"/tf", "/tf_static", groundtruth.partition(":")[0]}
+            topics = [word for topic in played for word in ("--topic", topic)]
+            replay(bag, environment, "--rate", rate, *topics)
+            assert evaluator.end() == 0
+        live = evaluator.run_of(ESTIMATE)["live"]
+        if not live["messages_lost"] + live["groundtruth_messages_lost"]:
+            return evaluator
+        assert rate > 1.0, f"messages are lost at rate {rate:g}"
+        rate /= 3.0
+
+
+@pytest.mark.parametrize("groundtruth", [TRUTH, MARKER])
+def test_live_is_offline(
+    flight: Path, groundtruth: str, environment: dict[str, str], tmp_path: Path
+) -> None:
+    evaluator = evaluate_live(flight, environment, tmp_path, groundtruth)
+    recorded = offline(
+        flight, tmp_path, groundtruth, [ESTIMATE], "--gauge", "yaw", "--lengths", "4,8"
+    )
+    assert recorded["runs"][0]["association"]["pairs"] > 600
+    assert_same(evaluator.result, recorded)
+
+
+def test_a_frame_that_is_not_there_is_named(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    wrong = "/tf:map.camra"
+    with evaluating(tmp_path / "out", environment, estimates=[wrong]) as evaluator:
+        replay(flight, environment, "--rate", 8)
+        evaluator.wait_for(f"{wrong}: there is no frame camra; there are camera, ")
+        evaluator.end()
+    assert f"0 poses on {wrong}" in evaluator.said
+
+
+@pytest.mark.parametrize("source", ["/tf:map", "/tf:.camera", "/tf:map.map"])
+def test_transforms_need_two_frames(source: str, environment: dict[str, str]) -> None:
+    done = run_evaluator(
+        environment, *parameters(groundtruth_topic=TRUTH, estimate_topics=[source])
+    )
+    assert done.returncode == 2
+    assert f"'{source}' names no two frames; write it as in /tf:map.base_link" in done.stderr
+
+
+def test_transforms_need_tf2_msgs(environment: dict[str, str], tmp_path: Path) -> None:
+    hidden = tmp_path / "tf2_msgs"
+    hidden.mkdir()
+    (hidden / "__init__.py").write_text("raise ImportError\n")
+    without = {**environment, "PYTHONPATH": f"{tmp_path}:{environment['PYTHONPATH']}"}
+    done = run_evaluator(without, *parameters(groundtruth_topic=TRUTH, estimate_topics=[ESTIMATE]))
+    assert done.returncode == 2
+    assert f"{ESTIMATE} needs tf2_msgs, which is not installed here" in done.stderr
