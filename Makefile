@@ -31,13 +31,13 @@ demo: $(VENV)/.installed ## Simulate a flight, evaluate it; tables here, figures
 		--modality stereo-inertial --covariance $(DEMO_BAG).npz --output demo_output
 
 test: $(VENV)/.installed ## Run all tests.
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto
 
 test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few seconds each.
-	$(VENV)/bin/python -m pytest -m "not slow"
+	$(VENV)/bin/python -m pytest -n auto -m "not slow"
 
 test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
-	$(JAZZY)/bin/python -m pytest -m "not slow"
+	$(JAZZY)/bin/python -m pytest -n auto -m "not slow"
 
 # Discovery must not leave this machine, and a robot's own domain must not hear of the tests.
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.

@@ -44,7 +44,7 @@ ROS = [
         "rosgraph-msgs",
     )
 ]
-TEST = ["pytest>=8", "hypothesis>=6.100"]
+TEST = ["pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.100"]
 LINT = ["ruff>=0.15", "mypy>=1.15"]
 
 setup(
