@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.definitions import TEXT, Fields, Kind, Many, UnplannedError
+from trajeval_ros.io.cdr_steps import Elements, Run, Span, Step, String, steps_of
+from trajeval_ros.io.definitions import Fields
 
 Numbers = NDArray[Any]
 Index = NDArray[np.int64]
@@ -32,7 +32,6 @@ _ENCAPSULATIONS = {0x0000: (">", 8), 0x0001: ("<", 8), 0x0006: (">", 4), 0x0007:
 _ENCAPSULATION, _ENCAPSULATION_SIZE = np.dtype(">u2"), 4
 _LENGTHS = {order: np.dtype(f"{order}u4") for order in "<>"}
 _XCDR2_ALIGNMENT = 4
-_CLOSE = 64  # bytes between columns that are fetched at once
 _PADDING = 3  # bytes; writers may fill up to a multiple of four
 _ROS1_ALIGNMENT = 1
 
@@ -64,79 +63,6 @@ class Columns:
     sequences: dict[str, Columns]
 
 
-@dataclass(frozen=True)
-class _Column:
-    """A column of numbers in a run."""
-
-    path: str
-    offset: int
-    type: str
-    shape: tuple[int, ...]
-
-    @property
-    def end(self) -> int:
-        """Where it ends, from the beginning of the run."""
-        return self.offset + np.dtype(self.type).itemsize * math.prod(self.shape)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """Numbers one after the other, at fixed distances from the first.
-
-    Attributes:
-        alignment: Of the first; nothing in it is aligned coarser.
-        size: Bytes.
-        spans: The wanted columns; those close to each other are fetched at once.
-    """
-
-    alignment: int
-    size: int
-    spans: tuple[_Span, ...]
-
-
-@dataclass(frozen=True)
-class _Span:
-    """Columns of a run that are fetched at once.
-
-    Attributes:
-        offset: From the beginning of the run.
-        columns: Their names.
-        types: The numpy type of a row by byte order, with a field for each column.
-    """
-
-    offset: int
-    columns: tuple[str, ...]
-    types: dict[str, np.dtype[Any]]
-
-
-@dataclass(frozen=True)
-class _String:
-    """A string; without path it isn't wanted."""
-
-    path: str | None
-
-
-@dataclass(frozen=True)
-class _Elements:
-    """Several of a kind; without path they aren't wanted."""
-
-    path: str | None
-    steps: tuple[_Step, ...]
-    count: int | None
-    is_delimited: bool
-    smallest: int
-
-    @property
-    def stride(self) -> int | None:
-        """The distance between elements that are all of one size; None if they may not be."""
-        if len(self.steps) == 1 and isinstance(run := self.steps[0], _Run):
-            return -(-run.size // run.alignment) * run.alignment
-        return None
-
-
-_Step = _Run | _String | _Elements
-
-
 class Plan:
     """How the wanted fields of one type are found in serialised messages."""
 
@@ -158,7 +84,7 @@ class Plan:
         self._is_ros1 = is_ros1
         names = None if wanted is None else frozenset(wanted)
         alignments = (_ROS1_ALIGNMENT,) if is_ros1 else (8, _XCDR2_ALIGNMENT)
-        self._steps = {limit: _steps(fields, names, limit) for limit in alignments}
+        self._steps = {limit: steps_of(fields, names, limit) for limit in alignments}
 
     def decode(self, payloads: Sequence[bytes | memoryview]) -> Columns:
         """Return the columns of serialised messages; those that can't be decoded are left out."""
@@ -233,27 +159,27 @@ class _Batch:
         if len(rooms):
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
         self.at = at
-        self._numbers: list[tuple[_Span, Index]] = []
+        self._numbers: list[tuple[Span, Index]] = []
         self._texts: dict[str, Texts] = {}
         self._sequences: dict[str, list[_Batch]] = {}
 
-    def columns(self, steps: tuple[_Step, ...], padding: int) -> Columns:
+    def columns(self, steps: tuple[Step, ...], padding: int) -> Columns:
         """Walk, and return the columns of the messages that end where they should."""
         self.walk(steps)
         if not (isinstance(self.at, int) and self.at + padding >= self.most_room):
             self._keep(self.at + padding >= self.rooms)
         return self._gathered()
 
-    def walk(self, steps: tuple[_Step, ...]) -> None:
+    def walk(self, steps: tuple[Step, ...]) -> None:
         """Find where the fields are; messages that end before are left out."""
         for step in steps:
-            if isinstance(step, _Run):
+            if isinstance(step, Run):
                 self._align(step.alignment)
                 self._require(step.size)
                 for span in step.spans:
                     self._numbers.append((span, self.origins + (self.at + span.offset)))
                 self.at = self.at + step.size
-            elif isinstance(step, _String):
+            elif isinstance(step, String):
                 self._string(step)
             else:
                 self._elements(step)
@@ -300,7 +226,7 @@ class _Batch:
             counts = _those(counts, good)
         return counts
 
-    def _string(self, step: _String) -> None:
+    def _string(self, step: String) -> None:
         lengths = self._count(1)
         places = self.origins + self.at
         self.at = self.at + lengths
@@ -313,7 +239,7 @@ class _Batch:
                 self._texts[step.path] = Texts(names, column)
                 self._keep(column >= 0)
 
-    def _elements(self, step: _Elements) -> None:
+    def _elements(self, step: Elements) -> None:
         if step.is_delimited and self.limit == _XCDR2_ALIGNMENT:
             self._align(4)
             self._require(4)
@@ -329,10 +255,10 @@ class _Batch:
         else:
             self._unequal_elements(step, counts)
 
-    def _equal_elements(self, step: _Elements, counts: Index) -> None:
+    def _equal_elements(self, step: Elements, counts: Index) -> None:
         """Walk elements that all have the same size."""
         run, stride = step.steps[0], step.stride
-        assert isinstance(run, _Run)
+        assert isinstance(run, Run)
         assert stride is not None
         some = counts > 0
         alignment = min(run.alignment, self.limit)
@@ -349,7 +275,7 @@ class _Batch:
             self._sequences[step.path].append(batch)
         self.at = ends
 
-    def _unequal_elements(self, step: _Elements, counts: Index) -> None:
+    def _unequal_elements(self, step: Elements, counts: Index) -> None:
         """Walk elements whose strings make them as long as they like.
 
         Where the next element begins is known at the end of the one before. But mostly elements
@@ -544,149 +470,3 @@ def _repeated(counts: Index) -> tuple[Index, Index]:
     """Return, for each of `counts` things, its owner and its number among the owner's things."""
     owners = np.repeat(np.arange(len(counts)), counts)
     return owners, np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
-
-
-# From here on: plans.
-
-
-@dataclass
-class _Leaves:
-    """The numbers of a run while it grows."""
-
-    alignment: int
-    size: int = 0
-    leaves: list[_Column] = field(default_factory=list)
-
-    def add(self, path: str, kind: str, count: int | None, alignment: int) -> None:
-        offset = -(-self.size // alignment) * alignment
-        self.leaves.append(_Column(path, offset, kind, () if count is None else (count,)))
-        self.size = self.leaves[-1].end
-
-
-@functools.lru_cache(maxsize=256)
-def _steps(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple[_Step, ...]:
-    """Return the steps of a walk through the fields."""
-    steps: list[_Step] = []
-    run: _Leaves | None = None
-    for path, kind in _leaves(fields, ""):
-        count = kind.count if isinstance(kind, Many) else None
-        inner = kind.kind if isinstance(kind, Many) and count is not None else kind
-        if isinstance(inner, str) and inner != TEXT:
-            alignment = min(np.dtype(inner).itemsize, limit)
-            # A run keeps its distances wherever it begins if nothing in it is aligned coarser.
-            if run is None or alignment > run.alignment:
-                steps += _finished(run, wanted)
-                run = _Leaves(alignment)
-            run.add(path, inner, count, alignment)
-            continue
-        steps += _finished(run, wanted)
-        run = None
-        is_wanted = wanted is None or path in wanted
-        if kind == TEXT:
-            steps.append(_String(path if is_wanted else None))
-        else:
-            assert isinstance(kind, Many)
-            steps.append(_elements(path, kind, wanted, limit))
-    steps += _finished(run, wanted)
-    missing = (wanted or frozenset()) - {
-        name for step in steps for name in _found(step, wanted or frozenset())
-    }
-    if missing:
-        raise UnplannedError(f"there is no field {', '.join(sorted(missing))} of one kind")
-    return tuple(steps)
-
-
-def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
-    """Return the paths and kinds of all fields, those of nested messages one by one."""
-    leaves: list[tuple[str, Kind]] = []
-    for name, kind in fields:
-        if isinstance(kind, tuple):
-            leaves += _leaves(kind, f"{prefix}{name}.")
-        else:
-            leaves.append((prefix + name, kind))
-    return leaves
-
-
-def _elements(path: str, kind: Many, wanted: frozenset[str] | None, limit: int) -> _Elements:
-    inside: frozenset[str] | None
-    if wanted is None or path in wanted:
-        inside = None
-    else:
-        inside = frozenset(name[len(path) + 1 :] for name in wanted if name.startswith(f"{path}."))
-    fields = kind.kind if isinstance(kind.kind, tuple) else (("", kind.kind),)
-    steps = _steps(fields, inside, limit)
-    is_delimited = isinstance(kind.kind, tuple) or kind.kind == TEXT
-    smallest = sum(_smallest(step) for step in steps)
-    if not smallest:
-        raise UnplannedError(f"{path} is made of nothing")
-    is_wanted = inside is None or bool(inside)
-    return _Elements(path if is_wanted else None, steps, kind.count, is_delimited, smallest)
-
-
-def _smallest(step: _Step) -> int:
-    """Return the least number of bytes that a step takes."""
-    if isinstance(step, _Run):
-        return step.size
-    if isinstance(step, _Elements) and step.count is not None:
-        return step.count * step.smallest
-    return 4
-
-
-def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[_Step]:
-    """Return a run as a step, with its wanted columns."""
-    if run is None:
-        return []
-    names = [leaf.path for leaf in run.leaves] if wanted is None else wanted
-    found = (_column(run, name) for name in names)
-    columns = sorted((each for each in found if each is not None), key=lambda each: each.offset)
-    spans: list[list[_Column]] = []
-    for column in columns:
-        if spans and column.offset - spans[-1][-1].end <= _CLOSE:
-            spans[-1].append(column)
-        else:
-            spans.append([column])
-    return [_Run(run.alignment, run.size, tuple(_span(each) for each in spans))]
-
-
-def _column(run: _Leaves, name: str) -> _Column | None:
-    """Return the column of that name in a run: a leaf, or leaves of one kind in a row."""
-    own = [leaf for leaf in run.leaves if leaf.path == name or leaf.path.startswith(f"{name}.")]
-    if not own:
-        return None
-    if own[0].path == name:
-        return own[0]
-    size = np.dtype(own[0].type).itemsize
-    in_a_row = [
-        dataclasses.replace(own[0], path=leaf.path, offset=own[0].offset + number * size)
-        for number, leaf in enumerate(own)
-    ]
-    if own != in_a_row or own[0].shape:
-        return None
-    return _Column(name, own[0].offset, own[0].type, (len(own),))
-
-
-def _span(columns: list[_Column]) -> _Span:
-    begin = columns[0].offset
-    types = {
-        order: np.dtype(
-            {
-                "names": [each.path for each in columns],
-                "formats": [(f"{order}{each.type}", each.shape) for each in columns],
-                "offsets": [each.offset - begin for each in columns],
-                "itemsize": max(each.end for each in columns) - begin,
-            }
-        )
-        for order in "<>"
-    }
-    return _Span(begin, tuple(each.path for each in columns), types)
-
-
-def _found(step: _Step, wanted: frozenset[str]) -> set[str]:
-    """Return the wanted paths that a step gives."""
-    if isinstance(step, _Run):
-        return {path for span in step.spans for path in span.columns}
-    if step.path is None:
-        return set()
-    if isinstance(step, _String):
-        return {step.path}
-    return {name for name in wanted if name == step.path or name.startswith(f"{step.path}.")}
