@@ -362,10 +362,12 @@ def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
     path = make(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[: int(len(content) * share)])
-    with pytest.raises(InputError) as caught:
-        read_trajectory(str(path))
-    assert "\n" not in str(caught.value)
-    assert path.name in str(caught.value)
+    said = refusal(path) or "; ".join(read_trajectory(str(path)).damage)
+    assert said
+    assert "\n" not in said
+    assert path.name in said
+    with pytest.raises(InputError):
+        read_trajectory(str(path), strict=True)
 
 
 def refusal(path: Path) -> str:
@@ -401,7 +403,7 @@ def test_files_that_only_are_called_bags(name: str, content: bytes, tmp_path: Pa
 @pytest.mark.parametrize("beginning", [b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"])
 def test_only_the_magic(beginning: bytes, tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(beginning)
-    with pytest.raises(InputError, match="can't be read as a bag"):
+    with pytest.raises(InputError, match="can't be read as a bag|it was cut short"):
         read_trajectory(str(tmp_path / "x"))
 
 
@@ -410,7 +412,7 @@ def test_a_directory_that_is_no_bag(tmp_path: Path) -> None:
         read_trajectory(str(tmp_path))
 
 
-def test_messages_in_a_log_are_not_passed_over(tmp_path: Path) -> None:
+def test_messages_in_a_log_are_read(tmp_path: Path) -> None:
     path = bare_db3(tmp_path)
     connection = sqlite3.connect(path)
     connection.execute("PRAGMA journal_mode=WAL")
@@ -421,8 +423,11 @@ def test_messages_in_a_log_are_not_passed_over(tmp_path: Path) -> None:
     for suffix in ("", "-wal"):
         shutil.copy(f"{path}{suffix}", copy / f"unfinished.db3{suffix}")
     connection.close()
-    with pytest.raises(InputError, match=r"was not closed: messages wait in unfinished\.db3-wal"):
-        read_trajectory(str(copy / "unfinished.db3"))
+    read = read_trajectory(str(copy / "unfinished.db3"))
+    assert len(read) == 5
+    assert not read.damage
+    (copy / "unfinished.db3-wal").write_bytes(b"no log")
+    assert len(read_trajectory(str(copy / "unfinished.db3"))) == 2000
 
 
 def test_a_missing_topic_lists_the_nearest_first(tmp_path: Path) -> None:
@@ -490,4 +495,5 @@ def test_progress_counts_messages(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     bag = simple(tmp_path / "bag", 2500)
     read_trajectory(str(bag), advance=lambda done, total: seen.append((done, total)))
-    assert seen == [(1000, 2500), (2000, 2500), (2500, 2500)]
+    assert seen == sorted(seen)
+    assert seen[-1] == (2500, 2500)

@@ -35,6 +35,7 @@ def reasons(dropped: Mapping[str, int]) -> str:
 def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the warnings about a finished evaluation, the gravest first."""
     return (
+        *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
         *_about_alignment(evaluation),
         *_about_jumps(evaluation),
         *_about_rotations(evaluation),

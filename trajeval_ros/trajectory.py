@@ -41,6 +41,7 @@ class Trajectory:
         stamped: False if the file had no stamps; then they count the rows, one second apart.
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
+        damage: What of its source could not be read, one sentence each: the user must know.
     """
 
     stamps: NDArray[np.int64]
@@ -56,6 +57,7 @@ class Trajectory:
     stamped: bool = True
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shapes, so that a wrong column fails where it was made."""

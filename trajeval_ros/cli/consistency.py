@@ -56,6 +56,11 @@ class CovarianceSettings:
             )
         return cls(source, frame == "body", None if noise is None else _parse_noise(noise))
 
+    @property
+    def from_messages(self) -> bool:
+        """Whether the estimate's messages have to be read with their covariances."""
+        return self.source == MESSAGE
+
     def judge(self, evaluation: Evaluation) -> Consistency | None:
         """Judge an evaluated run; None if nobody asked.
 

@@ -194,6 +194,14 @@ def evaluate(
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Verify all that is read of a bag, and exit with status 2 if it is damaged.",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print nothing.", rich_help_panel=OUTPUT)
     ] = False,
@@ -232,9 +240,9 @@ def evaluate(
     )
     requirements = [Requirement.parse(text) for text in require or []]
     names = names_of([groundtruth, *estimate])
-    truth = _read(groundtruth, names[0])
+    truth = _read(groundtruth, names[0], strict=strict)
     runs = [
-        _run(source, name, truth, settings, covariances)
+        _run(source, name, truth, settings, covariances, strict=strict)
         for source, name in zip(estimate, names[1:], strict=True)
     ]
     result = results.result_of(
@@ -252,9 +260,13 @@ def evaluate(
     )
 
 
-def _read(source: str, name: str) -> Trajectory:
+def _read(
+    source: str, name: str, *, covariances: bool = False, strict: bool = False
+) -> Trajectory:
     with progress(f"reading {name}") as advance:
-        trajectory = read_trajectory(source, advance=advance)
+        trajectory = read_trajectory(
+            source, advance=advance, covariances=covariances, strict=strict
+        )
     return dataclasses.replace(trajectory, name=name)
 
 
@@ -264,8 +276,11 @@ def _run(
     groundtruth: Trajectory,
     settings: Protocol,
     covariances: CovarianceSettings,
+    *,
+    strict: bool,
 ) -> results.Run:
-    read = _read(source, name)
+    wanted = covariances.from_messages or settings.align_weights == "covariance"
+    read = _read(source, name, covariances=wanted, strict=strict)
     try:
         evaluation = evaluate_pair(groundtruth, read, settings)
         consistency = covariances.judge(evaluation)

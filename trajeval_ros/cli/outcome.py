@@ -60,6 +60,11 @@ def deliver(
         _print(runs, output, gauge_given=gauge_given)
         for line in failed:
             print(f"warning: {line}", file=sys.stderr)
+    else:
+        # Missing data are told even to who wants to hear nothing.
+        pairs = [(run.evaluation.groundtruth, run.evaluation.estimate) for run in runs]
+        for line in dict.fromkeys(line for pair in pairs for each in pair for line in each.damage):
+            print(f"warning: {line}", file=sys.stderr)
     for line in unmet:
         print(f"trajeval: {line}", file=sys.stderr)
     if unmet:

@@ -125,7 +125,7 @@ def replay(
                 begin=begin,
                 advance=advance,
             )
-        _print_notes(opened.notes[noted:])
+        _print_notes([*opened.notes[noted:], *opened.damage])
     _print_summary(playback, played, rate)
 
 

@@ -10,23 +10,26 @@ from __future__ import annotations
 import contextlib
 import heapq
 import re
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.blocks import Block, in_order
 from trajeval_ros.io.checks import nearest
-from trajeval_ros.io.containers import first_and_last, open_file, refuse_unfinished, storages
-from trajeval_ros.io.messages import POSE_TYPES, TRANSFORM_TYPES, Decode
+from trajeval_ros.io.containers import Container, open_file
+from trajeval_ros.io.messages import POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.metadata import Metadata, read_metadata
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 Advance = Callable[[int, int], None]
 
-_ADVANCE_EVERY = 1000  # messages
-_LARGEST_METADATA = 16 << 20  # bytes; real ones have some kB
+_ENCODINGS = ("cdr", "ros1")
+_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 @dataclass(frozen=True)
@@ -41,12 +44,16 @@ class Topic:
     @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
-        return self.type in POSE_TYPES
+        return self.type in POSE_TYPES and self._is_readable
 
     @property
     def holds_transforms(self) -> bool:
         """Whether its messages are TF."""
-        return self.type in TRANSFORM_TYPES
+        return self.type in TRANSFORM_TYPES and self._is_readable
+
+    @property
+    def _is_readable(self) -> bool:
+        return all(encoding_of(each) in _ENCODINGS for each in self.connections)
 
 
 class Bag:
@@ -56,27 +63,44 @@ class Bag:
         path: The file or directory.
         topics: Its topics by name; a name with several types is one topic per type.
         notes: What had to be worked around.
+        damage: What of it can't be read, one sentence each; grows while messages are read.
     """
 
-    def __init__(self, path: Path, advance: Advance | None = None) -> None:
+    def __init__(
+        self, path: Path, advance: Advance | None = None, *, strict: bool = False
+    ) -> None:
         """Open the bag.
 
+        Args:
+            path: A file, or the directory of a rosbag2.
+            advance: Called with the messages done and all messages, now and then.
+            strict: Whether to verify all that is read, and to refuse what is damaged.
+
         Raises:
-            InputError: It is no bag, or a damaged one.
+            InputError: It is no bag, or nothing of it can be read.
         """
         self.path = path
         self.notes: list[str] = []
+        self.damage: list[str] = []
         self._advance = advance
-        with _one_sentence(path):
-            self._readers = self._open()
+        self._strict = strict
+        self._metadata: Metadata | None = None
+        self._containers: list[Container] = []
+        self._unread: list[Exception] = []
+        with contextlib.ExitStack() as self._stack, _one_sentence(path):
+            self._open()
+            if not self._containers:
+                raise self._unread[0]
+            if strict and self.damage:
+                raise InputError("; ".join(self.damage))
             self.topics = sorted(self._list_topics(), key=lambda topic: topic.name)
+            self._stack = self._stack.pop_all()
 
     def __enter__(self) -> Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for reader in self._readers:
-            reader.close()
+        self._stack.close()
 
     @property
     def span(self) -> tuple[int, int]:
@@ -85,11 +109,32 @@ class Bag:
         Raises:
             InputError: There is no message.
         """
-        files = [each for reader in self._readers for each in storages(reader)]
-        spans = [each for each in map(first_and_last, files) if each[0] <= each[1]]
+        with _one_sentence(self.path):
+            spans = [span for each in self._containers if (span := each.span) is not None]
         if not spans:
             raise InputError(f"{self.path} is an empty bag: it has no messages")
         return min(first for first, _ in spans), max(last for _, last in spans)
+
+    def blocks(self, topics: Sequence[Topic]) -> Iterator[tuple[Container, Block]]:
+        """Yield all messages of some topics in blocks, each with the file that it is from.
+
+        What is missing of the messages that the bag counts is said in `damage`.
+
+        Raises:
+            InputError: The bag is damaged, and is read strictly.
+        """
+        done = 0
+        total = sum(topic.count for topic in topics)
+        with _one_sentence(self.path):
+            for container, wanted in self._wanted(topics):
+                for block in container.blocks(frozenset(wanted)):
+                    yield container, block.decompressed()
+                    done += len(block)
+                    if self._advance is not None:
+                        self._advance(done, total)
+        if self._advance is not None and not done:
+            self._advance(done, total)
+        self._account(topics, done)
 
     def messages(
         self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
@@ -102,57 +147,53 @@ class Bag:
             end: The first log time that isn't wanted any more, ns.
 
         Raises:
-            InputError: The bag is damaged, or its index hides all messages.
+            InputError: The bag is damaged, and is read strictly.
         """
         done = 0
         with _one_sentence(self.path):
-            streams = [self._stream(reader, topics, begin, end) for reader in self._readers]
+            streams = [
+                self._stream(container, wanted, begin, end)
+                for container, wanted in self._wanted(topics)
+            ]
             for message in heapq.merge(*streams, key=_log_time):
                 yield message
                 done += 1
-        total = sum(topic.count for topic in topics)
-        if done >= total or begin is not None or end is not None:
-            return
-        names = ", ".join(topic.name for topic in topics)
-        problem = (
-            f"{self.path} counts {total} messages on {names}, but {done} can be reached; "
-            "`mcap recover` or `ros2 bag reindex` mends that"
+        if begin is None and end is None:
+            self._account(topics, done)
+
+    def _wanted(self, topics: Sequence[Topic]) -> Iterator[tuple[Container, dict[int, Topic]]]:
+        """Yield the files that have any of the topics, and which topic a connection is of."""
+        for container in self._containers:
+            wanted = {
+                connection.id: topic
+                for topic in topics
+                for connection in topic.connections
+                if connection.owner is container
+            }
+            if wanted:
+                yield container, wanted
+
+    @staticmethod
+    def _stream(
+        container: Container, wanted: dict[int, Topic], begin: int | None, end: int | None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield the messages that one file has of the topics, in order."""
+        blocks = (
+            block.decompressed() for block in container.blocks(frozenset(wanted), begin, end)
         )
-        if not done:
-            raise InputError(problem)
-        self.notes.append(problem)
+        for connection, log_time, payload in in_order(blocks):
+            yield wanted[connection], log_time, payload
 
-    def payloads(self, topics: list[Topic]) -> Iterator[bytes]:
-        """Yield the serialised messages of some topics, in order of their log times.
-
-        Raises:
-            InputError: The bag is damaged, or its index hides all messages.
-        """
+    def _account(self, topics: Sequence[Topic], done: int) -> None:
+        """Say what is missing of what the bag counts."""
         total = sum(topic.count for topic in topics)
-        done = 0
-        for _, _, payload in self.messages(topics):
-            yield payload
-            done += 1
-            if self._advance is not None and done % _ADVANCE_EVERY == 0:
-                self._advance(done, total)
-        if self._advance is not None:
-            self._advance(done, total)
-
-    def decoder(self, topic: Topic) -> Decode:
-        """Return what makes a message of a payload, by the definition that the bag holds."""
-        from rosbags.rosbag1 import Reader as Ros1Reader
-        from rosbags.typesys import Stores, get_typestore
-
-        connection = topic.connections[0]
-        is_ros1 = isinstance(connection.owner, Ros1Reader)
-        store = get_typestore(Stores.EMPTY)
-        try:
-            store.register(definitions(connection))
-            store.get_msgdef(topic.type)
-        except Exception:  # rosbags raises half a dozen kinds; the usual definition is as good
-            store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
-        deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-        return lambda payload: deserialize(payload, topic.type)
+        names = ", ".join(topic.name for topic in topics)
+        damage = [each for container in self._containers for each in container.damage]
+        if done != total:
+            damage.append(f"{self.path} counts {total} messages on {names}, but {done} were read")
+        self.damage = list(dict.fromkeys([*self.damage, *damage]))
+        if self._strict and self.damage:
+            raise InputError("; ".join(self.damage))
 
     def find(self, name: str) -> list[Topic]:
         """Return the topics of that name, one per type.
@@ -166,86 +207,70 @@ class Bag:
         names = {topic.name for topic in self.topics}
         raise InputError(f"{self.path} has no topic {name}; it has {nearest(name, names)}")
 
-    @staticmethod
-    def _stream(
-        reader: Any, topics: Sequence[Topic], begin: int | None, end: int | None
-    ) -> Iterator[tuple[Topic, int, bytes]]:
-        """Yield the messages that one reader has of the topics."""
-        owned = [(each, topic) for topic in topics for each in topic.connections]
-        wanted = {each.id: (each, topic) for each, topic in owned if each.owner is reader}
-        if not wanted:  # asked for no connections, a reader yields all
-            return
-        connections = [connection for connection, _ in wanted.values()]
-        for connection, log_time, payload in reader.messages(connections, begin, end):
-            yield wanted[connection.id][1], log_time, payload
-
     def _list_topics(self) -> Iterator[Topic]:
         """Yield the topics of all readers, with the connections of the same name and type."""
         by_name: dict[tuple[str, str], list[Connection]] = {}
-        for reader in self._readers:
-            for connection in reader.connections:
+        for container in self._containers:
+            for connection in container.connections:
                 name = "/" + connection.topic.lstrip("/")  # ROS 1 records names without slash, too
                 by_name.setdefault((name, connection.msgtype), []).append(connection)
         for (name, message_type), connections in by_name.items():
             count = sum(connection.msgcount for connection in connections)
+            if self._metadata is not None:
+                count = self._metadata.counts.get((name, message_type), count)
             yield Topic(name, message_type, count, tuple(connections))
 
-    def _open(self) -> list[Any]:
-        """Return the open readers of the path."""
+    def _open(self) -> None:
+        """Open the files of the path."""
         if self.path.is_file():
-            return [open_file(self.path)]
-        metadata = self.path / "metadata.yaml"
+            self._add(self.path)
+            return
         files = sorted(
-            (file for ending in ("*.mcap", "*.db3") for file in self.path.glob(ending)),
+            (file for ending in _ENDINGS for file in self.path.glob(f"*{ending}")),
             key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
         )
-        for file in files:
-            refuse_unfinished(file)
-        if not files and not metadata.exists():
-            raise InputError(
-                f"{self.path} is a directory without a bag: it holds no metadata.yaml, *.mcap or "
-                "*.db3"
-            )
+        metadata = self.path / "metadata.yaml"
         if metadata.exists():
-            if metadata.stat().st_size > _LARGEST_METADATA:
-                raise InputError(f"{metadata} is larger than {_LARGEST_METADATA} bytes")
-            from rosbags.rosbag2 import Reader
-
-            reader = Reader(self.path)
             try:
-                reader.open()
-            except Exception as error:
-                if not files:
-                    raise
-                self.notes.append(f"{metadata} was not used: {_sentence(error)}")
-            else:
-                return [reader.storage]
-        with contextlib.ExitStack() as stack:
-            readers = []
-            for file in files:
-                readers.append(open_file(file))
-                stack.callback(readers[-1].close)
-            stack.pop_all()
-        return readers
+                self._metadata = read_metadata(metadata)
+            except ValueError as error:
+                self.notes.append(f"{metadata} was not used: {error}")
+        if self._metadata is not None:
+            missing = [each for each in self._metadata.files if not (self.path / each).exists()]
+            self.damage += [f"{metadata} names {each}, which is missing" for each in missing]
+        if self._metadata is not None:
+            listed = [file for file in files if file.name in self._metadata.files]
+            files = listed or files
+        if not files:
+            why = "; ".join(self.damage) or "it holds no *.mcap or *.db3"
+            raise InputError(f"{self.path} is a directory without a bag: {why}")
+        for file in files:
+            self._add(file)
+
+    def _add(self, file: Path) -> None:
+        """Open a file; one of several that can't be read is damage."""
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="trajeval-")))
+        try:
+            container = open_file(file, folder, strict=self._strict)
+        except Exception as error:  # of a dozen kinds, see `_one_sentence`
+            if self.path.is_file() or isinstance(error, PermissionError):
+                raise
+            self._unread.append(error)
+            said = str(error) if isinstance(error, InputError) else _sentence(error)
+            self.damage.append(f"{file.name} was not read: {said}")
+            return
+        self._stack.callback(container.close)
+        self._containers.append(container)
+        self.damage += container.damage
 
 
 def _log_time(message: tuple[Topic, int, bytes]) -> int:
     return message[1]
 
 
-def definitions(connection: Connection) -> Any:
-    """Return the types that a connection's own definition holds."""
-    from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg
-
-    text = connection.msgdef.data
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        return get_types_from_msg(text, connection.msgtype)
-    types: Any = {}
-    for part in re.split("=" * 80 + r"\nIDL: .*\n", text):
-        if part.strip():
-            types.update(get_types_from_idl(part))
-    return types
+def encoding_of(connection: Connection) -> str:
+    """Return how the messages of a connection are serialised: `cdr`, `ros1` or else."""
+    return getattr(connection.ext, "serialization_format", "ros1")
 
 
 def _split(name: str) -> list[str]:

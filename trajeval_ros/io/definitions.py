@@ -6,10 +6,12 @@ would have to be imported first.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Union
 
 if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
 TEXT = "text"
@@ -80,6 +82,19 @@ _NUMBERS = {
 }
 
 
+def ros1_fields(fields: Fields) -> Fields:
+    """Return standard fields as ROS 1 has them: its headers count, and times have no sign."""
+    return tuple((name, _ros1_kind(kind)) for name, kind in fields)
+
+
+def _ros1_kind(kind: Kind) -> Kind:
+    if kind == _HEADER:
+        return (("seq", "u4"), ("stamp", (("sec", "u4"), ("nanosec", "u4"))), ("frame_id", TEXT))
+    if isinstance(kind, Many):
+        return Many(_ros1_kind(kind.kind), kind.count)
+    return ros1_fields(kind) if isinstance(kind, tuple) else kind
+
+
 def fields_of(store: Typestore, message_type: str) -> Fields:
     """Return the fields of a type that a rosbags store knows.
 
@@ -90,6 +105,33 @@ def fields_of(store: Typestore, message_type: str) -> Fields:
         (name, _kind_of(store, description))
         for name, description in store.get_msgdef(message_type).fields
     )
+
+
+def recorded_fields(connection: Connection) -> Fields | None:
+    """Return the fields of a connection's type by its own definition, None if that is no help."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(recorded_types(connection))
+        return fields_of(store, connection.msgtype)
+    except Exception:  # rosbags raises half a dozen kinds for a definition that is none
+        return None
+
+
+def recorded_types(connection: Connection) -> Any:
+    """Return the types that a connection's own definition holds."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    text = connection.msgdef.data
+    if connection.msgdef.format == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(text, connection.msgtype)
+    types: Any = {}
+    for part in re.split("=" * 80 + r"\nIDL: .*\n", text):
+        if part.strip():
+            types.update(get_types_from_idl(part))
+    return types
 
 
 def _kind_of(store: Typestore, description: Any) -> Kind:

@@ -133,7 +133,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                     )
             elif not topic.holds_transforms:
                 others.append((topic.name, topic.type, topic.count))
-        notes = tuple(bag.notes)
+        notes = (*bag.notes, *bag.damage)
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), notes)
 

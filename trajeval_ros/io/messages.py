@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.io.cdr import Columns, Plan, Texts
-from trajeval_ros.io.definitions import STANDARD
+from trajeval_ros.io.definitions import STANDARD, Fields, UnplannedError, ros1_fields
 from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
-Decode = Callable[[bytes], Any]
-
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 PATH_TYPE = "nav_msgs/msg/Path"
-
-
-class Pose(NamedTuple):
-    """What one message says about one pose; quaternions are xyzw."""
-
-    header: Any
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float] | None = None
-    body_velocity: tuple[float, float, float] | None = None
-    covariance: Floats | None = None
-    child_frame: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,161 +42,6 @@ class PoseColumns:
     frames: list[tuple[int, str, str]]
     rows: NDArray[np.int64]
     undecodable: int
-
-
-@dataclass
-class Transforms:
-    """The transforms of one edge: of the child frame in the parent frame, in order of arrival."""
-
-    stamps: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))  # x y z qx qy qz qw
-
-
-class Undecodable:
-    """Counts the messages that can't be decoded."""
-
-    count = 0
-
-
-def _odometry(message: Any) -> Pose:
-    linear = message.twist.twist.linear
-    return Pose(
-        message.header,
-        _xyz(message.pose.pose.position),
-        _xyzw(message.pose.pose.orientation),
-        _xyz(linear),
-        message.pose.covariance,
-        message.child_frame_id,
-    )
-
-
-def _pose_stamped(message: Any) -> Pose:
-    return Pose(message.header, _xyz(message.pose.position), _xyzw(message.pose.orientation))
-
-
-def _pose_with_covariance_stamped(message: Any) -> Pose:
-    pose = message.pose.pose
-    return Pose(
-        message.header,
-        _xyz(pose.position),
-        _xyzw(pose.orientation),
-        covariance=message.pose.covariance,
-    )
-
-
-def _transform_stamped(message: Any) -> Pose:
-    return Pose(
-        message.header,
-        _xyz(message.transform.translation),
-        _xyzw(message.transform.rotation),
-        child_frame=message.child_frame_id,
-    )
-
-
-def _point_stamped(message: Any) -> Pose:
-    return Pose(message.header, _xyz(message.point))
-
-
-POSES: dict[str, Callable[[Any], Pose]] = {
-    "nav_msgs/msg/Odometry": _odometry,
-    "geometry_msgs/msg/PoseStamped": _pose_stamped,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance_stamped,
-    "geometry_msgs/msg/TransformStamped": _transform_stamped,
-    "geometry_msgs/msg/PointStamped": _point_stamped,
-}
-POSE_TYPES = (*POSES, PATH_TYPE)
-
-
-def _xyz(vector: Any) -> tuple[float, float, float]:
-    return vector.x, vector.y, vector.z
-
-
-def _xyzw(quaternion: Any) -> tuple[float, float, float, float]:
-    return quaternion.x, quaternion.y, quaternion.z, quaternion.w
-
-
-def _nanoseconds(header: Any) -> int:
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
-def _decoded(payloads: Iterable[bytes], decode: Decode, failed: Undecodable) -> Iterator[Any]:
-    """Yield the messages; the ones that can't be decoded are counted."""
-    for payload in payloads:
-        try:
-            message = decode(payload)
-        except Exception:  # of a dozen kinds: what a damaged payload raises is up to chance
-            failed.count += 1
-            continue
-        yield message
-
-
-def _poses(
-    payloads: Iterable[bytes], decode: Decode, message_type: str, failed: Undecodable
-) -> Iterator[Pose]:
-    """Yield the poses of a topic; of paths the last one, the revised trajectory."""
-    if message_type != PATH_TYPE:
-        yield from map(POSES[message_type], _decoded(payloads, decode, failed))
-        return
-    last = None
-    for payload in payloads:
-        last = payload
-    if last is not None:
-        for path in _decoded([last], decode, failed):
-            yield from map(_pose_stamped, path.poses)
-
-
-def read_poses(payloads: Iterable[bytes], decode: Decode, message_type: str) -> PoseColumns:
-    """Return the poses of the messages of one topic.
-
-    Args:
-        payloads: The serialised messages.
-        decode: Makes a message of a payload, with the attributes that ROS gives it.
-        message_type: One of `POSE_TYPES`.
-    """
-    failed = Undecodable()
-    stamps, positions, quaternions = array("q"), array("d"), array("d")
-    velocities, covariances = array("d"), bytearray()
-    frames: list[tuple[int, str, str]] = []
-    for pose in _poses(payloads, decode, message_type, failed):
-        names = pose.header.frame_id.lstrip("/"), pose.child_frame.lstrip("/")
-        if not frames or frames[-1][1:] != names:
-            frames.append((len(stamps), *names))
-        stamps.append(_nanoseconds(pose.header))
-        positions.extend(pose.position)
-        quaternions.extend(pose.quaternion or ())
-        velocities.extend(pose.body_velocity or ())
-        if pose.covariance is not None:
-            covariances += pose.covariance.tobytes()
-    return PoseColumns(
-        np.array(stamps, dtype=np.int64),
-        np.array(positions).reshape(-1, 3),
-        np.array(quaternions).reshape(-1, 4) if quaternions else None,
-        np.array(velocities).reshape(-1, 3) if velocities else None,
-        np.frombuffer(covariances, dtype=np.float64).reshape(-1, 6, 6) if covariances else None,
-        frames,
-        np.arange(len(stamps)),
-        failed.count,
-    )
-
-
-def read_transforms(
-    payloads: Iterable[bytes], decode: Decode, edges: dict[tuple[str, str], Transforms]
-) -> int:
-    """Add the transforms of TF messages to their edges (parent, child).
-
-    Returns:
-        The number of messages that can't be decoded.
-    """
-    failed = Undecodable()
-    for message in _decoded(payloads, decode, failed):
-        for transform in message.transforms:
-            pose = _transform_stamped(transform)
-            names = pose.header.frame_id.lstrip("/"), pose.child_frame.lstrip("/")
-            edge = edges.setdefault(names, Transforms())
-            edge.stamps.append(_nanoseconds(pose.header))
-            edge.numbers.extend(pose.position)
-            edge.numbers.extend(pose.quaternion or ())
-    return failed.count
 
 
 @dataclass(frozen=True)
@@ -263,6 +94,7 @@ _PATHS = {
     ),
     "geometry_msgs/msg/PointStamped": _Paths("point"),
 }
+POSE_TYPES = (*_PATHS, PATH_TYPE)
 _POSE_SIZE = 56  # bytes: position and quaternion
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
@@ -279,15 +111,14 @@ def decode_poses(
         message_type: One of `POSE_TYPES` but `nav_msgs/msg/Path`.
         covariance: Whether to decode the covariances.
     """
-    paths = _PATHS[message_type]
     columns = _plan(message_type, covariance=covariance).decode(payloads)
-    return _poses_of(columns, paths, len(payloads) - len(columns.rows))
+    return poses_of(columns, message_type, len(payloads) - len(columns.rows))
 
 
 def decode_path(payload: bytes | memoryview) -> PoseColumns:
     """Return the poses of a nav_msgs/Path of ROS 2; none, and 1 undecodable, if it is no Path."""
     columns = _plan(PATH_TYPE).decode([payload])
-    return _poses_of(columns.sequences["poses"], _OF_A_PATH, 1 - len(columns.rows))
+    return poses_of(columns, PATH_TYPE, 1 - len(columns.rows))
 
 
 def decode_transforms(
@@ -299,13 +130,36 @@ def decode_transforms(
         The edges, and the number of messages that can't be decoded.
     """
     columns = _plan(TRANSFORM_TYPES[0]).decode(payloads)
-    return _edges_of(columns), len(payloads) - len(columns.rows)
+    return edges_of(columns), len(payloads) - len(columns.rows)
 
 
 @cache
 def _plan(message_type: str, *, covariance: bool = False) -> Plan:
     """Return how a standard type of ROS 2 is decoded."""
-    return Plan(STANDARD[message_type], _wanted(message_type, covariance=covariance))
+    return plan_of(STANDARD[message_type], message_type, covariance=covariance)
+
+
+def plan_of(
+    fields: Fields | None, message_type: str, *, covariance: bool = False, is_ros1: bool = False
+) -> Plan:
+    """Return how the poses or transforms of a type are decoded.
+
+    Args:
+        fields: Of the type, as a bag defines it. Where that is None, or lacks what poses are made
+            of, the standard definition is as good.
+        message_type: One of `POSE_TYPES` or `TRANSFORM_TYPES`.
+        covariance: Whether to decode covariances.
+        is_ros1: Whether messages are serialised as by ROS 1.
+    """
+    wanted = _wanted(message_type, covariance=covariance)
+    if fields is not None:
+        try:
+            return Plan(fields, wanted, is_ros1=is_ros1)
+        except UnplannedError:
+            pass
+    name = TRANSFORM_TYPES[0] if message_type in TRANSFORM_TYPES else message_type
+    standard = ros1_fields(STANDARD[name]) if is_ros1 else STANDARD[name]
+    return Plan(standard, wanted, is_ros1=is_ros1)
 
 
 def _wanted(message_type: str, *, covariance: bool) -> list[str]:
@@ -317,8 +171,18 @@ def _wanted(message_type: str, *, covariance: bool) -> list[str]:
     return _PATHS[message_type].wanted(covariance=covariance)
 
 
-def _poses_of(columns: Columns, paths: _Paths, undecodable: int) -> PoseColumns:
-    """Return columns as poses."""
+def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
+    """Return decoded columns as poses; of paths, those of all of them.
+
+    Args:
+        columns: As decoded by `plan_of`.
+        message_type: One of `POSE_TYPES`.
+        undecodable: Number of messages that weren't.
+    """
+    paths = _PATHS.get(message_type, _OF_A_PATH)
+    if message_type == PATH_TYPE:
+        inner = columns.sequences["poses"]
+        columns = replace(inner, rows=columns.rows[inner.rows])
     numbers = columns.numbers
     covariances = numbers.get(paths.covariance)
     return PoseColumns(
@@ -363,8 +227,8 @@ def _changes(frames: Texts, children: Texts | None) -> list[tuple[int, str, str]
     return changes
 
 
-def _edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
-    """Return the transforms of TF messages by edge."""
+def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
+    """Return decoded transforms of TF messages by edge (parent, child)."""
     elements = columns.sequences["transforms"]
     stamps = _stamps_of(elements)
     translations = elements.numbers[_OF_TRANSFORMS.position]
@@ -396,7 +260,10 @@ def _appended(edge: TransformColumns, other: TransformColumns) -> TransformColum
 
 
 def encode_path(
-    stamps: NDArray[np.int64], positions: Floats, quaternions: Floats, frame: str
+    stamps: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    quaternions: NDArray[np.float64],
+    frame: str,
 ) -> bytes:
     """Return a nav_msgs/Path in little-endian CDR, stamped as its last pose.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.io.bags import Topic, definitions
+from trajeval_ros.io.bags import Topic, encoding_of
+from trajeval_ros.io.definitions import recorded_types
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -24,9 +25,7 @@ def ros2_type(message_type: str) -> str:
 
 def is_ros1(topic: Topic) -> bool:
     """Return whether a topic was recorded by ROS 1."""
-    from rosbags.rosbag1 import Reader
-
-    return isinstance(topic.connections[0].owner, Reader)
+    return encoding_of(topic.connections[0]) == "ros1"
 
 
 def converter(topic: Topic) -> Convert | None:
@@ -41,7 +40,7 @@ def converter(topic: Topic) -> Convert | None:
     store = get_typestore(Stores.EMPTY)
     name = topic.type
     try:
-        recorded = definitions(topic.connections[0])
+        recorded = recorded_types(topic.connections[0])
         kept = (_HEADER, *_TIMES)
         store.register({key: value for key, value in recorded.items() if key not in kept})
         store.register({key: ros2.fielddefs[key] for key in kept if key not in store.fielddefs})

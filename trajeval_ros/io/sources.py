@@ -35,7 +35,13 @@ class Source:
     is_bag: bool
 
 
-def read_trajectory(source: str, *, advance: Advance | None = None) -> Trajectory:
+def read_trajectory(
+    source: str,
+    *,
+    advance: Advance | None = None,
+    covariances: bool = True,
+    strict: bool = False,
+) -> Trajectory:
     """Read the trajectory that a SOURCE names.
 
     Args:
@@ -43,6 +49,8 @@ def read_trajectory(source: str, *, advance: Advance | None = None) -> Trajector
             `BAG:/tf:PARENT.CHILD`.
         advance: Called with what is done and with all there is (bytes of a text, messages of a
             bag), now and then.
+        covariances: Whether to read those of a bag, too.
+        strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
 
     Raises:
         InputError: It can't be read; the message says what is wrong, where, and how to mend it.
@@ -53,7 +61,14 @@ def read_trajectory(source: str, *, advance: Advance | None = None) -> Trajector
             return read_text(parts.path, advance)
         from trajeval_ros.io.topics import read_bag
 
-        return read_bag(parts.path, parts.topic, parts.frames, advance)
+        return read_bag(
+            parts.path,
+            parts.topic,
+            parts.frames,
+            advance,
+            covariances=covariances,
+            strict=strict,
+        )
     except OSError as error:
         raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
 

@@ -1,0 +1,149 @@
+"""Messages in blocks: many in one buffer, so that no reader holds a Python object for each."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Index = NDArray[np.int64]
+Buffer = NDArray[np.uint8]
+
+ROWS = 8192  # of a block, at most
+BYTES = 4 << 20  # of a block made of single messages, until which more are added
+LARGEST = 1 << 30  # bytes that anything compressed may say that it has
+_ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Messages of some connections.
+
+    Attributes:
+        earliest: No message of this block, or of a later one, was logged before; ns.
+        connections: (N,) their ids.
+        log_times: (N,) int64, ns.
+        buffer: (B,) the bytes that they lie in.
+        begins: (N,) where each begins.
+        sizes: (N,) bytes.
+    """
+
+    earliest: int
+    connections: Index
+    log_times: Index
+    buffer: Buffer
+    begins: Index
+    sizes: Index
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.begins)
+
+    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> Block:
+        """Return some of the messages."""
+        return replace(
+            self,
+            connections=self.connections[rows],
+            log_times=self.log_times[rows],
+            begins=self.begins[rows],
+            sizes=self.sizes[rows],
+        )
+
+    def within(self, begin: int | None, end: int | None) -> Block:
+        """Return the messages logged at `begin` or later and before `end`."""
+        if begin is None and end is None:
+            return self
+        wanted = np.ones(len(self), dtype=bool)
+        if begin is not None:
+            wanted &= self.log_times >= begin
+        if end is not None:
+            wanted &= self.log_times < end
+        return self[wanted]
+
+    def decompressed(self) -> Block:
+        """Return the messages as they were before a recorder compressed each on its own.
+
+        No serialisation begins as zstd does, so that no metadata has to say it. What can't be
+        decompressed becomes empty, which is no message of any type.
+        """
+        long = np.flatnonzero(self.sizes >= len(_ZSTD))
+        heads = self.buffer[self.begins[long][:, None] + np.arange(len(_ZSTD))]
+        compressed = set(long[(heads == _ZSTD).all(axis=1)].tolist())
+        if not compressed:
+            return self
+        payloads = [
+            _decompressed(bytes(payload)) if row in compressed else payload
+            for row, payload in enumerate(self.payloads())
+        ]
+        plain = block_of(self.connections, self.log_times, payloads)
+        return replace(plain, earliest=self.earliest)
+
+    def payloads(self) -> Iterator[memoryview]:
+        """Yield the serialised messages."""
+        whole = memoryview(self.buffer.data)
+        for begin, size in zip(self.begins.tolist(), self.sizes.tolist(), strict=True):
+            yield whole[begin : begin + size]
+
+
+def block_of(
+    connections: Sequence[int] | Index,
+    log_times: Sequence[int] | Index,
+    payloads: Sequence[bytes | memoryview],
+) -> Block:
+    """Return single messages as a block."""
+    sizes = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    times = np.asarray(log_times, dtype=np.int64)
+    return Block(
+        int(times.min()) if len(times) else 0,
+        np.asarray(connections, dtype=np.int64),
+        times,
+        np.frombuffer(b"".join(payloads), dtype=np.uint8),
+        np.cumsum(sizes) - sizes,
+        sizes,
+    )
+
+
+def blocks_of(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Block]:
+    """Yield single messages (connection, log time, payload) in blocks of bounded size."""
+    connections: list[int] = []
+    log_times: list[int] = []
+    payloads: list[bytes] = []
+    size = 0
+    for connection, log_time, payload in messages:
+        connections.append(connection)
+        log_times.append(log_time)
+        payloads.append(payload)
+        size += len(payload)
+        if size >= BYTES or len(payloads) == ROWS:
+            yield block_of(connections, log_times, payloads)
+            connections, log_times, payloads, size = [], [], [], 0
+    if payloads:
+        yield block_of(connections, log_times, payloads)
+
+
+def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:
+    """Yield connection, log time and payload of all messages, in order of their log times."""
+    waiting: list[tuple[int, int, int, bytes]] = []
+    count = 0
+    for block in blocks:
+        while waiting and waiting[0][0] <= block.earliest:
+            log_time, _, connection, payload = heapq.heappop(waiting)
+            yield connection, log_time, payload
+        rows = zip(
+            block.log_times.tolist(), block.connections.tolist(), block.payloads(), strict=True
+        )
+        for log_time, connection, view in rows:
+            heapq.heappush(waiting, (log_time, count, connection, bytes(view)))
+            count += 1
+    while waiting:
+        log_time, _, connection, payload = heapq.heappop(waiting)
+        yield connection, log_time, payload
+
+
+def _decompressed(payload: bytes) -> bytes:
+    from trajeval_ros.io.compression import decompress
+
+    return decompress("zstd", payload, LARGEST)

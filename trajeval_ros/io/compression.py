@@ -1,0 +1,93 @@
+"""Decompression that trusts nobody: bounded, and with what could be had of damaged data."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.exceptions import InputError
+
+_PIECE = 1 << 20  # bytes
+_LARGEST_WINDOW = 1 << 27  # bytes, which is what `zstd --long` makes
+
+
+def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
+    """Return what can be decompressed, `limit` bytes at most; whoever asks checks that it's all.
+
+    Args:
+        kind: As MCAP calls it: `zstd`, `lz4` or nothing.
+        data: Compressed, perhaps cut off.
+        limit: Bytes.
+
+    Raises:
+        InputError: The compression is unknown.
+    """
+    if kind == "":
+        return bytes(data[:limit])
+    if kind == "zstd":
+        return _zstd(data, limit)
+    if kind == "lz4":
+        return _lz4(data, limit)
+    raise InputError(f"compression {kind[:20]!r} is unknown; zstd, lz4 and none are read")
+
+
+def _zstd(data: bytes | memoryview, limit: int) -> bytes:
+    import zstandard
+
+    reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW).stream_reader(
+        data, read_across_frames=True
+    )
+    pieces: list[bytes] = []
+    left = limit
+    try:
+        while left and (piece := reader.read(min(left, 4 * _PIECE))):
+            pieces.append(piece)
+            left -= len(piece)
+    except zstandard.ZstdError:
+        pass
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def _lz4(data: bytes | memoryview, limit: int) -> bytes:
+    import lz4.frame
+
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    pieces: list[bytes] = []
+    left = limit
+    source: Any = data
+    try:
+        while left and not decompressor.eof:
+            piece = decompressor.decompress(source, max_length=min(left, 4 * _PIECE))
+            source = b""
+            if not piece and decompressor.needs_input:
+                break
+            pieces.append(piece)
+            left -= len(piece)
+    except (RuntimeError, EOFError, MemoryError):
+        pass
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def decompress_file(path: Path, folder: Path) -> Path:
+    """Return the decompressed copy of a file of zstd, made in a folder.
+
+    Raises:
+        InputError: It is damaged from its beginning, or there is no room for it.
+    """
+    import zstandard
+
+    copy = folder / path.name.removesuffix(".zstd").removesuffix(".zst")
+    reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
+    with path.open("rb") as file, copy.open("wb") as plain:
+        try:
+            shutil.copyfileobj(reader.stream_reader(file, read_across_frames=True), plain, _PIECE)
+        except zstandard.ZstdError as error:
+            if not plain.tell():
+                raise InputError(f"{path} can't be decompressed: {error}") from error
+        except OSError as error:
+            raise InputError(
+                f"{path} has no room to be decompressed in {folder}: {error.strerror}; set TMPDIR "
+                "to where there is more"
+            ) from error
+    return copy

@@ -1,0 +1,195 @@
+"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.blocks import Block, blocks_of
+from trajeval_ros.io.metadata import qos_of
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+
+class SqliteReader:
+    """An open .db3 file.
+
+    Attributes:
+        connections: Its topics.
+        damage: What can't be read, one sentence each; grows while blocks are read.
+        notes: What was worked around.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, and the write-ahead log beside it if there is one.
+
+        Raises:
+            InputError: It is damaged, or its log can't be read.
+        """
+        self.damage: list[str] = []
+        self._path = path
+        log = path.with_name(f"{path.name}-wal")
+        has_log = log.exists() and log.stat().st_size > 0
+        if not has_log:
+            refuse_truncated(path)
+        # Without a log nobody writes, and sqlite needn't look for locks, which need rights.
+        mode = "mode=ro" if has_log else "immutable=1"
+        uri = f"{path.resolve().as_uri()}?{mode}"
+        self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        try:
+            self.connections = self._list_connections()
+        except sqlite3.Error as error:
+            self._database.close()
+            if has_log:
+                raise InputError(
+                    f"{path} was not closed, and the messages that wait in {log.name} can't be "
+                    f"read ({error}); merge them, where you may write, with `sqlite3 {path} "
+                    "'PRAGMA wal_checkpoint(TRUNCATE)'`"
+                ) from error
+            raise
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+        first, last = self._database.execute(
+            "SELECT min(timestamp), max(timestamp) FROM messages"
+        ).fetchone()
+        return None if first is None else (first, last)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def blocks(
+        self, wanted: Collection[int], begin: int | None = None, end: int | None = None
+    ) -> Iterator[Block]:
+        """Yield the messages of some topics, blocks in order of their earliest log times."""
+        yield from blocks_of(self._messages(wanted, begin, end))
+
+    def _messages(
+        self, wanted: Collection[int], begin: int | None, end: int | None
+    ) -> Iterator[tuple[int, int, bytes]]:
+        query, values = _query(wanted, begin, end)
+        reached = (-(2**63), 0)
+        try:
+            rows = self._database.execute(f"{query} ORDER BY timestamp, id", values)
+            for key, topic, log_time, payload in rows:
+                yield topic, log_time, payload
+                reached = log_time, key
+        except sqlite3.DatabaseError as error:
+            self.damage.append(f"{self._path} is damaged: {error}")
+        else:
+            return
+        # The order is by an index, which leads to the damaged pages again and again.
+        left = sorted(each for each in self._one_by_one(query, values) if each > reached)
+        for _, key in left:
+            yield from (row[1:] for row in self._row(query, values, key))
+
+    def _one_by_one(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[int, int]]:
+        """Yield log time and id of each message that can be had, whatever damage is around it."""
+        try:
+            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
+        except sqlite3.DatabaseError:
+            return
+        for key in range(1, (last or 0) + 1):
+            yield from ((row[2], row[0]) for row in self._row(query, values, key))
+
+    def _row(self, query: str, values: tuple[Any, ...], key: int) -> list[Any]:
+        try:
+            return self._database.execute(f"{query} AND id = ?", (*values, key)).fetchall()
+        except sqlite3.DatabaseError:
+            return []
+
+    def _list_connections(self) -> list[Connection]:
+        """Return the topics, each with the definition of its type if the file has it."""
+        from rosbags.interfaces import (
+            Connection,
+            ConnectionExtRosbag2,
+            MessageDefinition,
+            MessageDefinitionFormat,
+        )
+
+        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
+        texts = {}
+        if self._columns("message_definitions"):
+            rows = self._database.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            texts = {
+                name: MessageDefinition(formats[encoding], text)
+                for name, encoding, text in rows
+                if encoding in formats and text.strip()
+            }
+        if not self._columns("topics") or not self._columns("messages"):
+            raise InputError(f"{self._path} is no bag: it lacks the tables of topics and messages")
+        has_qos = "offered_qos_profiles" in self._columns("topics")
+        counts = self._counts()
+        rows = self._database.execute(
+            "SELECT id, name, type, serialization_format, "
+            + ("offered_qos_profiles" if has_qos else "''")
+            + " FROM topics ORDER BY id"
+        )
+        none = MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return [
+            Connection(
+                key,
+                name,
+                kind,
+                texts.get(kind, none),
+                "",
+                counts.get(key, 0),
+                ConnectionExtRosbag2(serialization, qos_of(qos)),
+                self,
+            )
+            for key, name, kind, serialization, qos in rows
+        ]
+
+    def _counts(self) -> dict[int, int]:
+        """Return the number of messages by topic; pages that can't be read count nothing."""
+        try:
+            rows = self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY 1")
+            return dict(rows.fetchall())
+        except sqlite3.DatabaseError:
+            return {}
+
+    def _columns(self, table: str) -> set[str]:
+        rows = self._database.execute(f"PRAGMA table_info({table})")
+        return {name for _, name, *_ in rows}
+
+
+def _query(
+    wanted: Collection[int], begin: int | None, end: int | None
+) -> tuple[str, tuple[Any, ...]]:
+    """Return the query of the wanted messages, and its values."""
+    query = (
+        "SELECT id, topic_id, timestamp, data FROM messages "
+        f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
+    )
+    values: tuple[Any, ...] = tuple(wanted)
+    if begin is not None:
+        query, values = f"{query} AND timestamp >= ?", (*values, begin)
+    if end is not None:
+        query, values = f"{query} AND timestamp < ?", (*values, end)
+    return query, values
+
+
+def refuse_truncated(path: Path) -> None:
+    """Raise InputError if sqlite's header counts more pages than the file has.
+
+    What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
+    """
+    with path.open("rb") as file:
+        header = file.read(100).ljust(100, b"\0")
+    page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+    page_size = 65536 if page_size == 1 else page_size
+    is_valid = header[24:28] == header[92:96]  # older versions of sqlite don't keep the count
+    size = path.stat().st_size
+    if is_valid and size < pages * page_size:
+        raise InputError(
+            f"{path} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
+            f"save what is left with `sqlite3 {path} .recover`"
+        )
