@@ -403,7 +403,7 @@ def test_files_that_only_are_called_bags(name: str, content: bytes, tmp_path: Pa
 @pytest.mark.parametrize("beginning", [b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"])
 def test_only_the_magic(beginning: bytes, tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(beginning)
-    with pytest.raises(InputError, match="can't be read as a bag|it was cut short"):
+    with pytest.raises(InputError, match=r"can't be read as a bag|it was cut short"):
         read_trajectory(str(tmp_path / "x"))
 
 

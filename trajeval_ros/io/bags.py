@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.blocks import Block, in_order
+from trajeval_ros.io.blocks import Block, in_order, merged
 from trajeval_ros.io.checks import nearest
 from trajeval_ros.io.containers import Container, open_file
 from trajeval_ros.io.messages import POSE_TYPES, TRANSFORM_TYPES
@@ -32,14 +32,28 @@ _ENCODINGS = ("cdr", "ros1")
 _ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Topic:
-    """A topic of a bag: its name, the type of its messages and their number."""
+    """A topic of a bag.
+
+    Attributes:
+        name: With a slash before it.
+        type: Of its messages.
+        declared: The number of messages that the bag says it has, None if it says nothing.
+        connections: Where it is recorded.
+    """
 
     name: str
     type: str
-    count: int
+    declared: int | None
     connections: tuple[Connection, ...] = field(repr=False, default=())
+
+    @property
+    def count(self) -> int:
+        """The number of its messages; counted if the bag doesn't say it."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
 
     @property
     def holds_poses(self) -> bool:
@@ -124,16 +138,16 @@ class Bag:
             InputError: The bag is damaged, and is read strictly.
         """
         done = 0
-        total = sum(topic.count for topic in topics)
+        total = sum(topic.declared or 0 for topic in topics)
         with _one_sentence(self.path):
             for container, wanted in self._wanted(topics):
-                for block in container.blocks(frozenset(wanted)):
+                for block in merged(container.blocks(frozenset(wanted))):
                     yield container, block.decompressed()
                     done += len(block)
                     if self._advance is not None:
-                        self._advance(done, total)
+                        self._advance(done, max(done, total))
         if self._advance is not None and not done:
-            self._advance(done, total)
+            self._advance(done, max(done, total))
         self._account(topics, done)
 
     def messages(
@@ -178,18 +192,17 @@ class Bag:
         container: Container, wanted: dict[int, Topic], begin: int | None, end: int | None
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield the messages that one file has of the topics, in order."""
-        blocks = (
-            block.decompressed() for block in container.blocks(frozenset(wanted), begin, end)
-        )
-        for connection, log_time, payload in in_order(blocks):
+        blocks = container.blocks(frozenset(wanted), begin, end, in_order=True)
+        for connection, log_time, payload in in_order(each.decompressed() for each in blocks):
             yield wanted[connection], log_time, payload
 
     def _account(self, topics: Sequence[Topic], done: int) -> None:
         """Say what is missing of what the bag counts."""
-        total = sum(topic.count for topic in topics)
+        counts = [topic.declared for topic in topics]
+        total = sum(each or 0 for each in counts)
         names = ", ".join(topic.name for topic in topics)
         damage = [each for container in self._containers for each in container.damage]
-        if done != total:
+        if done != total and None not in counts:
             damage.append(f"{self.path} counts {total} messages on {names}, but {done} were read")
         self.damage = list(dict.fromkeys([*self.damage, *damage]))
         if self._strict and self.damage:
@@ -215,10 +228,11 @@ class Bag:
                 name = "/" + connection.topic.lstrip("/")  # ROS 1 records names without slash, too
                 by_name.setdefault((name, connection.msgtype), []).append(connection)
         for (name, message_type), connections in by_name.items():
-            count = sum(connection.msgcount for connection in connections)
+            counts = [connection.msgcount for connection in connections]
+            declared = sum(counts) if min(counts) >= 0 else None
             if self._metadata is not None:
-                count = self._metadata.counts.get((name, message_type), count)
-            yield Topic(name, message_type, count, tuple(connections))
+                declared = self._metadata.counts.get((name, message_type), declared)
+            yield Topic(name, message_type, declared, tuple(connections))
 
     def _open(self) -> None:
         """Open the files of the path."""

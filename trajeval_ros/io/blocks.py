@@ -13,7 +13,7 @@ Index = NDArray[np.int64]
 Buffer = NDArray[np.uint8]
 
 ROWS = 8192  # of a block, at most
-BYTES = 4 << 20  # of a block made of single messages, until which more are added
+BYTES = 1 << 20  # of a block made of single messages, until which more are added
 LARGEST = 1 << 30  # bytes that anything compressed may say that it has
 _ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)
 
@@ -81,6 +81,21 @@ class Block:
         plain = block_of(self.connections, self.log_times, payloads)
         return replace(plain, earliest=self.earliest)
 
+    def by_connection(self) -> Iterator[tuple[int, Block]]:
+        """Yield the messages of each connection."""
+        ids = np.unique(self.connections).tolist()
+        for connection in ids:
+            own = self if len(ids) == 1 else self[self.connections == connection]
+            yield connection, own
+
+    def compact(self) -> Block:
+        """Return the same messages in a buffer of their own if most of this one isn't theirs."""
+        if 2 * int(self.sizes.sum()) >= len(self.buffer):
+            return self
+        payloads = list(self.payloads())
+        own = block_of(self.connections, self.log_times, payloads)
+        return replace(own, earliest=self.earliest)
+
     def payloads(self) -> Iterator[memoryview]:
         """Yield the serialised messages."""
         whole = memoryview(self.buffer.data)
@@ -122,6 +137,38 @@ def blocks_of(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Block]:
             connections, log_times, payloads, size = [], [], [], 0
     if payloads:
         yield block_of(connections, log_times, payloads)
+
+
+def merged(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield the same messages in fewer blocks, without the bytes between them."""
+    waiting: list[Block] = []
+    rows = size = 0
+    for block in blocks:
+        waiting.append(block.compact())
+        rows += len(block)
+        size += len(waiting[-1].buffer)
+        if rows >= ROWS or size >= BYTES:
+            yield _concatenated(waiting)
+            waiting, rows, size = [], 0, 0
+    if waiting:
+        yield _concatenated(waiting)
+
+
+def _concatenated(blocks: Sequence[Block]) -> Block:
+    if len(blocks) == 1:
+        return blocks[0]
+    buffers = [block.buffer for block in blocks]
+    befores = np.cumsum([0, *map(len, buffers)]).tolist()
+    return Block(
+        blocks[0].earliest,
+        np.concatenate([block.connections for block in blocks]),
+        np.concatenate([block.log_times for block in blocks]),
+        np.concatenate(buffers),
+        np.concatenate(
+            [block.begins + before for block, before in zip(blocks, befores, strict=False)]
+        ),
+        np.concatenate([block.sizes for block in blocks]),
+    )
 
 
 def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:

@@ -379,19 +379,6 @@ def joined(parts: Sequence[Columns], *, in_order: bool = False) -> Columns:
     )
 
 
-def in_order_of(columns: Columns, keys: Index) -> Columns:
-    """Return columns without sequences, their rows sorted by keys (N,); equal ones stay."""
-    if (np.diff(keys) >= 0).all():
-        return columns
-    order = np.argsort(keys, kind="stable")
-    return Columns(
-        columns.rows[order],
-        {path: numbers[order] for path, numbers in columns.numbers.items()},
-        {path: Texts(each.names, each.codes[order]) for path, each in columns.texts.items()},
-        {},
-    )
-
-
 def _joined_texts(parts: Sequence[Texts], order: Any) -> Texts:
     names: dict[str, int] = {}
     codes = []

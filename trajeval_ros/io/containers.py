@@ -34,14 +34,20 @@ class Container(Protocol):
         """First and last log time of all messages, ns; None if there is none."""
 
     def blocks(
-        self, wanted: Collection[int], begin: int | None = None, end: int | None = None
+        self,
+        wanted: Collection[int],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,
     ) -> Iterator[Block]:
-        """Yield the messages of some connections, blocks in order of their earliest log times.
+        """Yield the messages of some connections.
 
         Args:
             wanted: Ids of the connections.
             begin: The first log time wanted, ns.
             end: The first log time that isn't wanted any more, ns.
+            in_order: Whether blocks must come in order of their earliest log times.
         """
 
     def close(self) -> None:

@@ -108,17 +108,20 @@ def describe(source: str, *, advance: Advance | None = None) -> Description:
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
     """Return what the topics of a bag hold."""
     from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.topics import read_edges, read_topic
+    from trajeval_ros.io.topics import read_columns, read_edges, trajectory_of
 
     trajectories = []
     others = []
     edges: dict[tuple[str, str, str], EdgeSummary] = {}
     with Bag(path, advance) as bag:
+        posed = [topic for topic in bag.topics if topic.holds_poses and topic.count]
+        columns = dict(zip(posed, read_columns(bag, posed), strict=True))
         for topic in bag.topics:
             name = f"{source}:{topic.name}"
-            if topic.holds_poses and topic.count:
+            if topic in columns:
                 try:
-                    trajectories.append(_summarize(name, read_topic(bag, topic)))
+                    trajectory = trajectory_of(bag, topic, columns[topic])
+                    trajectories.append(_summarize(name, trajectory))
                 except InputError as error:
                     trajectories.append(Summary(name, topic.type, topic.count, problem=str(error)))
             elif topic.holds_transforms and not topic.name.endswith("_static"):

@@ -200,6 +200,10 @@ def runs_of(chunk: Chunk, messages: Messages) -> list[tuple[int, int]] | None:
     """Return the byte ranges (begin, end) of a chunk worth reading; None means all of it."""
     if chunk.compression or chunk.is_cut or not len(messages):
         return None
+    first, last = int(messages.offsets[0]), int(messages.offsets[-1])
+    if last - first <= _GAP:
+        end = min(last + _TAIL, chunk.size)
+        return [(first, end)] if end - first <= _WORTHWHILE * chunk.size else None
     breaks = np.flatnonzero(np.diff(messages.offsets) > _GAP)
     begins = messages.offsets[np.concatenate([[0], breaks + 1])]
     lasts = messages.offsets[np.concatenate([breaks, [len(messages) - 1]])]
@@ -223,8 +227,10 @@ def partial(
     for number, (begin, end) in enumerate(runs):
         if len(pieces[number]) != end - begin:
             raise DamagedError("a chunk is cut off")
-        inside = (messages.offsets >= begin) & (messages.offsets < end)
-        found = measured(pieces[number], messages[inside], begin)
+        inside = messages
+        if len(runs) > 1:
+            inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
+        found = measured(pieces[number], inside, begin)
         last = int(found.offsets[-1] + _RECORD + found.sizes[-1])
         if last > chunk.size:
             raise DamagedError("a message is longer than its chunk")

@@ -116,9 +116,14 @@ class McapReader:
         self._source.close()
 
     def blocks(
-        self, wanted: Collection[int], begin: int | None = None, end: int | None = None
+        self,
+        wanted: Collection[int],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,  # noqa: ARG002  # they always are
     ) -> Iterator[Block]:
-        """Yield the messages of some channels, blocks in order of their earliest log times."""
+        """Yield the messages of some channels."""
         self._lost.clear()
         pieces: list[tuple[int, Piece]] = [
             (chunk.first, chunk)

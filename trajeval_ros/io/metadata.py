@@ -51,6 +51,8 @@ def read_metadata(path: Path) -> Metadata:
 
 def qos_of(profiles: Any) -> list[Qos]:
     """Return the quality of service that was offered, nothing where it can't be understood."""
+    if not profiles:
+        return []
     from rosbags.rosbag2.metadata import parse_qos
 
     try:

@@ -45,9 +45,14 @@ class Ros1Reader:
         self._reader.close()
 
     def blocks(
-        self, wanted: Collection[int], begin: int | None = None, end: int | None = None
+        self,
+        wanted: Collection[int],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,  # noqa: ARG002  # they always are
     ) -> Iterator[Block]:
-        """Yield the messages of some connections, blocks in order of their earliest log times."""
+        """Yield the messages of some connections."""
         yield from blocks_of(self._messages(wanted, begin, end))
 
     def _messages(

@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.blocks import Block, blocks_of
+from trajeval_ros.io.blocks import ROWS, Block, block_of, blocks_of
 from trajeval_ros.io.metadata import qos_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+
+_UNKNOWN = -1  # counting reads the whole file
+_FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
+_FEW = 16  # rows, as long as nobody knows how large they are
 
 
 class SqliteReader:
@@ -31,6 +35,7 @@ class SqliteReader:
             InputError: It is damaged, or its log can't be read.
         """
         self.damage: list[str] = []
+        self._counts: dict[int, int] | None = None
         self._path = path
         log = path.with_name(f"{path.name}-wal")
         has_log = log.exists() and log.stat().st_size > 0
@@ -65,29 +70,41 @@ class SqliteReader:
         self._database.close()
 
     def blocks(
-        self, wanted: Collection[int], begin: int | None = None, end: int | None = None
+        self,
+        wanted: Collection[int],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,
     ) -> Iterator[Block]:
-        """Yield the messages of some topics, blocks in order of their earliest log times."""
-        yield from blocks_of(self._messages(wanted, begin, end))
-
-    def _messages(
-        self, wanted: Collection[int], begin: int | None, end: int | None
-    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield the messages of some topics."""
         query, values = _query(wanted, begin, end)
         reached = (-(2**63), 0)
+        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
+        order = "timestamp, id" if in_order else "id"
         try:
-            rows = self._database.execute(f"{query} ORDER BY timestamp, id", values)
-            for key, topic, log_time, payload in rows:
-                yield topic, log_time, payload
-                reached = log_time, key
+            rows = self._database.execute(f"{query} ORDER BY {order}", values)
+            count = _FEW
+            while some := rows.fetchmany(count):
+                keys, topics, log_times, payloads = zip(*some, strict=True)
+                yield block_of(topics, log_times, payloads)
+                reached = (log_times[-1], keys[-1]) if in_order else (0, keys[-1])
+                size = sum(map(len, payloads)) // len(payloads)
+                count = min(ROWS, 1 + _FETCHED // max(size, 1))
         except sqlite3.DatabaseError as error:
             self.damage.append(f"{self._path} is damaged: {error}")
         else:
             return
-        # The order is by an index, which leads to the damaged pages again and again.
-        left = sorted(each for each in self._one_by_one(query, values) if each > reached)
-        for _, key in left:
-            yield from (row[1:] for row in self._row(query, values, key))
+        # What leads to a damaged page leads there again: the rest is asked for one by one.
+        left = [
+            (log_time if in_order else 0, key) for log_time, key in self._one_by_one(query, values)
+        ]
+        yield from blocks_of(
+            row[1:]
+            for each in sorted(left)
+            if each > reached
+            for row in self._row(query, values, each[1])
+        )
 
     def _one_by_one(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[int, int]]:
         """Yield log time and id of each message that can be had, whatever damage is around it."""
@@ -127,7 +144,6 @@ class SqliteReader:
         if not self._columns("topics") or not self._columns("messages"):
             raise InputError(f"{self._path} is no bag: it lacks the tables of topics and messages")
         has_qos = "offered_qos_profiles" in self._columns("topics")
-        counts = self._counts()
         rows = self._database.execute(
             "SELECT id, name, type, serialization_format, "
             + ("offered_qos_profiles" if has_qos else "''")
@@ -141,20 +157,22 @@ class SqliteReader:
                 kind,
                 texts.get(kind, none),
                 "",
-                counts.get(key, 0),
+                _UNKNOWN,
                 ConnectionExtRosbag2(serialization, qos_of(qos)),
                 self,
             )
             for key, name, kind, serialization, qos in rows
         ]
 
-    def _counts(self) -> dict[int, int]:
-        """Return the number of messages by topic; pages that can't be read count nothing."""
-        try:
-            rows = self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY 1")
-            return dict(rows.fetchall())
-        except sqlite3.DatabaseError:
-            return {}
+    def count(self, topic: int) -> int:
+        """Return the number of messages of a topic; 0 if damaged pages are in the way."""
+        if self._counts is None:
+            query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+            try:
+                self._counts = dict(self._database.execute(query).fetchall())
+            except sqlite3.DatabaseError:
+                self._counts = {}
+        return self._counts.get(topic, 0)
 
     def _columns(self, table: str) -> set[str]:
         rows = self._database.execute(f"PRAGMA table_info({table})")

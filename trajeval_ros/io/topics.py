@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import Advance, Bag, Topic, encoding_of
-from trajeval_ros.io.blocks import Block, block_of
-from trajeval_ros.io.cdr import Columns, in_order_of, joined
+from trajeval_ros.io.blocks import Block
+from trajeval_ros.io.cdr import Columns
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-from trajeval_ros.io.containers import Container
 from trajeval_ros.io.definitions import recorded_fields
 from trajeval_ros.io.messages import (
     PATH_TYPE,
+    GrowingPoses,
     PoseColumns,
     TransformColumns,
     edges_of,
@@ -29,6 +29,7 @@ from trajeval_ros.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+Key = tuple[int, int]  # which file, and which of its connections
 
 
 def read_bag(
@@ -59,49 +60,34 @@ def read_bag(
         chosen = _choose(bag, topic)
         if not topic:
             bag.notes.append(f"{chosen.name} is the only topic with poses")
-        return read_topic(bag, chosen, covariances=covariances)
+        (columns,) = read_columns(bag, [chosen], covariances=covariances)
+        return trajectory_of(bag, chosen, columns)
 
 
-def read_topic(bag: Bag, topic: Topic, *, covariances: bool = True) -> Trajectory:
-    """Read the trajectory of a topic that holds poses; of paths, the last one.
-
-    Raises:
-        InputError: None of its messages can be used.
-    """
-    if topic.type == PATH_TYPE:
-        return _trajectory(bag, topic, _last_path(bag, topic))
-    decoders = _Decoders(topic, covariances=covariances)
-    parts, log_times = [decoders.nothing()], [np.zeros(0, dtype=np.int64)]
-    undecodable = 0
-    for block, columns in decoders.decoded(bag):
-        parts.append(columns)
-        log_times.append(block.log_times[columns.rows])
-        undecodable += len(block) - len(columns.rows)
-    everything = in_order_of(joined(parts), np.concatenate(log_times))
-    return _trajectory(bag, topic, poses_of(everything, topic.type, undecodable))
-
-
-def _last_path(bag: Bag, topic: Topic) -> PoseColumns:
-    """Return the poses of the last path, the revised trajectory."""
-    decoders = _Decoders(topic, covariances=False)
-    last: tuple[int, Container, Block] | None = None
-    for container, block in bag.blocks([topic]):
-        row = len(block) - 1 - int(block.log_times[::-1].argmax())
-        if last is None or block.log_times[row] >= last[0]:
-            payload = [bytes(next(block[row : row + 1].payloads()))]
-            only = block_of(block.connections[[row]], block.log_times[[row]], payload)
-            last = int(block.log_times[row]), container, only
-    if last is None:
-        return poses_of(decoders.nothing(), topic.type, 0)
-    ((_, columns),) = decoders.of_block(last[1], last[2])
-    return poses_of(columns, topic.type, 1 - len(columns.rows))
+def read_columns(
+    bag: Bag, topics: Sequence[Topic], *, covariances: bool = True
+) -> list[PoseColumns]:
+    """Return the poses of topics, of all in one go; of paths, those of the last one."""
+    readers = [
+        (_LastPath if topic.type == PATH_TYPE else _Poses)(topic, covariances=covariances)
+        for topic in topics
+    ]
+    owners = {
+        (id(connection.owner), connection.id): reader
+        for topic, reader in zip(topics, readers, strict=True)
+        for connection in topic.connections
+    }
+    for container, block in bag.blocks(topics):
+        for connection, own in block.by_connection():
+            owners[id(container), connection].add((id(container), connection), own)
+    return [reader.done() for reader in readers]
 
 
 class _Decoders:
     """How the messages of a topic are decoded, by connection: definitions may differ."""
 
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        self._topic = topic
+        self.topic = topic
         self._plans = {
             (id(each.owner), each.id): plan_of(
                 recorded_fields(each),
@@ -116,18 +102,52 @@ class _Decoders:
         """Return the columns of no message."""
         return next(iter(self._plans.values())).decode([])
 
-    def decoded(self, bag: Bag) -> Iterator[tuple[Block, Columns]]:
-        """Yield the messages of the topic, and their columns."""
-        for container, block in bag.blocks([self._topic]):
-            yield from self.of_block(container, block)
+    def decode(self, key: Key, block: Block) -> Columns:
+        """Return the columns of messages of one connection."""
+        return self._plans[key].decode_at(block.buffer, block.begins, block.sizes)
 
-    def of_block(self, container: Container, block: Block) -> Iterator[tuple[Block, Columns]]:
-        """Yield the messages of a block by connection, and their columns."""
-        ids = np.unique(block.connections).tolist()
-        for each in ids:
-            own = block if len(ids) == 1 else block[block.connections == each]
-            plan = self._plans[id(container), each]
-            yield own, plan.decode_at(own.buffer, own.begins, own.sizes)
+
+class _Poses:
+    """The poses of a topic, gathered block by block."""
+
+    def __init__(self, topic: Topic, *, covariances: bool) -> None:
+        self._decoders = _Decoders(topic, covariances=covariances)
+        self._poses = GrowingPoses()
+
+    def add(self, key: Key, block: Block) -> None:
+        """Add the messages of a connection."""
+        columns = self._decoders.decode(key, block)
+        undecodable = len(block) - len(columns.rows)
+        poses = poses_of(columns, self._decoders.topic.type, undecodable)
+        self._poses.add(poses, block.log_times)
+
+    def done(self) -> PoseColumns:
+        """Return them in order of their log times."""
+        nothing = poses_of(self._decoders.nothing(), self._decoders.topic.type, 0)
+        self._poses.add(nothing, np.zeros(0, dtype=np.int64))
+        return self._poses.done()
+
+
+class _LastPath:
+    """The last path of a topic, which is the revised trajectory."""
+
+    def __init__(self, topic: Topic, *, covariances: bool) -> None:
+        self._decoders = _Decoders(topic, covariances=covariances)
+        self._last: tuple[int, Key, Block] | None = None
+
+    def add(self, key: Key, block: Block) -> None:
+        """Look whether one of the messages is later than those before."""
+        row = len(block) - 1 - int(block.log_times[::-1].argmax())
+        log_time = int(block.log_times[row])
+        if self._last is None or log_time >= self._last[0]:
+            self._last = log_time, key, block[row : row + 1].compact()
+
+    def done(self) -> PoseColumns:
+        """Return its poses."""
+        if self._last is None:
+            return poses_of(self._decoders.nothing(), PATH_TYPE, 0)
+        columns = self._decoders.decode(*self._last[1:])
+        return poses_of(columns, PATH_TYPE, 1 - len(columns.rows))
 
 
 def read_edges(bag: Bag, topic: str) -> tuple[dict[tuple[str, str], Edge], int]:
@@ -145,10 +165,14 @@ def read_edges(bag: Bag, topic: str) -> tuple[dict[tuple[str, str], Edge], int]:
         if found.name not in names or not found.holds_transforms:
             continue
         parts: dict[tuple[str, str], list[tuple[TransformColumns, Stamps]]] = {}
-        for block, columns in _Decoders(found, covariances=False).decoded(bag):
-            damaged += len(block) - len(columns.rows)
-            for key, own in edges_of(columns).items():
-                parts.setdefault(key, []).append((own, block.log_times[own.rows]))
+        decoders = _Decoders(found, covariances=False)
+        for container, block in bag.blocks([found]):
+            for connection, own in block.by_connection():
+                columns = decoders.decode((id(container), connection), own)
+                damaged += len(own) - len(columns.rows)
+                for key, edge_columns in edges_of(columns).items():
+                    log_times = own.log_times[edge_columns.rows]
+                    parts.setdefault(key, []).append((edge_columns, log_times))
         for key, transforms in parts.items():
             order = np.argsort(np.concatenate([times for _, times in transforms]), kind="stable")
             edge = Edge.from_columns(
@@ -193,8 +217,12 @@ def _choose(bag: Bag, name: str) -> Topic:
     )
 
 
-def _trajectory(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
-    """Return the trajectory of a topic's columns."""
+def trajectory_of(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
+    """Return the trajectory of a topic's columns.
+
+    Raises:
+        InputError: None of its messages can be used.
+    """
     where = f"{bag.path}:{topic.name}"
     if not len(columns.stamps):
         why = "; ".join(bag.damage)

@@ -1,0 +1,104 @@
+"""Reads both pose topics of a bag by one of several ways and prints what that cost as JSON.
+
+Usage: python -m benchmarks.bag_readers READER FILE. The clock starts after imports.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+TOPICS = ("/odom", "/pose")
+
+
+def ours(path: Path) -> tuple[int, float]:
+    """Read by column."""
+    import lz4.frame  # noqa: F401
+    import zstandard  # noqa: F401
+
+    from trajeval_ros.io.bags import Bag
+    from trajeval_ros.io.topics import read_columns, trajectory_of
+
+    def read() -> tuple[int, float]:
+        with Bag(path) as bag:
+            topics = [bag.find(name)[0] for name in TOPICS]
+            columns = read_columns(bag, topics, covariances=False)
+            trajectories = [
+                trajectory_of(bag, *each) for each in zip(topics, columns, strict=True)
+            ]
+        assert not any(each.damage for each in trajectories)
+        count = sum(len(each) for each in trajectories)
+        total = sum(float(each.positions[:, 0].sum()) for each in trajectories)
+        return count, total
+
+    return timed(read)
+
+
+def any_reader(path: Path) -> tuple[int, float]:
+    """Read by rosbags' AnyReader, a message object at a time."""
+    from rosbags.highlevel import AnyReader
+
+    def read() -> tuple[int, float]:
+        rows = []
+        with AnyReader([path]) as reader:
+            wanted = [each for each in reader.connections if each.topic in TOPICS]
+            for connection, _, payload in reader.messages(wanted):
+                message: Any = reader.deserialize(payload, connection.msgtype)
+                rows.append(row_of(message))
+        return len(rows), sum(row[1] for row in rows)
+
+    return timed(read)
+
+
+def mcap_ros2(path: Path) -> tuple[int, float]:
+    """Read by mcap and mcap-ros2-support, a message object at a time."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    def read() -> tuple[int, float]:
+        rows = []
+        with path.open("rb") as file:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()])
+            for _, _, _, message in reader.iter_decoded_messages(topics=list(TOPICS)):
+                rows.append(row_of(message))
+        return len(rows), sum(row[1] for row in rows)
+
+    return timed(read)
+
+
+def row_of(message: Any) -> tuple[float, ...]:
+    """Return what a pose is made of."""
+    pose = message.pose.pose if hasattr(message, "twist") else message.pose
+    stamp, p, q = message.header.stamp, pose.position, pose.orientation
+    return stamp.sec * 10**9 + stamp.nanosec, p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+def timed(read: Callable[[], tuple[int, float]]) -> tuple[int, float]:
+    """Print what reading costs: CPU seconds of all threads, bytes asked for, peak memory."""
+    before, start = bytes_read(), time.process_time()
+    count, total = read()
+    figures = {
+        "cpu_s": time.process_time() - start,
+        "read_mb": (bytes_read() - before) / 1e6,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
+        "poses": count,
+        "sum_x": total,
+    }
+    print(json.dumps(figures))
+    return count, total
+
+
+def bytes_read() -> int:
+    """Return the bytes that this process has asked the kernel for."""
+    return int(Path("/proc/self/io").read_text().split("rchar: ")[1].split()[0])
+
+
+READERS = {"trajeval_ros": ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
+
+if __name__ == "__main__":
+    READERS[sys.argv[1]](Path(sys.argv[2]))
