@@ -6,6 +6,7 @@ would have to be imported first.
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Union
@@ -109,24 +110,28 @@ def fields_of(store: Typestore, message_type: str) -> Fields:
 
 def recorded_fields(connection: Connection) -> Fields | None:
     """Return the fields of a connection's type by its own definition, None if that is no help."""
+    definition = connection.msgdef
+    return _recorded_fields(definition.format.name, definition.data, connection.msgtype)
+
+
+@functools.lru_cache(maxsize=64)
+def _recorded_fields(language: str, text: str, message_type: str) -> Fields | None:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
     try:
-        store.register(recorded_types(connection))
-        return fields_of(store, connection.msgtype)
+        store.register(types_in(language, text, message_type))
+        return fields_of(store, message_type)
     except Exception:  # rosbags raises half a dozen kinds for a definition that is none
         return None
 
 
-def recorded_types(connection: Connection) -> Any:
-    """Return the types that a connection's own definition holds."""
-    from rosbags.interfaces import MessageDefinitionFormat
+def types_in(language: str, text: str, message_type: str) -> Any:
+    """Return the types that a recorded definition holds, in the language `MSG` or `IDL`."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-    text = connection.msgdef.data
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        return get_types_from_msg(text, connection.msgtype)
+    if language == "MSG":
+        return get_types_from_msg(text, message_type)
     types: Any = {}
     for part in re.split("=" * 80 + r"\nIDL: .*\n", text):
         if part.strip():

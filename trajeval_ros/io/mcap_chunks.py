@@ -99,7 +99,10 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
         raise DamagedError("a chunk's size can't be right")
     record = memoryview(source.read(chunk.offset, chunk.length))
     place = chunk.data_offset - chunk.offset
-    if len(record) < place or head_of(bytes(record[:HEAD]))[0] != CHUNK:
+    if len(record) < place:
+        raise DamagedError("a chunk is cut off")
+    opcode, length = head_of(bytes(record[:HEAD]))
+    if opcode != CHUNK or (length + HEAD != chunk.length and not chunk.is_cut):
         raise DamagedError("a chunk isn't where it should be")
     _, _, size, checksum = _TIMES.unpack_from(record, HEAD)
     (stored,) = _SIZE.unpack_from(record, place - 8)

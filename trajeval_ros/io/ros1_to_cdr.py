@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.bags import Topic, encoding_of
-from trajeval_ros.io.definitions import recorded_types
+from trajeval_ros.io.definitions import types_in
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -40,7 +40,8 @@ def converter(topic: Topic) -> Convert | None:
     store = get_typestore(Stores.EMPTY)
     name = topic.type
     try:
-        recorded = recorded_types(topic.connections[0])
+        text = topic.connections[0].msgdef.data
+        recorded = types_in("MSG", text, topic.type)
         kept = (_HEADER, *_TIMES)
         store.register({key: value for key, value in recorded.items() if key not in kept})
         store.register({key: ros2.fielddefs[key] for key in kept if key not in store.fielddefs})

@@ -1,0 +1,538 @@
+"""Bags as robots leave them behind: what can be had is read, and what can't is said."""
+
+from __future__ import annotations
+
+import functools
+import json
+import random
+import shutil
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_typestore
+from test_io_bags import STORE, TYPES, header, pose, pose_stamped, refusal, simple, the_file, write
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.write_bag import POSE_STAMPED
+from trajeval_ros.trajectory import Trajectory
+
+COUNT = 600
+SECOND = 10**9
+Register = Callable[[Any], object]
+
+
+def definition(kind: str, store: Any = STORE) -> bytes:
+    version = 1 if store is not STORE else 2
+    return bytes(store.generate_msgdef(kind, ros_version=version)[0].encode())
+
+
+@functools.cache
+def _all_payloads() -> tuple[bytes, ...]:
+    poses = (pose_stamped((row + 1) * SECOND, float(row)) for row in range(COUNT))
+    return tuple(bytes(STORE.serialize_cdr(each, POSE_STAMPED)) for each in poses)
+
+
+def payloads(count: int = COUNT) -> list[bytes]:
+    """Return poses whose x is their number."""
+    return list(_all_payloads()[:count])
+
+
+def chunks_of(path: Path) -> list[int]:
+    """Return where the chunks of a file begin."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [chunk.chunk_start_offset for chunk in summary.chunk_indexes]
+
+
+def mcap_file(
+    path: Path,
+    *,
+    messages: Sequence[bytes] | None = None,
+    log_times: Sequence[int] | None = None,
+    profile: str = "ros2",
+    schema: tuple[str, str, bytes] | None = None,
+    encoding: str = "cdr",
+    others: Register = lambda writer: None,
+    **options: Any,
+) -> Path:
+    """Write poses whose x is their number, on /pose."""
+    options = {"compression": CompressionType.NONE, "chunk_size": 1 << 12, **options}
+    with path.open("wb") as file:
+        writer = McapWriter(file, **options)
+        writer.start(profile=profile)
+        name, kind, text = schema or (POSE_STAMPED, "ros2msg", definition(POSE_STAMPED))
+        registered = writer.register_schema(name, kind, text)
+        topic = writer.register_channel("/pose", encoding, registered)
+        others(writer)
+        for row, payload in enumerate(messages or payloads()):
+            log_time = row * SECOND if log_times is None else log_times[row]
+            writer.add_message(topic, log_time, payload, log_time)
+        writer.finish()
+    return path
+
+
+def rows_of(read: Trajectory) -> list[int]:
+    return [int(each) for each in read.positions[:, 0]]
+
+
+def assert_whole(source: Path | str, count: int = COUNT) -> Trajectory:
+    read = read_trajectory(str(source))
+    assert rows_of(read) == list(range(count))
+    assert not read.damage
+    assert rows_of(read_trajectory(str(source), strict=True)) == list(range(count))
+    return read
+
+
+def assert_damaged(source: Path | str, *words: str) -> Trajectory:
+    """Check that part of it is read, that the damage is told, and that --strict refuses it."""
+    read = read_trajectory(str(source))
+    said = "; ".join(read.damage)
+    assert said
+    for word in words:
+        assert word in said
+    assert set(rows_of(read)) <= set(range(COUNT))
+    with pytest.raises(InputError):
+        read_trajectory(str(source), strict=True)
+    return read
+
+
+COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
+
+
+# MCAP.
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_file_cut_short_gives_what_is_left(
+    compression: Any, chunked: bool, tmp_path: Path
+) -> None:
+    path = mcap_file(tmp_path / "x.mcap", compression=compression, use_chunking=chunked)
+    content = path.read_bytes()
+    data = content.rfind(b"\x0f\x04\0\0\0\0\0\0\0")  # where the data end
+    for share, least in ((0.5, 0.45), (0.999, 0.97)):
+        path.write_bytes(content[: int(data * share)])
+        read = assert_damaged(path, "it was cut short", "no footer")
+        assert rows_of(read) == list(range(len(read)))
+        assert len(read) >= least * COUNT
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_that_is_cut_off_gives_its_first_messages(
+    compression: Any, tmp_path: Path
+) -> None:
+    noise = np.random.default_rng(0)
+    given = []
+    for payload in payloads():
+        message: Any = STORE.deserialize_cdr(payload, POSE_STAMPED)
+        message.header.frame_id = noise.bytes(300).hex()
+        given.append(bytes(STORE.serialize_cdr(message, POSE_STAMPED)))
+    path = tmp_path / "x.mcap"
+    mcap_file(path, messages=given, compression=compression, chunk_size=1 << 24)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
+    read = read_trajectory(str(path))
+    assert 0.3 * COUNT < len(read) < COUNT
+    assert rows_of(read) == list(range(len(read)))
+    assert read.damage
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_that_is_not_what_its_checksum_is_of_is_left_out(
+    compression: Any, tmp_path: Path
+) -> None:
+    path = mcap_file(tmp_path / "x.mcap", compression=compression)
+    content = bytearray(path.read_bytes())
+    for place in range(chunks_of(path)[3] + 70, chunks_of(path)[3] + 110):
+        content[place] ^= 0xFF
+    path.write_bytes(content)
+    read = assert_damaged(path, "a chunk", f"counts {COUNT} messages on /pose, but")
+    assert 0.8 * COUNT < len(read) < COUNT
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"index_types": IndexType.CHUNK},
+        {"index_types": IndexType.MESSAGE},
+        {"index_types": IndexType.NONE},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"use_statistics": False},
+        {"use_summary_offsets": False},
+        {"use_chunking": False},
+        {"use_chunking": False, "repeat_channels": False, "use_statistics": False},
+        {"enable_crcs": False},
+    ],
+)
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_whatever_index_is_missing(
+    options: dict[str, Any], compression: Any, tmp_path: Path
+) -> None:
+    assert_whole(mcap_file(tmp_path / "x.mcap", compression=compression, **options))
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_log_times_out_of_order_are_sorted(chunked: bool, tmp_path: Path) -> None:
+    order = list(range(COUNT))
+    random.Random(0).shuffle(order)
+    given = payloads()
+    path = mcap_file(
+        tmp_path / "x.mcap",
+        messages=[given[row] for row in order],
+        log_times=[row * SECOND for row in order],
+        use_chunking=chunked,
+    )
+    assert_whole(path)
+
+
+@pytest.mark.parametrize("profile", ["", "ros1", "x"])
+def test_any_profile(profile: str, tmp_path: Path) -> None:
+    assert_whole(mcap_file(tmp_path / "x.mcap", profile=profile))
+
+
+def test_ros1_in_mcap(tmp_path: Path) -> None:
+    store: Any = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    messages = []
+    for row in range(COUNT):
+        time = types["builtin_interfaces/msg/Time"](row + 1, 0)
+        message = types[POSE_STAMPED](
+            types["std_msgs/msg/Header"](row, time, "map"),
+            types["geometry_msgs/msg/Pose"](
+                types["geometry_msgs/msg/Point"](float(row), 0.0, 0.0),
+                types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
+            ),
+        )
+        messages.append(bytes(store.serialize_ros1(message, POSE_STAMPED)))
+    for text in (definition(POSE_STAMPED, store), b""):
+        schema = ("geometry_msgs/PoseStamped", "ros1msg", text)
+        path = tmp_path / "x.mcap"
+        mcap_file(path, messages=messages, profile="ros1", schema=schema, encoding="ros1")
+        assert_whole(path)
+
+
+OTHERS: list[Register] = [
+    lambda w: w.register_channel("/j", "json", w.register_schema("J", "jsonschema", b"{}")),
+    lambda w: w.register_channel("/p", "protobuf", w.register_schema("P", "protobuf", b"xx")),
+    lambda w: w.register_channel("/f", "flatbuffer", w.register_schema("F", "flatbuffer", b"x")),
+    lambda w: w.register_channel("/r", "ros1", w.register_schema("a/B", "ros1msg", b"int8 a")),
+    lambda w: w.register_channel("/n", "json", 0),
+    lambda w: w.register_channel("/b", "cdr", w.register_schema("a/msg/B", "ros2msg", b"! no")),
+    lambda w: w.register_channel("/m", "cdr", w.register_schema("a/msg/B", "ros2msg", b"c/D d")),
+    lambda w: w.register_channel("/e", "cdr", w.register_schema("\xff", "ros2msg", b"\xff\xfe")),
+]
+
+
+@pytest.mark.parametrize("others", OTHERS)
+def test_odd_topics_beside_the_poses(others: Register, tmp_path: Path) -> None:
+    assert_whole(mcap_file(tmp_path / "x.mcap", others=others))
+
+
+def test_service_events_beside_the_topics(shared_data: Path) -> None:
+    folder = shared_data / "bags" / "rosbag2_fixtures"
+    bags = [each for each in folder.rglob("*.mcap") if "service" in each.name]
+    assert bags
+    for bag in bags:
+        assert "no topic with poses, only" in refusal(bag)
+
+
+@pytest.mark.parametrize("text", [b"", b" ", b"this is no definition !", b"int8 a", b"a/B pose"])
+def test_a_definition_that_is_no_help(text: bytes, tmp_path: Path) -> None:
+    assert_whole(mcap_file(tmp_path / "x.mcap", schema=(POSE_STAMPED, "ros2msg", text)))
+    assert_whole(mcap_file(tmp_path / "y.mcap", schema=(POSE_STAMPED, "", text)))
+
+
+@pytest.mark.parametrize(
+    ("beginning", "good"),
+    [
+        (b"\0\1\0\3", True),
+        (b"\0\7\0\0", True),
+        (b"\0\2\0\0", False),
+        (b"\0\3\0\0", False),
+        (b"\0\x0a\0\0", False),
+    ],
+)
+def test_encapsulations(beginning: bytes, good: bool, tmp_path: Path) -> None:
+    messages = [beginning + each[4:] for each in payloads()]
+    path = mcap_file(tmp_path / "x.mcap", messages=messages)
+    if good:
+        assert_whole(path)
+    else:
+        with pytest.raises(InputError, match=f"none of its {COUNT} messages can be decoded"):
+            read_trajectory(str(path))
+
+
+def test_payloads_that_are_no_messages_are_counted(tmp_path: Path) -> None:
+    good = payloads()
+    bad = [b"", b"\0", b"\0\1\0\0", good[0][:40], good[0] + bytes(8)]
+    read = read_trajectory(str(mcap_file(tmp_path / "x.mcap", messages=good + bad)))
+    assert rows_of(read) == list(range(COUNT))
+    assert read.dropped == {"undecodable": len(bad)}
+
+
+def test_messages_that_are_no_poses_are_counted(tmp_path: Path) -> None:
+    given = payloads(100)
+    for row, x, w in ((5, np.nan, 0.8), (7, 1.0, np.inf), (9, 1.0, np.nan)):
+        message = pose_stamped(SECOND, x)
+        message.pose.orientation.w = w
+        given[row] = bytes(STORE.serialize_cdr(message, POSE_STAMPED))
+    nothing = pose(1.0, w=0.0, yaw=0.0)
+    zero = TYPES[POSE_STAMPED](header(SECOND), nothing)
+    given[11] = bytes(STORE.serialize_cdr(zero, POSE_STAMPED))
+    read = read_trajectory(str(mcap_file(tmp_path / "x.mcap", messages=given)))
+    assert len(read) == 96
+    assert read.dropped == {"not_finite": 3, "zero_quaternion": 1}
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_hostile_sizes_take_no_memory(strict: bool, tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "x.mcap", compression=CompressionType.ZSTD)
+    content = bytearray(path.read_bytes())
+    chunk = chunks_of(path)[2]
+    for place in (chunk + 1, chunk + 25):  # the record's length, the chunk's size
+        damaged = bytearray(content)
+        damaged[place : place + 8] = (2**62).to_bytes(8, "little")
+        for ending in (damaged, damaged[: len(damaged) - 40]):
+            path.write_bytes(ending)
+            if strict:
+                with pytest.raises(InputError):
+                    read_trajectory(str(path), strict=True)
+            else:
+                assert read_trajectory(str(path)).damage
+
+
+# sqlite3.
+
+
+def sqlite_file(tmp_path: Path) -> Path:
+    return the_file(simple(tmp_path / "bag", COUNT, storage=StoragePlugin.SQLITE3))
+
+
+def test_garbage_in_the_middle_of_sqlite(tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 8000] = np.random.default_rng(0).bytes(8000)
+    path.write_bytes(content)
+    read = assert_damaged(path, "is damaged")
+    assert len(read) > 0.8 * COUNT
+    assert (np.diff(read.positions[:, 0]) > 0).all()
+
+
+@pytest.mark.parametrize("size", [0, 100, 4096, 20_000])
+def test_the_beginning_of_sqlite_alone(size: int, tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    path.write_bytes(path.read_bytes()[:size])
+    assert path.name in refusal(path)
+
+
+def test_a_log_that_cannot_be_read_is_no_empty_bag(tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    live = sqlite3.connect(path)
+    live.execute("PRAGMA journal_mode=WAL")
+    live.execute("UPDATE messages SET topic_id = topic_id")
+    live.commit()
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    shutil.copy(path, copy / "x.db3")
+    shutil.copy(f"{path}-wal", copy / "x.db3-wal")
+    live.close()
+    assert_whole(copy / "x.db3")
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_old_files_without_definitions(version: int, tmp_path: Path) -> None:
+    database = sqlite3.connect(tmp_path / "old.db3")
+    qos = ", offered_qos_profiles TEXT NOT NULL" if version == 2 else ""
+    database.execute(
+        "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, "
+        f"serialization_format TEXT NOT NULL{qos})"
+    )
+    database.execute(
+        "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, "
+        "timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
+    )
+    more = ", ''" if version == 2 else ""
+    database.execute(f"INSERT INTO topics VALUES (1, '/pose', '{POSE_STAMPED}', 'cdr'{more})")
+    database.execute(f"INSERT INTO topics VALUES (2, '/x', 'my_msgs/msg/Custom', 'cdr'{more})")
+    rows = ((1, row, each) for row, each in enumerate(payloads()))
+    database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)", rows)
+    database.commit()
+    database.close()
+    assert_whole(tmp_path / "old.db3")
+
+
+def test_one_definition_is_missing(tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    database = sqlite3.connect(path)
+    database.execute("DELETE FROM message_definitions")
+    database.execute("INSERT INTO message_definitions VALUES (9, 'a/msg/B', 'x', '', '')")
+    database.commit()
+    database.close()
+    read = read_trajectory(str(path))
+    assert rows_of(read) == list(range(COUNT))
+    assert not read.damage
+
+
+# Directories.
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_compressed_files_need_no_metadata(storage: Any, mode: Any, tmp_path: Path) -> None:
+    bag = simple(tmp_path / "bag", 300, storage=storage, compression=mode)
+    assert_whole(bag, 300)
+    assert_whole(the_file(bag), 300)
+    (bag / "metadata.yaml").unlink()
+    assert_whole(bag, 300)
+
+
+def split(tmp_path: Path, storage: Any, names: Sequence[str] = ("a_9", "a_10")) -> Path:
+    """Write a bag of two files, the second 100 s later, listed the other way round."""
+    both = tmp_path / "both"
+    both.mkdir()
+    for number, name in enumerate(names):
+        messages = [
+            ("/pose", POSE_STAMPED, row * SECOND, pose_stamped((row + 1) * SECOND, float(row)))
+            for row in range(100 * number, 100 * number + 100)
+        ]
+        bag = write(tmp_path / name, messages, storage=storage)
+        the_file(bag).rename(both / f"{name}{ending(storage)}")
+        text = (bag / "metadata.yaml").read_text()
+    listed = "\n".join(f"  - {name}{ending(storage)}" for name in reversed(names))
+    text = text.replace(f"- {names[1]}{ending(storage)}", listed.strip(), 1)
+    text = text.replace("message_count: 100", "message_count: 200")
+    (both / "metadata.yaml").write_text(text)
+    return both
+
+
+def ending(storage: Any) -> str:
+    return ".mcap" if storage == StoragePlugin.MCAP else ".db3"
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_split_bags_are_ordered_by_time(storage: Any, tmp_path: Path) -> None:
+    bag = split(tmp_path, storage)
+    assert_whole(bag, 200)
+    (bag / f"a_9{ending(storage)}").unlink()
+    read = read_trajectory(str(bag))
+    assert rows_of(read) == list(range(100, 200))
+    said = "; ".join(read.damage)
+    assert "metadata.yaml names a_9" in said
+    assert "counts 200 messages on /pose, but 100 were read" in said
+
+
+def test_one_file_of_several_that_is_no_bag(tmp_path: Path) -> None:
+    bag = split(tmp_path, StoragePlugin.MCAP)
+    (bag / "a_10.mcap").write_bytes(b"no bag at all")
+    read = read_trajectory(str(bag))
+    assert rows_of(read) == list(range(100))
+    assert any("a_10.mcap was not read" in each for each in read.damage)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_empty_bags_are_mistakes(storage: Any, tmp_path: Path) -> None:
+    assert "is an empty bag" in refusal(write(tmp_path / "no topics", [], storage=storage))
+
+
+def test_one_topic_of_two_types(tmp_path: Path) -> None:
+    point = "geometry_msgs/msg/PointStamped"
+    other = TYPES[point](header(SECOND), TYPES["geometry_msgs/msg/Point"](1.0, 2.0, 3.0))
+    messages = [("/p", POSE_STAMPED, 1, pose_stamped(SECOND)), ("/p", point, 2, other)]
+    bag = write(tmp_path / "bag", messages)
+    with pytest.raises(InputError, match="/p carries several types of poses"):
+        read_trajectory(f"{bag}:/p")
+
+
+# Damage anywhere.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_two_hundred_places_to_cut(compression: Any, chunked: bool, tmp_path: Path) -> None:
+    path = mcap_file(
+        tmp_path / "x.mcap", messages=payloads(400), compression=compression, use_chunking=chunked
+    )
+    content = path.read_bytes()
+    for place in np.random.default_rng(1).integers(0, len(content), 200).tolist():
+        path.write_bytes(content[:place])
+        if said := refusal(path):
+            assert "\n" not in said
+            continue
+        read = read_trajectory(str(path))
+        assert rows_of(read) == list(range(len(read)))
+        assert read.damage
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("chunked", [True, False])
+def test_two_hundred_places_to_flip_a_byte(
+    compression: Any, chunked: bool, tmp_path: Path
+) -> None:
+    given = payloads(400)
+    path = mcap_file(
+        tmp_path / "x.mcap",
+        messages=given,
+        compression=compression,
+        use_chunking=chunked,
+        enable_data_crcs=True,
+    )
+    good = read_trajectory(str(path), strict=True)
+    content = path.read_bytes()
+    generator = np.random.default_rng(2)
+    for place in generator.integers(0, len(content), 200).tolist():
+        damaged = bytearray(content)
+        damaged[place] ^= int(generator.integers(1, 256))
+        path.write_bytes(damaged)
+        assert "\n" not in refusal(path)
+        try:
+            read = read_trajectory(str(path), strict=True)
+        except InputError:
+            continue
+        assert read.quaternions is not None
+        np.testing.assert_array_equal(read.stamps, good.stamps)
+        np.testing.assert_array_equal(read.positions, good.positions)
+        np.testing.assert_array_equal(read.quaternions, good.quaternions)
+
+
+# What the user is told.
+
+
+def test_damage_is_told_and_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = mcap_file(tmp_path / "x.mcap")
+    given = ["evaluate", "-g", f"{path}:/pose", "-e", f"{path}:/pose", "--lengths", "none"]
+    result = tmp_path / "result.json"
+    assert main([*given, "--strict", "--quiet"]) == 0
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    capsys.readouterr()
+    for quiet in ([], ["--quiet"]):
+        assert main([*given, *quiet, "--json", str(result)]) == 0
+        assert "warning: " in capsys.readouterr().err
+        warnings = json.loads(result.read_text())["runs"][0]["warnings"]
+        assert any("cut short" in each for each in warnings)
+    assert main([*given, "--strict"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "cut short" in said
+
+
+def test_a_wrong_count_in_the_metadata(tmp_path: Path) -> None:
+    bag = simple(tmp_path / "bag", 50)
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 50", "message_count: 60"))
+    read = read_trajectory(str(bag))
+    assert len(read) == 50
+    assert any("counts 60 messages on /pose, but 50 were read" in each for each in read.damage)
