@@ -8,6 +8,7 @@ ROS := .venv-ros
 COLCON := .venv-colcon
 EVO := .venv-evo
 LOCK := .venv-lock
+FUZZ := .venv-fuzz
 BENCH ?=
 ROS_TEST_DOMAIN ?= 71
 
@@ -17,8 +18,8 @@ DEMO_ESTIMATE := $(DEMO_BAG):/vio/odometry
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench bench-live lock \
-	colcon-environment ros-environment clean
+.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench bench-bags \
+	bench-live fuzz lock colcon-environment ros-environment clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -60,6 +61,15 @@ bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, time live runs;
 bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.
 	$(ROS)/bin/python -m benchmarks.live_node $(BENCH)
 
+bench-bags: $(EVO)/.installed ## Compare readers of bags; BENCH="--scale 0.1 --runs 3".
+	$(EVO)/bin/python -m benchmarks.bags $(BENCH)
+
+FUZZ_S ?= 300
+
+fuzz: $(FUZZ)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
+	mkdir -p $(FUZZ)/corpus
+	$(FUZZ)/bin/python tests/fuzz_bags.py $(FUZZ)/corpus -max_total_time=$(FUZZ_S) -max_len=8192
+
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
 
@@ -75,7 +85,7 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) build install log dist *.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(FUZZ) build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -126,6 +136,12 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 	$(make_venv)
 	$(EVO)/bin/python -m pip install --quiet --constraint constraints.txt \
 		--requirement benchmarks/requirements.txt
+	touch $@
+
+# atheris has wheels for Python 3.11 to 3.13 on Linux.
+$(FUZZ)/.installed: setup.py constraints.txt
+	$(make_venv)
+	$(FUZZ)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris
 	touch $@
 
 $(LOCK)/.installed:

@@ -30,6 +30,7 @@ RERUN = [
     "rerun-sdk>=0.41; python_version >= '3.11'",
 ]
 CLUSTER = ["distributed>=2024.1"]
+REMOTE = ["universal-pathlib>=0.2.6", "s3fs"]
 # Community builds of ROS 2 Jazzy for Linux on x86-64: to develop and test on machines without a
 # ROS installation. Users have ROS from its own packages, by package.xml.
 ROS = [
@@ -87,6 +88,10 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "rosbags>=0.11",
+        "mcap>=1.2",
+        "lz4>=4",
+        "zstandard>=0.19",
+        "ruamel.yaml>=0.17",
         "typer>=0.17.4",
         "rich>=13",
     ],
@@ -94,9 +99,10 @@ setup(
         "plot": PLOT,
         "rerun": RERUN,
         "cluster": CLUSTER,
+        "remote": REMOTE,
         "ros": ROS,
         "test": TEST,
-        "dev": [*PLOT, *TEST, *LINT],
+        "dev": [*PLOT, *REMOTE, *TEST, *LINT, "moto[server]>=5"],
     },
     entry_points={
         "console_scripts": [

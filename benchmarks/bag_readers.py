@@ -98,7 +98,8 @@ def bytes_read() -> int:
     return int(Path("/proc/self/io").read_text().split("rchar: ")[1].split()[0])
 
 
-READERS = {"trajeval_ros": ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
+OURS = "trajeval_ros"
+READERS = {OURS: ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
 
 if __name__ == "__main__":
     READERS[sys.argv[1]](Path(sys.argv[2]))

@@ -312,6 +312,17 @@ def test_hostile_sizes_take_no_memory(strict: bool, tmp_path: Path) -> None:
                 assert read_trajectory(str(path)).damage
 
 
+def test_an_unknown_compression_loses_its_chunk_only(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "x.mcap", compression=CompressionType.LZ4)
+    content = bytearray(path.read_bytes())
+    index = content.rfind(b"\x03\0\0\0lz4")
+    content[index + 4 : index + 7] = b"lz0"
+    footer = len(content) - 8 - 4
+    content[footer : footer + 4] = bytes(4)
+    path.write_bytes(content)
+    assert len(assert_damaged(path, "compression 'lz0' is unknown")) > 0.8 * COUNT
+
+
 # sqlite3.
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class ByteSource(Protocol):
@@ -59,3 +59,43 @@ class LocalFile:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+class RemoteFile:
+    """An object in a store that fsspec knows, such as S3."""
+
+    def __init__(self, path: Any) -> None:
+        """Look the object up.
+
+        Args:
+            path: A path of universal_pathlib.
+        """
+        self.name = str(path)
+        self.fetched = 0
+        self._files, self._path = path.fs, path.path
+        self.size = int(self._files.size(self._path))
+
+    def read(self, offset: int, size: int) -> bytes:
+        """Return the bytes from an offset on, fewer where the end is near."""
+        end = min(offset + size, self.size)
+        if end <= offset:
+            return b""
+        data: bytes = self._files.cat_file(self._path, start=offset, end=end)
+        self.fetched += len(data)
+        return data
+
+    def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Return the bytes of several ranges (offset, size)."""
+        starts = [offset for offset, _ in ranges]
+        ends = [min(offset + size, self.size) for offset, size in ranges]
+        pieces: list[bytes] = self._files.cat_ranges([self._path] * len(ranges), starts, ends)
+        self.fetched += sum(map(len, pieces))
+        return pieces
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def source_of(path: Any) -> LocalFile | RemoteFile:
+    """Return the bytes of a path of this machine, or of universal_pathlib."""
+    return LocalFile(path) if isinstance(path, Path) else RemoteFile(path)

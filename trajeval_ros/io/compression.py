@@ -21,7 +21,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
         limit: Bytes.
 
     Raises:
-        InputError: The compression is unknown.
+        ValueError: The compression is unknown.
     """
     if kind == "":
         return bytes(data[:limit])
@@ -29,7 +29,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
         return _zstd(data, limit)
     if kind == "lz4":
         return _lz4(data, limit)
-    raise InputError(f"compression {kind[:20]!r} is unknown; zstd, lz4 and none are read")
+    raise ValueError(f"compression {kind[:20]!r} is unknown; zstd, lz4 and none are read")
 
 
 def _zstd(data: bytes | memoryview, limit: int) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.blocks import Block
-from trajeval_ros.io.byte_source import LocalFile
+from trajeval_ros.io.byte_source import RemoteFile, source_of
 from trajeval_ros.io.compression import decompress_file
 from trajeval_ros.io.mcap_records import MAGIC
 
@@ -65,8 +65,15 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
     Raises:
         InputError: It is no bag.
     """
-    with path.open("rb") as file:
-        beginning = file.read(16)
+    source = source_of(path)
+    beginning = source.read(0, 16)
+    if beginning.startswith(MAGIC):
+        from trajeval_ros.io.mcap_index import McapReader
+
+        return McapReader(source, strict=strict)
+    source.close()
+    if isinstance(source, RemoteFile):
+        raise InputError(f"{path} is no MCAP; only those are read in place, so copy it here first")
     if beginning.startswith(_ZSTD):
         return open_file(decompress_file(path, folder), folder, strict=strict)
     if not beginning:
@@ -79,8 +86,4 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         from trajeval_ros.io.sqlite_bag import SqliteReader
 
         return SqliteReader(path)
-    if beginning.startswith(MAGIC):
-        from trajeval_ros.io.mcap_index import McapReader
-
-        return McapReader(LocalFile(path), strict=strict)
     raise InputError(f"{path} is no bag: it begins as neither MCAP, sqlite3 nor ROS 1")

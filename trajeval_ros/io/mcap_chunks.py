@@ -108,7 +108,10 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     (stored,) = _SIZE.unpack_from(record, place - 8)
     if size != chunk.size:
         raise DamagedError("a chunk's size can't be right")
-    data = decompress(chunk.compression, record[place : place + stored], size)
+    try:
+        data = decompress(chunk.compression, record[place : place + stored], size)
+    except ValueError as error:
+        raise DamagedError(str(error)) from error
     if chunk.is_cut:
         return data
     if len(data) != size:

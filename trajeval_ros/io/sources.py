@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ Advance = Callable[[int, int], None]
 
 _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
+_URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
 
@@ -79,7 +81,7 @@ def parse_source(source: str) -> Source:
     Raises:
         InputError: There is no such path, or the frames aren't `PARENT.CHILD`.
     """
-    path, rest = _split_path(source)
+    path, rest = _split_url(source) if _URL.match(source) else _split_path(source)
     try:
         is_bag = path.is_dir() or _begins_as_bag(path)
     except OSError as error:
@@ -93,6 +95,27 @@ def parse_source(source: str) -> Source:
     if not frames and topic not in ("/tf", "/tf_static"):
         return Source(path, topic, None, is_bag)
     return Source(path, topic, _parse_frames(topic, frames), is_bag)
+
+
+def _split_url(source: str) -> tuple[Path, str]:
+    """Return the existing object that a source begins with, and what follows its colon."""
+    try:
+        from upath import UPath
+    except ImportError as error:
+        raise InputError(
+            f"{source} is a URL, which needs pip install 'trajeval-ros[remote]'"
+        ) from error
+    pieces = source.split(":")
+    candidates = [(":".join(pieces[:count]), count) for count in range(len(pieces), 1, -1)]
+    try:
+        for url, count in candidates:
+            path = UPath(url)
+            if path.exists():
+                return path, ":".join(pieces[count:])
+    except Exception as error:  # each kind of store has its own
+        said = " ".join(str(error).split())[:200]
+        raise InputError(f"{source} can't be reached: {said}") from error
+    raise InputError(f"{source} does not exist; check the URL")
 
 
 def _split_path(source: str) -> tuple[Path, str]:

@@ -1,0 +1,83 @@
+"""Compares ways of reading poses out of bags, each in a process of its own.
+
+Every round runs each reader once, one after the other. Medians and their ratios go to the
+terminal, and to bags.json beside the generated bags, which take 5.4 GB at scale 1.
+
+Usage: make bench-bags BENCH="--scale 0.1 --runs 3"
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.bag_readers import OURS, READERS
+from benchmarks.process import environment, run
+
+HERE = Path(__file__).parent
+Figures = dict[str, float]
+
+
+def measure(path: Path, runs: int) -> dict[str, Figures]:
+    """Return the medians of each reader's figures; all must have read the same."""
+    names = [name for name in READERS if path.suffix == ".mcap" or not name.startswith("mcap")]
+    figures: dict[str, list[Figures]] = {name: [] for name in names}
+    with tempfile.TemporaryDirectory() as home:
+        for _ in range(runs):
+            for name in names:
+                command = [sys.executable, "-m", "benchmarks.bag_readers", name, str(path)]
+                figures[name].append(json.loads(run(command, environment(Path(home))).output))
+    sums = [each["sum_x"] for several in figures.values() for each in several]
+    if max(sums) - min(sums) > 1e-6:
+        raise SystemExit(f"{path.name}: the readers disagree")
+    return {
+        name: {key: median(each[key] for each in several) for key in several[0]}
+        for name, several in figures.items()
+    }
+
+
+def main() -> None:
+    """Measure all bags, print the figures, keep them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scale", default=1.0, type=float, help="size of the bags")
+    parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
+    parser.add_argument("--data", default=HERE / "data" / "bags", type=Path)
+    options = parser.parse_args()
+    folder = options.data / f"{options.scale:g}"
+    subprocess.run(
+        [sys.executable, "-m", "benchmarks.bag_files", str(folder), str(options.scale)], check=True
+    )
+    table = Table("bag", "reader", box=box.SIMPLE_HEAD)
+    for heading in ("CPU s", "x", "read MB", "of file", "peak MB"):
+        table.add_column(heading, justify="right")
+    results = {}
+    for path in sorted(folder.glob("*.*")):
+        if path.suffix not in (".mcap", ".db3"):
+            continue
+        results[path.name] = figures = measure(path, options.runs)
+        for name, each in figures.items():
+            ratio = each["cpu_s"] / figures[OURS]["cpu_s"]
+            table.add_row(
+                path.name,
+                name,
+                f"{each['cpu_s']:.2f}",
+                "" if name == OURS else f"{ratio:.1f}",
+                f"{each['read_mb']:.0f}",
+                f"{1e8 * each['read_mb'] / path.stat().st_size:.1f} %",
+                f"{each['peak_mb']:.0f}",
+            )
+    Console().print(table)
+    (folder / "bags.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Coverage-guided fuzzing of what reads strangers' bytes: `make fuzz`.
+
+Whatever the bytes, the CDR decoder raises nothing, and the MCAP reader nothing but InputError.
+
+Usage: python tests/fuzz_bags.py CORPUS [options of libFuzzer]
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import atheris
+
+with atheris.instrument_imports(include=["trajeval_ros.io"]):
+    from trajeval_ros.exceptions import InputError
+    from trajeval_ros.io.cdr import Plan
+    from trajeval_ros.io.definitions import STANDARD, ros1_fields
+    from trajeval_ros.io.mcap_index import McapReader
+    from trajeval_ros.io.messages import decode_path, decode_poses, decode_transforms, plan_of
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+POSE = "geometry_msgs/msg/PoseStamped"
+KINDS = sorted(STANDARD)
+PLANS = [Plan(STANDARD[kind]) for kind in KINDS]
+PLANS += [Plan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
+POSES = plan_of(None, POSE)
+MCAP = 255  # the first byte of an input that is a file
+
+
+class Memory:
+    """A file in memory."""
+
+    name = "memory"
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self.size = len(data)
+        self.fetched = 0
+
+    def read(self, offset: int, size: int) -> bytes:
+        self.fetched += size
+        return self._data[max(0, offset) : max(0, offset) + max(0, size)]
+
+    def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
+        return [self.read(*each) for each in ranges]
+
+    def close(self) -> None:
+        pass
+
+
+def one_input(data: bytes) -> None:
+    """Read bytes as a file, or as messages that are each as long as the second byte says."""
+    if len(data) < 2:
+        return
+    if data[0] == MCAP:
+        for strict in (False, True):
+            read_file(data[1:], strict=strict)
+        return
+    size = data[1] or 1
+    payloads = [data[place : place + size] for place in range(2, len(data), size)]
+    plan = PLANS[data[0] % len(PLANS)]
+    assert len(plan.decode(payloads).rows) <= len(payloads)
+    decode_poses(payloads, POSE)
+    decode_transforms(payloads)
+    decode_path(data[2:])
+
+
+def read_file(data: bytes, *, strict: bool) -> None:
+    try:
+        reader = McapReader(Memory(data), strict=strict)
+    except InputError:
+        return
+    wanted = frozenset(connection.id for connection in reader.connections)
+    assert reader.span is None or len(reader.span) == 2
+    for block in reader.blocks(wanted):
+        columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
+        assert len(columns.rows) <= len(block)
+        block.decompressed()
+
+
+def seeds(folder: Path) -> None:
+    """Write inputs to begin with: small files of all kinds, and messages."""
+    folder.mkdir(parents=True, exist_ok=True)
+    random = np.random.default_rng(0)
+    payload = b"\0\1\0\0" + bytes(8) + b"\4\0\0\0map\0" + random.normal(size=7).tobytes()
+    for number in range(len(PLANS)):
+        (folder / f"messages_{number}").write_bytes(bytes([number, len(payload)]) + payload * 3)
+    for compression in CompressionType:
+        for chunked in (True, False):
+            output = io.BytesIO()
+            writer = Writer(
+                output, compression=compression, use_chunking=chunked, enable_crcs=False
+            )
+            writer.start(profile="ros2")
+            schema = writer.register_schema(POSE, "ros2msg", b"")
+            channel = writer.register_channel("/pose", "cdr", schema)
+            for row in range(4):
+                writer.add_message(channel, row, payload, row)
+            writer.finish()
+            name = f"file_{compression.name}_{chunked}"
+            (folder / name).write_bytes(bytes([MCAP]) + output.getvalue())
+
+
+if __name__ == "__main__":
+    seeds(Path(sys.argv[1]))
+    atheris.Setup(sys.argv, one_input)
+    atheris.Fuzz()
