@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,15 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from trajeval_ros.io.bags import Bag, Topic, encoding_of
 from trajeval_ros.io.cdr import Columns, Plan
-from trajeval_ros.io.definitions import STANDARD, UnplannedError, fields_of
+from trajeval_ros.io.definitions import (
+    STANDARD,
+    UnplannedError,
+    fields_of,
+    recorded_fields,
+    types_in,
+)
 from trajeval_ros.io.messages import (
     PATH_TYPE,
     POSE_TYPES,
@@ -368,3 +376,40 @@ def test_transforms_by_edge() -> None:
         for key, edge in edges.items()
     }
     assert found == expected
+
+
+def real_bags(folder: Path) -> list[Path]:
+    bags = [each for each in folder.rglob("*") if each.suffix in (".mcap", ".db3", ".bag")]
+    assert len(bags) >= 5
+    return bags
+
+
+def test_every_field_of_every_message_of_real_bags(shared_data: Path) -> None:
+    checked = 0
+    for path in real_bags(shared_data / "bags"):
+        with Bag(path) as bag:
+            for topic in bag.topics:
+                plain = deserialiser(topic)
+                fields = recorded_fields(topic.connections[0])
+                if plain is None or fields is None:
+                    continue
+                payloads = [payload for _, _, payload in bag.messages([topic])]
+                plan = Plan(fields, is_ros1=encoding_of(topic.connections[0]) == "ros1")
+                assert_holds(plan.decode(payloads), [plain(each) for each in payloads])
+                checked += len(payloads)
+    assert checked > 30_000
+
+
+def deserialiser(topic: Topic) -> Callable[[bytes], Any] | None:
+    """Return rosbags' way to read the messages of a topic, None if it has none."""
+    connection = topic.connections[0]
+    store: Any = get_typestore(Stores.EMPTY)
+    try:
+        language, text = connection.msgdef.format.name, connection.msgdef.data
+        store.register(types_in(language, text, topic.type))
+        store.get_msgdef(topic.type)
+    except Exception:
+        return None
+    ros1 = encoding_of(connection) == "ros1"
+    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    return lambda payload: read(payload, topic.type)

@@ -202,6 +202,8 @@ class Bag:
         total = sum(each or 0 for each in counts)
         names = ", ".join(topic.name for topic in topics)
         damage = [each for container in self._containers for each in container.damage]
+        notes = [each for container in self._containers for each in container.notes]
+        self.notes = list(dict.fromkeys([*self.notes, *notes]))
         if done != total and None not in counts:
             damage.append(f"{self.path} counts {total} messages on {names}, but {done} were read")
         self.damage = list(dict.fromkeys([*self.damage, *damage]))

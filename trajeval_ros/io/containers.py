@@ -24,10 +24,12 @@ class Container(Protocol):
     Attributes:
         connections: Topics, by connection, with the number of messages that they should have.
         damage: What can't be read, one sentence each; grows while blocks are read.
+        notes: What else to know about what was read.
     """
 
     connections: list[Connection]
     damage: list[str]
+    notes: list[str]
 
     @property
     def span(self) -> tuple[int, int] | None:

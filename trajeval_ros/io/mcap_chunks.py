@@ -8,7 +8,6 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.io.blocks import LARGEST, Block
 from trajeval_ros.io.byte_source import ByteSource
@@ -169,17 +168,20 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
     return found
 
 
-def measured(data: bytes | NDArray[np.uint8], messages: Messages, shift: int = 0) -> Messages:
+def measured(data: bytes, messages: Messages, limit: int, shift: int = 0) -> Messages:
     """Return messages with their sizes, which the records in memory say.
 
     Args:
         data: Bytes of a chunk.
         messages: By its index, in order of their offsets.
+        limit: Where the chunk ends.
         shift: Where in the chunk the data begin.
 
     Raises:
         DamagedError: A record isn't a message of that channel and time, or overlaps the next.
     """
+    if not len(messages):
+        return messages
     buffer = np.frombuffer(data, dtype=np.uint8)
     head = np.dtype(
         [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("_", "<u4"), ("time", "<i8")]
@@ -189,7 +191,7 @@ def measured(data: bytes | NDArray[np.uint8], messages: Messages, shift: int = 0
     lengths = heads["length"].astype(np.int64)
     ends = messages.offsets + HEAD + lengths
     fits = (lengths >= MESSAGE_HEAD) & (lengths <= LARGEST)
-    fits[:-1] &= ends[:-1] <= messages.offsets[1:]
+    fits &= ends <= np.append(messages.offsets[1:], limit)
     are_right = (
         (heads["opcode"] == MESSAGE)
         & (heads["channel"] == messages.channels)
@@ -236,10 +238,8 @@ def partial(
         inside = messages
         if len(runs) > 1:
             inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
-        found = measured(pieces[number], inside, begin)
+        found = measured(pieces[number], inside, chunk.size, begin)
         last = int(found.offsets[-1] + _RECORD + found.sizes[-1])
-        if last > chunk.size:
-            raise DamagedError("a message is longer than its chunk")
         if last > end:
             pieces[number] += source.read(base + end, last - end)
             if len(pieces[number]) != last - begin:

@@ -65,7 +65,7 @@ class McapReader:
     Attributes:
         connections: Its channels.
         damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What was worked around.
+        notes: What else to know about what was read.
     """
 
     def __init__(self, source: ByteSource, *, strict: bool = False) -> None:
@@ -76,8 +76,8 @@ class McapReader:
             strict: Whether to read and verify all chunks whole.
         """
         self.damage: list[str] = []
-        self.unverified = 0
-        self.chunks_read = 0
+        self.notes: list[str] = []
+        self._partial = self._read = 0  # chunks
         self._lost: collections.Counter[str] = collections.Counter()
         self._source = source
         self._strict = strict
@@ -125,6 +125,7 @@ class McapReader:
     ) -> Iterator[Block]:
         """Yield the messages of some channels."""
         self._lost.clear()
+        self._partial = self._read = 0
         pieces: list[tuple[int, Piece]] = [
             (chunk.first, chunk)
             for chunk in self._chunks
@@ -153,26 +154,29 @@ class McapReader:
             f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
             for reason, count in self._lost.items()
         ]
+        if self._partial:
+            self.notes = [
+                f"{self._partial} of {self._read} chunks were read in part, so that their "
+                "checksums couldn't be verified; --strict reads all of them"
+            ]
 
     def _chunk(self, chunk: Chunk, wanted: Collection[int]) -> Block:
         """Return the wanted messages of a chunk."""
-        self.chunks_read += 1
+        self._read += 1
         indexed: Messages | None = None
         if chunk.indexes and not self._strict:
             try:
                 indexed = index_of(self._source, chunk, wanted)
                 if (runs := runs_of(chunk, indexed)) is not None:
                     block = partial(self._source, chunk, indexed, runs)
-                    self.unverified += 1
+                    self._partial += 1
                     return block
             except DamagedError:
                 indexed = None  # the chunk itself may be well
         data = whole(self._source, chunk)
         if indexed is not None:
             try:
-                indexed = measured(data, indexed)
-                if not len(indexed) or (indexed.offsets + indexed.sizes)[-1] <= len(data):
-                    return block_in(data, indexed, chunk.first)
+                return block_in(data, measured(data, indexed, len(data)), chunk.first)
             except DamagedError:
                 pass
         return block_in(data, of_channels(walked(data), wanted), chunk.first)

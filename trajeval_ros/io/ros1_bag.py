@@ -18,7 +18,7 @@ class Ros1Reader:
     Attributes:
         connections: Its connections; several may have one topic.
         damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What was worked around.
+        notes: What else to know about what was read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -26,6 +26,7 @@ class Ros1Reader:
         from rosbags.rosbag1 import Reader
 
         self.damage: list[str] = []
+        self.notes: list[str] = []
         self._path = path
         self._reader = Reader(path)
         self._reader.open()

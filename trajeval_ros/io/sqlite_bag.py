@@ -25,7 +25,7 @@ class SqliteReader:
     Attributes:
         connections: Its topics.
         damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What was worked around.
+        notes: What else to know about what was read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,6 +35,7 @@ class SqliteReader:
             InputError: It is damaged, or its log can't be read.
         """
         self.damage: list[str] = []
+        self.notes: list[str] = []
         self._counts: dict[int, int] | None = None
         self._path = path
         log = path.with_name(f"{path.name}-wal")
