@@ -129,7 +129,7 @@ def test_every_field_of_random_messages(message_type: str) -> None:
     count = 2000 if message_type in TYPES else 100
     messages = [random_message(STORE, message_type, random) for _ in range(count)]
     payloads = [serialised(STORE, each, message_type, random) for each in messages]
-    columns = Plan(fields_of(STORE, message_type)).decode(payloads)
+    columns = Plan(fields_of(STORE.fielddefs, message_type)).decode(payloads)
     assert_holds(columns, messages)
     assert columns.numbers or columns.sequences
 
@@ -144,7 +144,7 @@ def test_every_field_of_random_messages_of_ros1(message_type: str) -> None:
     random = np.random.default_rng(2)
     messages = [random_message(store, message_type, random) for _ in range(300)]
     payloads = [bytes(store.serialize_ros1(each, message_type)) for each in messages]
-    plan = Plan(fields_of(store, message_type), is_ros1=True)
+    plan = Plan(fields_of(store.fielddefs, message_type), is_ros1=True)
     assert_holds(plan.decode(payloads), messages)
     too_long = plan.decode([each + b"\0" for each in payloads])
     assert not len(too_long.rows)
@@ -180,7 +180,9 @@ def test_every_field_of_any_layout(text: str, seed: int, ros1: bool) -> None:
         payloads = [bytes(store.serialize_ros1(each, "p/msg/Top")) for each in messages]
     else:
         payloads = [serialised(store, each, "p/msg/Top", random) for each in messages]
-    assert_holds(Plan(fields_of(store, "p/msg/Top"), is_ros1=ros1).decode(payloads), messages)
+    assert_holds(
+        Plan(fields_of(store.fielddefs, "p/msg/Top"), is_ros1=ros1).decode(payloads), messages
+    )
 
 
 def test_equal_size_is_not_equal_layout() -> None:
@@ -296,7 +298,7 @@ def test_counts_that_cannot_be_cost_nothing() -> None:
 def test_standard_types_are_those_of_ros() -> None:
     for store in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY):
         for message_type, fields in STANDARD.items():
-            assert fields_of(get_typestore(store), message_type) == fields
+            assert fields_of(get_typestore(store).fielddefs, message_type) == fields
 
 
 @pytest.mark.parametrize("message_type", [each for each in POSE_TYPES if each != PATH_TYPE])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Union
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
+    from rosbags.interfaces.typing import Typesdict
 
 TEXT = "text"
 
@@ -37,7 +37,9 @@ class UnplannedError(Exception):
 
 _XYZ: Fields = (("x", "f8"), ("y", "f8"), ("z", "f8"))
 _XYZW: Fields = (*_XYZ, ("w", "f8"))
-_HEADER: Fields = (("stamp", (("sec", "i4"), ("nanosec", "u4"))), ("frame_id", TEXT))
+_STAMP: Fields = (("sec", "i4"), ("nanosec", "u4"))
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_HEADER: Fields = (("stamp", _STAMP), ("frame_id", TEXT))
 _POSE: Fields = (("position", _XYZ), ("orientation", _XYZW))
 _TWIST: Fields = (("linear", _XYZ), ("angular", _XYZ))
 _COVARIANCE = ("covariance", Many("f8", 36))
@@ -96,15 +98,18 @@ def _ros1_kind(kind: Kind) -> Kind:
     return ros1_fields(kind) if isinstance(kind, tuple) else kind
 
 
-def fields_of(store: Typestore, message_type: str) -> Fields:
-    """Return the fields of a type that a rosbags store knows.
+def fields_of(types: Typesdict, message_type: str) -> Fields:
+    """Return the fields of a type, by types that rosbags has parsed.
 
     Raises:
-        UnplannedError: A field is of a kind that can't be decoded by column.
+        UnplannedError: A field is of a kind that can't be decoded by column, or of no known type.
     """
+    if message_type not in types:
+        if message_type in _TIMES:
+            return _STAMP
+        raise UnplannedError(f"{message_type} is not defined")
     return tuple(
-        (name, _kind_of(store, description))
-        for name, description in store.get_msgdef(message_type).fields
+        (name, _kind_of(types, description)) for name, description in types[message_type][1]
     )
 
 
@@ -116,12 +121,8 @@ def recorded_fields(connection: Connection) -> Fields | None:
 
 @functools.lru_cache(maxsize=64)
 def _recorded_fields(language: str, text: str, message_type: str) -> Fields | None:
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
     try:
-        store.register(types_in(language, text, message_type))
-        return fields_of(store, message_type)
+        return fields_of(types_in(language, text, message_type), message_type)
     except Exception:  # rosbags raises half a dozen kinds for a definition that is none
         return None
 
@@ -139,12 +140,12 @@ def types_in(language: str, text: str, message_type: str) -> Any:
     return types
 
 
-def _kind_of(store: Typestore, description: Any) -> Kind:
+def _kind_of(types: Typesdict, description: Any) -> Kind:
     from rosbags.interfaces import Nodetype
 
     node, content = description
     if node == Nodetype.NAME:
-        return fields_of(store, content)
+        return fields_of(types, content)
     if node == Nodetype.BASE:
         name = content[0]
         if name == "string":
@@ -153,4 +154,4 @@ def _kind_of(store: Typestore, description: Any) -> Kind:
             raise UnplannedError(f"{name} can't be decoded by column")
         return _NUMBERS[name]
     kind, count = content
-    return Many(_kind_of(store, kind), count if node == Nodetype.ARRAY else None)
+    return Many(_kind_of(types, kind), count if node == Nodetype.ARRAY else None)
