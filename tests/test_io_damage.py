@@ -296,13 +296,17 @@ def test_messages_that_are_no_poses_are_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("strict", [False, True])
-def test_hostile_sizes_take_no_memory(strict: bool, tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "x.mcap", compression=CompressionType.ZSTD)
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("size", [2**62, 2**64 - 1])
+def test_hostile_sizes_take_no_memory(
+    strict: bool, compression: Any, size: int, tmp_path: Path
+) -> None:
+    path = mcap_file(tmp_path / "x.mcap", compression=compression)
     content = bytearray(path.read_bytes())
     chunk = chunks_of(path)[2]
     for place in (chunk + 1, chunk + 25):  # the record's length, the chunk's size
         damaged = bytearray(content)
-        damaged[place : place + 8] = (2**62).to_bytes(8, "little")
+        damaged[place : place + 8] = size.to_bytes(8, "little")
         for ending in (damaged, damaged[: len(damaged) - 40]):
             path.write_bytes(ending)
             if strict:
@@ -310,6 +314,15 @@ def test_hostile_sizes_take_no_memory(strict: bool, tmp_path: Path) -> None:
                     read_trajectory(str(path), strict=True)
             else:
                 assert read_trajectory(str(path)).damage
+
+
+def test_a_size_that_no_integer_holds(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "x.mcap", messages=payloads() * 3, chunk_size=1 << 17)
+    content = bytearray(path.read_bytes())
+    chunk = chunks_of(path)[1]
+    content[chunk + 25 : chunk + 33] = b"\xff" * 8
+    path.write_bytes(content[:-40])
+    assert_damaged(path, "a chunk's size can't be right")
 
 
 def test_an_unknown_compression_loses_its_chunk_only(tmp_path: Path) -> None:

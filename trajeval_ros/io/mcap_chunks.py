@@ -88,14 +88,19 @@ def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = Fal
     return Chunk(offset, length, first, last, compression, size, is_cut=is_cut)
 
 
+def require_size(chunk: Chunk) -> None:
+    """Raise DamagedError if a chunk is larger than any that a recorder writes."""
+    if chunk.length > LARGEST or chunk.size > LARGEST:
+        raise DamagedError("a chunk's size can't be right")
+
+
 def whole(source: ByteSource, chunk: Chunk) -> bytes:
     """Return the records of a chunk; of one that is cut off, as many as there are.
 
     Raises:
         DamagedError: It can't be decompressed, or isn't what its checksum is of.
     """
-    if chunk.length > LARGEST or chunk.size > LARGEST:
-        raise DamagedError("a chunk's size can't be right")
+    require_size(chunk)
     record = memoryview(source.read(chunk.offset, chunk.length))
     place = chunk.data_offset - chunk.offset
     if len(record) < place:

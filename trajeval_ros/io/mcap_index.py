@@ -26,6 +26,7 @@ from trajeval_ros.io.mcap_chunks import (
     measured,
     of_channels,
     partial,
+    require_size,
     runs_of,
     walked,
     whole,
@@ -77,7 +78,7 @@ class McapReader:
         """
         self.damage: list[str] = []
         self.notes: list[str] = []
-        self._partial = self._read = 0  # chunks
+        self._partial: list[int] = []  # where chunks lie that were not read whole
         self._lost: collections.Counter[str] = collections.Counter()
         self._source = source
         self._strict = strict
@@ -125,7 +126,7 @@ class McapReader:
     ) -> Iterator[Block]:
         """Yield the messages of some channels."""
         self._lost.clear()
-        self._partial = self._read = 0
+        self._partial.clear()
         pieces: list[tuple[int, Piece]] = [
             (chunk.first, chunk)
             for chunk in self._chunks
@@ -155,21 +156,22 @@ class McapReader:
             for reason, count in self._lost.items()
         ]
         if self._partial:
+            chunks = sum(isinstance(each, Chunk) for _, each in pieces)
             self.notes = [
-                f"{self._partial} of {self._read} chunks were read in part, so that their "
+                f"{len(self._partial)} of {chunks} chunks were read in part, so that their "
                 "checksums couldn't be verified; --strict reads all of them"
             ]
 
     def _chunk(self, chunk: Chunk, wanted: Collection[int]) -> Block:
         """Return the wanted messages of a chunk."""
-        self._read += 1
+        require_size(chunk)
         indexed: Messages | None = None
         if chunk.indexes and not self._strict:
             try:
                 indexed = index_of(self._source, chunk, wanted)
                 if (runs := runs_of(chunk, indexed)) is not None:
                     block = partial(self._source, chunk, indexed, runs)
-                    self._partial += 1
+                    self._partial.append(chunk.offset)
                     return block
             except DamagedError:
                 indexed = None  # the chunk itself may be well
