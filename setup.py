@@ -31,6 +31,7 @@ RERUN = [
 ]
 CLUSTER = ["distributed>=2024.1"]
 REMOTE = ["universal-pathlib>=0.2.6", "s3fs"]
+FOXGLOVE = ["foxglove-schemas-protobuf>=0.3"]
 # Community builds of ROS 2 Jazzy for Linux on x86-64: to develop and test on machines without a
 # ROS installation. Users have ROS from its own packages, by package.xml.
 ROS = [
@@ -100,9 +101,10 @@ setup(
         "rerun": RERUN,
         "cluster": CLUSTER,
         "remote": REMOTE,
+        "foxglove": FOXGLOVE,
         "ros": ROS,
         "test": TEST,
-        "dev": [*PLOT, *REMOTE, *TEST, *LINT, "moto[server]>=5"],
+        "dev": [*PLOT, *REMOTE, *FOXGLOVE, *TEST, *LINT, "moto[server]>=5"],
     },
     entry_points={
         "console_scripts": [

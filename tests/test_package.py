@@ -64,9 +64,25 @@ ROOMS = {
     "rich": {"cli", "report"},
     "rosbags": {"io"},
     "mcap": {"io"},
+    "zstandard": {"io"},
+    "lz4": {"io"},
+    "ruamel": {"io"},
+    "upath": {"io"},
+    "foxglove_schemas_protobuf": {"io"},
+    "google": {"io"},
     "distributed": {"batch"},
 }
-HEAVY = {"distributed", "matplotlib", "mcap", "pandas", "rclpy", "rerun", "rosbags"}
+HEAVY = {
+    "distributed",
+    "google.protobuf",
+    "matplotlib",
+    "mcap",
+    "pandas",
+    "rclpy",
+    "rerun",
+    "rosbags",
+    "upath",
+}
 
 MACHINE_PATH = re.compile(r"/(?:work|root|home|Users)/\w")
 REGISTRY_HOST = re.compile(r"(?:pypi|pythonhosted|npmjs|debian)\.(?:org|io|com)")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io import foxglove
 from trajeval_ros.io.blocks import Block, in_order, merged
 from trajeval_ros.io.checks import nearest
 from trajeval_ros.io.containers import Container, open_file
@@ -58,16 +59,29 @@ class Topic:
     @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
-        return self.type in POSE_TYPES and self._is_readable
+        return self.type in (*POSE_TYPES, foxglove.POSE_TYPE) and self._is_readable
 
     @property
     def holds_transforms(self) -> bool:
         """Whether its messages are TF."""
-        return self.type in TRANSFORM_TYPES and self._is_readable
+        types = (*TRANSFORM_TYPES, *foxglove.TRANSFORM_TYPES)
+        return self.type in types and self._is_readable
+
+    @property
+    def lacks_protobuf(self) -> bool:
+        """Whether it could be read if what decodes protobuf were installed."""
+        return (
+            self.type in foxglove.TYPES
+            and not self._is_readable
+            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
+        )
 
     @property
     def _is_readable(self) -> bool:
-        return all(encoding_of(each) in _ENCODINGS for each in self.connections)
+        encodings = [encoding_of(each) for each in self.connections]
+        if self.type in foxglove.TYPES:
+            return all(foxglove.is_decodable(each) for each in encodings)
+        return all(each in _ENCODINGS for each in encodings)
 
 
 class Bag:
@@ -214,9 +228,13 @@ class Bag:
         """Return the topics of that name, one per type.
 
         Raises:
-            InputError: There is none.
+            InputError: There is none, or what reads it isn't installed.
         """
         found = [topic for topic in self.topics if topic.name == name]
+        if any(topic.lacks_protobuf for topic in found):
+            raise InputError(
+                f"{self.path}: {name} is in protobuf, which needs pip install '{foxglove.EXTRA}'"
+            )
         if found:
             return found
         names = {topic.name for topic in self.topics}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,11 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import Advance, Bag, Topic, encoding_of
 from trajeval_ros.io.blocks import Block
-from trajeval_ros.io.cdr import Columns
+from trajeval_ros.io.cdr import Columns, Plan
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.definitions import recorded_fields
+from trajeval_ros.io.foxglove import TYPES as FOXGLOVE_TYPES
+from trajeval_ros.io.foxglove import FoxglovePlan
 from trajeval_ros.io.messages import (
     PATH_TYPE,
     GrowingPoses,
@@ -26,6 +29,9 @@ from trajeval_ros.io.messages import (
 )
 from trajeval_ros.io.transforms import Edge, chain
 from trajeval_ros.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -89,14 +95,20 @@ class _Decoders:
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
         self.topic = topic
         self._plans = {
-            (id(each.owner), each.id): plan_of(
-                recorded_fields(each),
-                topic.type,
-                covariance=covariances,
-                is_ros1=encoding_of(each) == "ros1",
-            )
+            (id(each.owner), each.id): self._plan(each, covariances=covariances)
             for each in topic.connections
         }
+
+    def _plan(self, connection: Connection, *, covariances: bool) -> Plan | FoxglovePlan:
+        encoding = encoding_of(connection)
+        if self.topic.type in FOXGLOVE_TYPES:
+            return FoxglovePlan(self.topic.type, encoding)
+        return plan_of(
+            recorded_fields(connection),
+            self.topic.type,
+            covariance=covariances,
+            is_ros1=encoding == "ros1",
+        )
 
     def nothing(self) -> Columns:
         """Return the columns of no message."""
@@ -210,6 +222,9 @@ def _choose(bag: Bag, name: str) -> Topic:
         why = "; ".join(bag.damage) or "it has no topics"
         raise InputError(f"{bag.path} is an empty bag: {why}")
     if not listed:
+        for topic in bag.topics:
+            if topic.lacks_protobuf:
+                bag.find(topic.name)  # says what to install
         types = ", ".join(sorted({topic.type for topic in bag.topics}))
         raise InputError(f"{bag.path} has no topic with poses, only {types}")
     raise InputError(
