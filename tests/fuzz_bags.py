@@ -36,14 +36,13 @@ class Memory:
     """A file in memory."""
 
     name = "memory"
+    is_far = False
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self.size = len(data)
-        self.fetched = 0
 
     def read(self, offset: int, size: int) -> bytes:
-        self.fetched += size
         return self._data[max(0, offset) : max(0, offset) + max(0, size)]
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:

@@ -1,8 +1,7 @@
-"""Bags in object storage: a real server on loopback, and the bytes that it was asked for."""
+"""Bags in object storage: a real server on loopback, and the bytes that came from it."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.writer import CompressionType
-from test_io_damage import COUNT, mcap_file, rows_of
+from rosbags.rosbag2 import StoragePlugin
+from test_io_bags import simple, the_file
+from test_io_damage import COUNT, mcap_file, rows_of, split
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags import Bag
-from trajeval_ros.io.sources import parse_source, read_trajectory
+from trajeval_ros.io.sources import read_trajectory
 
 upath = pytest.importorskip("upath", reason="universal_pathlib is missing")
-IMAGE = bytes(100_000)
+IMAGE = bytes(1 << 20)
+EVERY = 20  # poses there is an image
 
 
 def among_images(path: Path) -> Path:
-    """Write poses among images that are 60 times as large."""
-    from test_io_damage import payloads
+    """Write poses among images that make up all but a thousandth of the file."""
 
     def images(writer: Any) -> None:
         channel = writer.register_channel("/image", "x", 0)
@@ -30,71 +30,89 @@ def among_images(path: Path) -> Path:
 
         def with_image(topic: int, log_time: int, payload: bytes, published: int) -> None:
             add(topic, log_time, payload, published)
-            if (log_time // 10**9) % 4 == 0:
+            if (log_time // 10**9) % EVERY == 0:
                 add(channel, log_time, IMAGE, published)
 
         writer.add_message = with_image
 
-    return mcap_file(path, messages=payloads(), others=images, chunk_size=1 << 20)
+    return mcap_file(path, others=images, chunk_size=1 << 20)
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Return the URL of a bucket."""
-    server = pytest.importorskip("moto.server", reason="moto's server is missing")
+def wire() -> Iterator[Any]:
+    """Return the wire to a server with a bucket of bags."""
+    pytest.importorskip("moto.server", reason="moto's server is missing")
     pytest.importorskip("s3fs", reason="s3fs is missing")
-    running = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    running.start()
-    host, port = running.get_host_and_port()
-    given = {
-        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
-        "AWS_ACCESS_KEY_ID": "nobody",
-        "AWS_SECRET_ACCESS_KEY": "nothing",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
-    before = dict(os.environ)
-    os.environ.update(given)
-    try:
-        bucket = upath.UPath("s3://flights")
-        bucket.fs.mkdir("flights")
-        folder = tmp_path_factory.mktemp("bags")
-        content = among_images(folder / "x.mcap").read_bytes()
-        (bucket / "x.mcap").write_bytes(content)
-        (bucket / "cut.mcap").write_bytes(content[: len(content) // 2])
-        zstd = mcap_file(folder / "z.mcap", compression=CompressionType.ZSTD)
-        (bucket / "zstd.mcap").write_bytes(zstd.read_bytes())
-        (bucket / "text.txt").write_bytes(b"1 2 3 4 0 0 0 1\n")
-        yield "s3://flights"
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-        running.stop()
+    from object_store import object_store
+
+    with object_store() as wire, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", wire.url)
+        patch.setenv("AWS_ACCESS_KEY_ID", "nobody")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        bucket = upath.UPath(STORE)
+        bucket.fs.mkdir(bucket.path)
+        yield wire
+        bucket.fs.clear_instance_cache()
 
 
-def test_only_ranges_are_fetched(store: str) -> None:
-    source = f"{store}/x.mcap:/pose"
-    assert rows_of(read_trajectory(source)) == list(range(COUNT))
-    parts = parse_source(source)
-    with Bag(parts.path) as bag:
-        payloads = [payload for _, _, payload in bag.messages(bag.find(parts.topic))]
-        (container,) = bag._containers
-        file: Any = container
-        assert len(payloads) == COUNT
-        assert file._source.fetched < 0.05 * file._source.size
+STORE = "s3://flights"
 
 
-def test_what_is_compressed_or_cut_is_read_as_well(store: str) -> None:
-    assert rows_of(read_trajectory(f"{store}/zstd.mcap")) == list(range(COUNT))
-    cut = read_trajectory(f"{store}/cut.mcap:/pose")
-    assert rows_of(cut) == list(range(len(cut)))
-    assert cut.damage
+def upload(file: Path) -> int:
+    """Put a file into the bucket, and return its size."""
+    (upath.UPath(STORE) / file.name).write_bytes(file.read_bytes())
+    return file.stat().st_size
 
 
-def test_what_is_not_there_is_a_mistake(store: str) -> None:
+def test_only_ranges_are_transferred(wire: Any, tmp_path: Path) -> None:
+    size = upload(among_images(tmp_path / "x.mcap"))
+    before = wire.carried
+    assert rows_of(read_trajectory(f"{STORE}/x.mcap:/pose")) == list(range(COUNT))
+    assert wire.carried - before < 0.05 * size
+
+
+@pytest.mark.usefixtures("wire")
+def test_what_is_compressed_or_cut_is_read_as_well(tmp_path: Path) -> None:
+    upload(mcap_file(tmp_path / "zstd.mcap", compression=CompressionType.ZSTD))
+    assert rows_of(read_trajectory(f"{STORE}/zstd.mcap")) == list(range(COUNT))
+    cut = among_images(tmp_path / "cut.mcap")
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    upload(cut)
+    read = read_trajectory(f"{STORE}/cut.mcap:/pose")
+    assert rows_of(read) == list(range(len(read)))
+    assert len(read) > 0.4 * COUNT
+    assert read.damage
+
+
+@pytest.mark.usefixtures("wire")
+def test_a_directory_in_a_store(tmp_path: Path) -> None:
+    folder = split(tmp_path, StoragePlugin.MCAP)
+    for file in folder.iterdir():
+        (upath.UPath(STORE) / "both" / file.name).write_bytes(file.read_bytes())
+    read = read_trajectory(f"{STORE}/both:/pose")
+    assert rows_of(read) == list(range(200))
+    assert not read.damage
+
+
+@pytest.mark.usefixtures("wire")
+def test_text_in_a_store(tmp_path: Path) -> None:
+    text = tmp_path / "text.txt"
+    text.write_text("".join(f"{row} {row} 2 3 0 0 0.6 0.8\n" for row in range(1, 9)))
+    upload(text)
+    assert rows_of(read_trajectory(f"{STORE}/text.txt")) == list(range(1, 9))
     with pytest.raises(InputError, match="is no bag"):
-        read_trajectory(f"{store}/text.txt:/pose")
+        read_trajectory(f"{STORE}/text.txt:/pose")
+
+
+@pytest.mark.usefixtures("wire")
+def test_what_is_not_there_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        read_trajectory(f"{store}/y.mcap:/pose")
+        read_trajectory(f"{STORE}/y.mcap:/pose")
+    other = the_file(simple(tmp_path / "bag", storage=StoragePlugin.SQLITE3))
+    upload(other)
+    with pytest.raises(InputError, match="copy it here first"):
+        read_trajectory(f"{STORE}/{other.name}")
 
 
 @pytest.mark.parametrize("scheme", ["memory", "file"])

@@ -14,12 +14,12 @@ class ByteSource(Protocol):
     Attributes:
         name: What to call it in a sentence.
         size: Bytes.
-        fetched: Bytes that were read so far.
+        is_far: Whether an answer takes so long that several should be on their way.
     """
 
     name: str
     size: int
-    fetched: int
+    is_far: bool
 
     def read(self, offset: int, size: int) -> bytes:
         """Return the bytes from an offset on, fewer where the end is near."""
@@ -34,10 +34,11 @@ class ByteSource(Protocol):
 class LocalFile:
     """A file of this machine."""
 
+    is_far = False
+
     def __init__(self, path: Path) -> None:
         """Open the file."""
         self.name = str(path)
-        self.fetched = 0
         self._file = path.open("rb", buffering=0)
         self.size = os.fstat(self._file.fileno()).st_size
 
@@ -49,7 +50,6 @@ class LocalFile:
             pieces.append(piece)
             offset += len(piece)
             size -= len(piece)
-            self.fetched += len(piece)
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
@@ -64,6 +64,8 @@ class LocalFile:
 class RemoteFile:
     """An object in a store that fsspec knows, such as S3."""
 
+    is_far = True
+
     def __init__(self, path: Any) -> None:
         """Look the object up.
 
@@ -71,7 +73,6 @@ class RemoteFile:
             path: A path of universal_pathlib.
         """
         self.name = str(path)
-        self.fetched = 0
         self._files, self._path = path.fs, path.path
         self.size = int(self._files.size(self._path))
 
@@ -81,7 +82,6 @@ class RemoteFile:
         if end <= offset:
             return b""
         data: bytes = self._files.cat_file(self._path, start=offset, end=end)
-        self.fetched += len(data)
         return data
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
@@ -89,11 +89,18 @@ class RemoteFile:
         starts = [offset for offset, _ in ranges]
         ends = [min(offset + size, self.size) for offset, size in ranges]
         pieces: list[bytes] = self._files.cat_ranges([self._path] * len(ranges), starts, ends)
-        self.fetched += sum(map(len, pieces))
         return pieces
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def beginning_of(path: Any, size: int) -> bytes:
+    """Return the first bytes of a path of this machine, or of universal_pathlib."""
+    if isinstance(path, Path):
+        with path.open("rb") as file:
+            return file.read(size)
+    return RemoteFile(path).read(0, size)  # an open file would fetch megabytes ahead
 
 
 def source_of(path: Any) -> LocalFile | RemoteFile:

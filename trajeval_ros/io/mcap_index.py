@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 _FOOTER_SIZE = HEAD + 20
 _END_SIZE = _FOOTER_SIZE + len(MAGIC)
-_THREADS = 2  # that decompress; one more chunk than that waits
+_DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
 Piece = Chunk | Messages
 T = TypeVar("T")
 
@@ -145,8 +145,10 @@ class McapReader:
             except DamagedError as error:
                 return str(error)
 
-        has_compressed = any(isinstance(each, Chunk) and each.compression for _, each in pieces)
-        for loaded in _prefetched(load, pieces) if has_compressed else map(load, pieces):
+        threads = _ASKED if self._source.is_far else 0
+        if any(isinstance(each, Chunk) and each.compression for _, each in pieces):
+            threads = max(threads, _DECOMPRESSING)
+        for loaded in _prefetched(load, pieces, threads) if threads else map(load, pieces):
             if isinstance(loaded, str):
                 self._lost[loaded] += 1
             elif len(block := loaded.within(begin, end)):
@@ -320,14 +322,14 @@ def _data_end(source: ByteSource) -> tuple[int, int]:
     return end, int.from_bytes(record[HEAD:], "little")
 
 
-def _prefetched(load: Callable[[Any], T], pieces: Iterable[Any]) -> Iterator[T]:
+def _prefetched(load: Callable[[Any], T], pieces: Iterable[Any], threads: int) -> Iterator[T]:
     """Yield what is loaded, in order, while the next are loaded by other threads."""
     waiting: collections.deque[Future[T]] = collections.deque()
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         try:
             for piece in pieces:
                 waiting.append(pool.submit(load, piece))
-                if len(waiting) > _THREADS:
+                if len(waiting) > threads:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

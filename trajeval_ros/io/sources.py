@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.byte_source import beginning_of
 from trajeval_ros.io.text import read_text
 from trajeval_ros.trajectory import Trajectory
 
 Advance = Callable[[int, int], None]
 
+_HEAD = 16  # bytes that tell what a file is
 _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
@@ -144,8 +146,7 @@ def _nearest_name(missing: Path) -> str:
 
 def _begins_as_bag(path: Path) -> bool:
     """Return whether a file is a bag of any kind, by its first bytes."""
-    with path.open("rb") as file:
-        beginning = file.read(16)
+    beginning = beginning_of(path, _HEAD)
     if not beginning and path.suffix in _BAG_ENDINGS:
         raise InputError(f"{path} is empty; was the recording stopped before it was written?")
     return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))

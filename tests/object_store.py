@@ -1,0 +1,74 @@
+"""A real S3 server on loopback, behind a wire that counts what it carries."""
+
+from __future__ import annotations
+
+import socket
+import socketserver
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from moto.server import ThreadedMotoServer
+
+BUCKET = "flights"
+
+
+class Wire(socketserver.ThreadingTCPServer):
+    """Passes on what goes to a server and comes from it.
+
+    Attributes:
+        carried: Bytes that came from the server, heads of its answers included.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = True
+
+    def __init__(self, server: tuple[str, int]) -> None:
+        """Listen on a free port of loopback."""
+        super().__init__(("127.0.0.1", 0), _Connection)
+        self.server = server
+        self.carried = 0
+        self.lock = threading.Lock()
+
+    @property
+    def url(self) -> str:
+        """Where clients find it."""
+        return f"http://127.0.0.1:{self.server_address[1]}"
+
+
+class _Connection(socketserver.BaseRequestHandler):
+    def handle(self) -> None:
+        wire: Any = self.server
+        with socket.create_connection(wire.server) as there:
+            threading.Thread(target=self._send, args=(there,), daemon=True).start()
+            while piece := _received(there):
+                with wire.lock:
+                    wire.carried += len(piece)
+                self.request.sendall(piece)
+
+    def _send(self, there: socket.socket) -> None:
+        while piece := _received(self.request):
+            there.sendall(piece)
+        there.close()
+
+
+def _received(connection: socket.socket) -> bytes:
+    try:
+        return connection.recv(1 << 16)
+    except OSError:
+        return b""
+
+
+@contextmanager
+def object_store() -> Iterator[Wire]:
+    """Start a server with an empty bucket, and the wire to it."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    try:
+        with Wire(server.get_host_and_port()) as wire:
+            threading.Thread(target=wire.serve_forever, daemon=True).start()
+            yield wire
+            wire.shutdown()
+    finally:
+        server.stop()
