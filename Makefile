@@ -141,7 +141,7 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 # atheris has wheels for Python 3.11 to 3.13 on Linux.
 $(FUZZ)/.installed: setup.py constraints.txt
 	$(make_venv)
-	$(FUZZ)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris
+	$(FUZZ)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
 	touch $@
 
 $(LOCK)/.installed:

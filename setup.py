@@ -47,6 +47,7 @@ ROS = [
     )
 ]
 TEST = ["pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.100"]
+STORE = ["moto[s3]>=5", "flask", "flask-cors"]  # an S3 server for tests
 LINT = ["ruff>=0.15", "mypy>=1.15"]
 
 setup(
@@ -104,7 +105,7 @@ setup(
         "foxglove": FOXGLOVE,
         "ros": ROS,
         "test": TEST,
-        "dev": [*PLOT, *REMOTE, *FOXGLOVE, *TEST, *LINT, "moto[server]>=5"],
+        "dev": [*PLOT, *REMOTE, *FOXGLOVE, *TEST, *STORE, *LINT],
     },
     entry_points={
         "console_scripts": [
