@@ -361,18 +361,40 @@ def test_the_beginning_of_sqlite_alone(size: int, tmp_path: Path) -> None:
     assert path.name in refusal(path)
 
 
-def test_a_log_that_cannot_be_read_is_no_empty_bag(tmp_path: Path) -> None:
-    path = sqlite_file(tmp_path)
+def unfinished(folder: Path) -> Path:
+    """Write a file whose last messages wait in the log beside it."""
+    folder.mkdir()
+    path = sqlite_file(folder)
     live = sqlite3.connect(path)
     live.execute("PRAGMA journal_mode=WAL")
-    live.execute("UPDATE messages SET topic_id = topic_id")
+    rows = live.execute("SELECT * FROM messages WHERE id > 300 ORDER BY id").fetchall()
+    live.execute("DELETE FROM messages WHERE id > 300")
     live.commit()
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    shutil.copy(path, copy / "x.db3")
-    shutil.copy(f"{path}-wal", copy / "x.db3-wal")
+    live.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    live.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+    live.commit()
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{path}{suffix}", folder / f"x.db3{suffix}")
     live.close()
-    assert_whole(copy / "x.db3")
+    return folder / "x.db3"
+
+
+def test_messages_that_wait_in_the_log_are_read(tmp_path: Path) -> None:
+    assert_whole(unfinished(tmp_path / "x"))
+
+
+def test_a_log_that_is_damaged_is_told(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "x")
+    log = Path(f"{path}-wal")
+    content = log.read_bytes()
+    middle = len(content) // 2
+    flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+    for damaged in (content[:middle], flipped, content[:20], b"no log", b"\0" + content[1:]):
+        for file in tmp_path.glob("x/x.db3-shm"):
+            file.unlink()
+        log.write_bytes(damaged)
+        read = assert_damaged(path, "x.db3-wal: ", "pages could", "is missing")
+        assert rows_of(read) == list(range(300))
 
 
 @pytest.mark.parametrize("version", [1, 2])
