@@ -1,8 +1,8 @@
 """Writes bags to measure readers with: python -m benchmarks.bag_files FOLDER SCALE.
 
 `poses`: an odometry and a pose topic. `images`: fewer poses among images of 1 MB. Both as plain
-MCAP and sqlite3; images also unchunked, and compressed by zstd and lz4. SCALE 1 is 200k + 200k
-poses, and 20k + 20k among 1.25 GB of images.
+MCAP and sqlite3; half as many poses as a ROS 1 bag; images also unchunked, and compressed by zstd
+and lz4. SCALE 1 is 200k + 200k poses, and 20k + 20k among 1.25 GB of images.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -122,6 +123,20 @@ def write_sqlite(path: Path, poses: int, images: int) -> None:
     database.close()
 
 
+def write_ros1(path: Path, poses: int) -> None:
+    """Write a bag of ROS 1."""
+    store, ros1 = get_typestore(Stores.ROS2_JAZZY), get_typestore(Stores.ROS1_NOETIC)
+    path.unlink(missing_ok=True)
+    with Ros1Writer(path) as writer:
+        connections = {
+            topic: writer.add_connection(topic, kind, typestore=ros1)
+            for topic, kind in TOPICS.items()
+            if kind != IMAGE
+        }
+        for topic, stamp, payload in messages(poses, 0):
+            writer.write(connections[topic], stamp, store.cdr_to_ros1(payload, TOPICS[topic]))
+
+
 def main() -> None:
     """Write all bags that aren't there yet."""
     folder, scale = Path(sys.argv[1]), float(sys.argv[2])
@@ -131,6 +146,7 @@ def main() -> None:
     jobs: dict[str, Callable[[Path], None]] = {
         "poses.mcap": lambda path: write_mcap(path, poses, 0, compression=none),
         "poses.db3": lambda path: write_sqlite(path, poses, 0),
+        "poses.bag": lambda path: write_ros1(path, poses // 2),
         "images.mcap": lambda path: write_mcap(path, among, images, compression=none),
         "images_unchunked.mcap": lambda path: write_mcap(
             path, among, images, compression=none, chunked=False

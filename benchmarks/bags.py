@@ -61,7 +61,7 @@ def main() -> None:
         table.add_column(heading, justify="right")
     results = {}
     for path in sorted(folder.glob("*.*")):
-        if path.suffix not in (".mcap", ".db3"):
+        if path.suffix not in (".mcap", ".db3", ".bag"):
             continue
         results[path.name] = figures = measure(path, options.runs)
         for name, each in figures.items():
@@ -75,7 +75,7 @@ def main() -> None:
                 f"{1e8 * each['read_mb'] / path.stat().st_size:.1f} %",
                 f"{each['peak_mb']:.0f}",
             )
-    Console().print(table)
+    Console(width=100).print(table)
     (folder / "bags.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 
 
