@@ -49,6 +49,7 @@ def ours(path: Path) -> tuple[int, float]:
 
 def any_reader(path: Path) -> tuple[int, float]:
     """Read by rosbags' AnyReader, a message object at a time."""
+    importlib.import_module("numpy")  # which its messages import when the first is made
     from rosbags.highlevel import AnyReader
 
     def read() -> tuple[int, float]:

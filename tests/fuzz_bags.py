@@ -18,6 +18,7 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
     from trajeval_ros.io.cdr import Plan
     from trajeval_ros.io.definitions import STANDARD, ros1_fields
+    from trajeval_ros.io.foxglove import TYPES, FoxglovePlan
     from trajeval_ros.io.mcap_index import McapReader
     from trajeval_ros.io.messages import decode_path, decode_poses, decode_transforms, plan_of
 
@@ -29,6 +30,8 @@ KINDS = sorted(STANDARD)
 PLANS = [Plan(STANDARD[kind]) for kind in KINDS]
 PLANS += [Plan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
 POSES = plan_of(None, POSE)
+FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
+JSON = 254  # the first byte of messages in JSON
 MCAP = 255  # the first byte of an input that is a file
 
 
@@ -60,6 +63,10 @@ def one_input(data: bytes) -> None:
         for strict in (False, True):
             read_file(data[1:], strict=strict)
         return
+    if data[0] == JSON:
+        for each in FOXGLOVE:
+            each.decode([data[1:]])
+        return
     size = data[1] or 1
     payloads = [data[place : place + size] for place in range(2, len(data), size)]
     plan = PLANS[data[0] % len(PLANS)]
@@ -89,6 +96,10 @@ def seeds(folder: Path) -> None:
     payload = b"\0\1\0\0" + bytes(8) + b"\4\0\0\0map\0" + random.normal(size=7).tobytes()
     for number in range(len(PLANS)):
         (folder / f"messages_{number}").write_bytes(bytes([number, len(payload)]) + payload * 3)
+    (folder / "json").write_bytes(
+        bytes([JSON]) + b'{"timestamp": {"sec": 1, "nsec": 2}, "frame_id": "map", "pose": '
+        b'{"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}}'
+    )
     for compression in CompressionType:
         for chunked in (True, False):
             output = io.BytesIO()
