@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import random
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -28,6 +29,8 @@ from trajeval_ros.trajectory import Trajectory
 
 COUNT = 600
 SECOND = 10**9
+IMAGE = bytes(1 << 20)
+EVERY = 20  # poses there is an image
 Register = Callable[[Any], object]
 
 
@@ -80,6 +83,23 @@ def mcap_file(
             writer.add_message(topic, log_time, payload, log_time)
         writer.finish()
     return path
+
+
+def among_images(path: Path) -> Path:
+    """Write poses among images that make up all but a thousandth of the file."""
+
+    def images(writer: Any) -> None:
+        channel = writer.register_channel("/image", "x", 0)
+        add = writer.add_message
+
+        def with_image(topic: int, log_time: int, payload: bytes, published: int) -> None:
+            add(topic, log_time, payload, published)
+            if (log_time // 10**9) % EVERY == 0:
+                add(channel, log_time, IMAGE, published)
+
+        writer.add_message = with_image
+
+    return mcap_file(path, others=images, chunk_size=1 << 20)
 
 
 def rows_of(read: Trajectory) -> list[int]:
@@ -334,6 +354,39 @@ def test_an_unknown_compression_loses_its_chunk_only(tmp_path: Path) -> None:
     content[footer : footer + 4] = bytes(4)
     path.write_bytes(content)
     assert len(assert_damaged(path, "compression 'lz0' is unknown")) > 0.8 * COUNT
+
+
+def test_chunks_that_were_not_verified_are_counted(tmp_path: Path) -> None:
+    path = among_images(tmp_path / "x.mcap")
+    content = bytearray(path.read_bytes())
+    result = tmp_path / "result.json"
+    given = ["evaluate", "-g", f"{path}:/pose", "-e", f"{path}:/pose", "--lengths", "none"]
+    given += ["--quiet", "--json", str(result)]
+
+    def notes() -> list[str]:
+        return list(json.loads(result.read_text())["runs"][0]["estimate"]["notes"])
+
+    assert main(given) == 0
+    assert any(re.match(r"\d+ of \d+ chunks were read in part", each) for each in notes())
+    assert main([*given, "--strict"]) == 0
+    assert not any("in part" in each for each in notes())
+    content[len(content) // 2] ^= 1  # in an image, which is none of our business
+    path.write_bytes(content)
+    assert main(given) == 0
+    assert rows_of(read_trajectory(f"{path}:/pose")) == list(range(COUNT))
+    assert main([*given, "--strict"]) == 2
+
+
+@pytest.mark.parametrize(("place", "name"), [(0, "opcode"), (3, "length"), (9, "channel")])
+def test_a_message_that_is_not_what_its_index_says(place: int, name: str, tmp_path: Path) -> None:
+    path = among_images(tmp_path / "x.mcap")
+    content = bytearray(path.read_bytes())
+    record = content.find(payloads()[105]) - 22 - 9
+    content[record + place] ^= 0x10
+    path.write_bytes(content)
+    read = read_trajectory(f"{path}:/pose")
+    assert any("a chunk isn't what its checksum is of" in each for each in read.damage), name
+    assert 0.9 * COUNT < len(read) < COUNT
 
 
 # sqlite3.

@@ -11,31 +11,12 @@ import pytest
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import StoragePlugin
 from test_io_bags import simple, the_file
-from test_io_damage import COUNT, mcap_file, rows_of, split
+from test_io_damage import COUNT, among_images, mcap_file, rows_of, split
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.sources import read_trajectory
 
 upath = pytest.importorskip("upath", reason="universal_pathlib is missing")
-IMAGE = bytes(1 << 20)
-EVERY = 20  # poses there is an image
-
-
-def among_images(path: Path) -> Path:
-    """Write poses among images that make up all but a thousandth of the file."""
-
-    def images(writer: Any) -> None:
-        channel = writer.register_channel("/image", "x", 0)
-        add = writer.add_message
-
-        def with_image(topic: int, log_time: int, payload: bytes, published: int) -> None:
-            add(topic, log_time, payload, published)
-            if (log_time // 10**9) % EVERY == 0:
-                add(channel, log_time, IMAGE, published)
-
-        writer.add_message = with_image
-
-    return mcap_file(path, others=images, chunk_size=1 << 20)
 
 
 @pytest.fixture(scope="module")
