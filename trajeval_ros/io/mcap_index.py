@@ -55,6 +55,9 @@ if TYPE_CHECKING:
 
 _FOOTER_SIZE = HEAD + 20
 _END_SIZE = _FOOTER_SIZE + len(MAGIC)
+# Bytes. glibc gives memory back to the kernel that is larger than what was freed once, and to have
+# each page of the next chunk mapped again costs as much as decompressing it.
+_KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
 Piece = Chunk | Messages
 T = TypeVar("T")
@@ -148,6 +151,7 @@ class McapReader:
         threads = _ASKED if self._source.is_far else 0
         if any(isinstance(each, Chunk) and each.compression for _, each in pieces):
             threads = max(threads, _DECOMPRESSING)
+            bytes(_KEPT)
         for loaded in _prefetched(load, pieces, threads) if threads else map(load, pieces):
             if isinstance(loaded, str):
                 self._lost[loaded] += 1
