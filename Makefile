@@ -68,7 +68,8 @@ FUZZ_S ?= 300
 
 fuzz: $(FUZZ)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
 	mkdir -p $(FUZZ)/corpus
-	$(FUZZ)/bin/python tests/fuzz_bags.py $(FUZZ)/corpus -max_total_time=$(FUZZ_S) -max_len=8192
+	$(FUZZ)/bin/python tests/fuzz_bags.py $(FUZZ)/corpus -max_total_time=$(FUZZ_S) -max_len=8192 \
+		-artifact_prefix=$(FUZZ)/
 
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url

@@ -1,7 +1,7 @@
 """Compares ways of reading poses out of bags, each in a process of its own.
 
 Every round runs each reader once, one after the other. Medians and their ratios go to the
-terminal, and to bags.json beside the generated bags, which take 5.4 GB at scale 1.
+terminal, and to bags.json beside the generated bags, which take 5.5 GB at scale 1.
 
 Usage: make bench-bags BENCH="--scale 0.1 --runs 3"
 """
