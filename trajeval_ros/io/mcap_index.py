@@ -90,11 +90,10 @@ class McapReader:
             found, self._known = _summary(source)
         except DamagedError as error:
             found = scan(source)
-            self.damage += [f"{source.name}: {each}" for each in found.damage]
             if found.damage or not isinstance(error, NoIndexError):
                 self.damage.append(
-                    f"{source.name}: {error}; {found.end} of its {source.size} bytes could be "
-                    "followed"
+                    f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
+                    f"record as far as byte {found.end} of {source.size}"
                 )
         if strict and len(found.messages):
             self._verify_data()
@@ -247,7 +246,7 @@ def _summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
         raise InputError(f"{source.name} is no MCAP")
     tail = source.read(max(0, source.size - _END_SIZE), _END_SIZE)
     if len(tail) < _END_SIZE or not tail.endswith(MAGIC) or head_of(tail) != (FOOTER, 20):
-        raise DamagedError("it has no footer, as if its recording was cut short")
+        raise DamagedError("it has no footer")
     start = int.from_bytes(tail[HEAD : HEAD + 8], "little")
     checksum = int.from_bytes(tail[HEAD + 16 : HEAD + 20], "little")
     end = source.size - _END_SIZE

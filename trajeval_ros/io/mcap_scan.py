@@ -100,6 +100,7 @@ def scan(source: ByteSource) -> Scan:
             found.damage.append(f"{error} at byte {found.end}")
         if is_cut:
             found.damage.append("it was cut short")
+            found.end = source.size if opcode == CHUNK else found.end
             break
         found.end = end
     found.messages = growing.done()
