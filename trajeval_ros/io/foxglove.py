@@ -154,7 +154,7 @@ def _from_protobuf(message_type: str) -> Callable[[bytes], Any]:
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
     from google.protobuf.message import DecodeError
 
-    kinds = (PoseInFrame, FrameTransform, FrameTransforms)
+    kinds: tuple[Any, ...] = (PoseInFrame, FrameTransform, FrameTransforms)
     kind = dict(zip(TYPES, kinds, strict=True))[message_type]
 
     def parse(payload: bytes) -> Any:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.byte_source import beginning_of
@@ -111,7 +112,7 @@ def _split_url(source: str) -> tuple[Path, str]:
     candidates = [(":".join(pieces[:count]), count) for count in range(len(pieces), 1, -1)]
     try:
         for url, count in candidates:
-            path = UPath(url)
+            path: Any = UPath(url)  # a Path in all that is asked of it
             if path.exists():
                 return path, ":".join(pieces[count:])
     except Exception as error:  # each kind of store has its own
