@@ -18,6 +18,7 @@ from trajeval_ros.cli.gauge_study import gauge_study
 from trajeval_ros.cli.info import info
 from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
+from trajeval_ros.cli.view import view
 from trajeval_ros.exceptions import TrajevalError
 
 app = typer.Typer(
@@ -35,6 +36,7 @@ app.command()(gauge_study)
 app.command()(info)
 app.command(cls=RosCommand)(replay)
 app.command()(simulate)
+app.command()(view)
 
 # click's class of usage errors, which newer typer bundles and older typer imports.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]

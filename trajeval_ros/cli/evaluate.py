@@ -11,6 +11,7 @@ import typer
 from trajeval_ros.cli.consistency import CovarianceSettings
 from trajeval_ros.cli.names import names_of
 from trajeval_ros.cli.outcome import deliver
+from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
@@ -181,10 +182,26 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Write result.json, errors.npz and figures there.",
+            help="Write result.json, errors.npz, figures and run.rrd (for Rerun) there.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a picture for Rerun's viewer; `trajeval view FILE` shows it.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    viewer: Annotated[
+        bool,
+        typer.Option(
+            "--viewer",
+            help="Show them in Rerun's viewer, until it is closed.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     require: Annotated[
         list[str] | None,
         typer.Option(
@@ -239,6 +256,8 @@ def evaluate(
         covariance, rotation_covariance_frame, groundtruth_noise
     )
     requirements = [Requirement.parse(text) for text in require or []]
+    pictures = Pictures(rrd=rrd, viewer=viewer, in_output=True)
+    pictures.check()
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0], strict=strict)
     runs = [
@@ -257,6 +276,7 @@ def evaluate(
         output=output,
         quiet=quiet,
         gauge_given=chose_gauge,
+        pictures=pictures,
     )
 
 

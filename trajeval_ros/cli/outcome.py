@@ -13,9 +13,11 @@ from typing import Any
 
 import typer
 
+from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.io import results
 from trajeval_ros.requirement import Requirement
 
+_NO_PICTURES = Pictures()
 _HAVE_FIGURES = find_spec("matplotlib") is not None
 
 
@@ -28,6 +30,7 @@ def deliver(
     output: Path | None,
     quiet: bool,
     gauge_given: bool,
+    pictures: Pictures = _NO_PICTURES,
 ) -> None:
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
@@ -39,6 +42,7 @@ def deliver(
         output: Folder for everything.
         quiet: Print nothing.
         gauge_given: Whether the user chose a gauge.
+        pictures: For Rerun.
     """
     # A requirement that names nothing is a mistake to be told before anything is written.
     unmet = [
@@ -51,7 +55,9 @@ def deliver(
     if requirements:
         unmet += failed
     if output is not None:
-        _write_folder(output, result, runs)
+        _write_folder(output, result, runs, pictures)
+    evaluations = [run.evaluation for run in runs]
+    pictures.write(evaluations)
     if json == "-":
         sys.stdout.write(results.to_json(result))
     elif json is not None:
@@ -65,13 +71,16 @@ def deliver(
         pairs = [(run.evaluation.groundtruth, run.evaluation.estimate) for run in runs]
         for line in dict.fromkeys(line for pair in pairs for each in pair for line in each.damage):
             print(f"warning: {line}", file=sys.stderr)
+    pictures.show(evaluations)
     for line in unmet:
         print(f"trajeval: {line}", file=sys.stderr)
     if unmet:
         raise typer.Exit(1)
 
 
-def _write_folder(folder: Path, result: dict[str, object], runs: Sequence[results.Run]) -> None:
+def _write_folder(
+    folder: Path, result: dict[str, object], runs: Sequence[results.Run], pictures: Pictures
+) -> None:
     """Write everything under a temporary name first, so that nothing is ever half written."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     # A folder that exists may be a disk of its own, and the only place that can be written.
@@ -92,6 +101,7 @@ def _write_folder(folder: Path, result: dict[str, object], runs: Sequence[result
                     suffix = f"_{place}" if len(runs) > 1 else ""
                     name = run.estimate.name
                     write_consistency(run.evaluation, run.consistency, temporary, name, suffix)
+        pictures.write_into(temporary, [run.evaluation for run in runs])
         (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         for file in sorted(temporary.iterdir()):

@@ -1,0 +1,70 @@
+"""The pictures for Rerun that a verb writes and shows beside its other files."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from trajeval_ros.evaluation import Evaluation
+
+PICTURE = "run.rrd"
+HAVE_RERUN = find_spec("rerun") is not None
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What is to be made of it.
+
+    Attributes:
+        rrd: A file; None for none.
+        viewer: Whether to show it.
+        in_output: Whether it belongs to the output folder, where rerun-sdk is installed.
+    """
+
+    rrd: Path | None = None
+    viewer: bool = False
+    in_output: bool = False
+
+    def check(self) -> None:
+        """Refuse what can't be done, before anything is computed or written.
+
+        Raises:
+            InputError: rerun-sdk is needed and not installed.
+        """
+        if self.rrd is not None or self.viewer:
+            from trajeval_ros.viewer.sdk import sdk
+
+            sdk()
+
+    def write(self, evaluations: Sequence[Evaluation]) -> None:
+        """Write the file that was asked for by name."""
+        if self.rrd is not None:
+            _write(self.rrd, evaluations)
+
+    def write_into(self, folder: Path, evaluations: Sequence[Evaluation]) -> None:
+        """Write the file of an output folder."""
+        if self.in_output and HAVE_RERUN:
+            _write(folder / PICTURE, evaluations)
+
+    def show(self, evaluations: Sequence[Evaluation]) -> None:
+        """Show it if that was asked for, and wait until the viewer is closed."""
+        if not self.viewer:
+            return
+        from trajeval_ros.viewer.show import show
+
+        if self.rrd is not None:
+            show(self.rrd)
+            return
+        with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:
+            made = Path(folder) / PICTURE
+            _write(made, evaluations)
+            show(made)
+
+
+def _write(path: Path, evaluations: Sequence[Evaluation]) -> None:
+    from trajeval_ros.viewer.recorded import write_recording
+
+    write_recording(path, evaluations)

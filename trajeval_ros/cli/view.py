@@ -1,0 +1,60 @@
+"""`trajeval view`: a result in three dimensions."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trajeval_ros.cli.pictures import PICTURE
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.live_folder import evaluate_folder
+from trajeval_ros.io.pair_file import SUFFIX
+
+
+def view(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT",
+            help="A folder that `trajeval evaluate --output` or the live evaluator wrote, or a "
+            "file that `--rrd` wrote.",
+        ),
+    ],
+    web: Annotated[
+        bool,
+        typer.Option("--web", help="Serve a web page on this machine instead of a window."),
+    ] = False,
+) -> None:
+    """Show trajectories and errors in Rerun's viewer, until it is closed.
+
+    A recorded run, and a live one:
+
+        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
+
+        trajeval view result
+
+        trajeval view trajeval_2026_03_01-10_00_00
+    """
+    from trajeval_ros.viewer.show import show
+
+    picture = result / PICTURE if result.is_dir() else result
+    if picture.exists():
+        show(picture, in_browser=web)
+        return
+    if not result.is_dir():
+        raise InputError(f"there is no {result}; name a folder of results, or a .rrd file")
+    if not any(result.glob(f"*{SUFFIX}")):
+        raise InputError(
+            f"{result} holds no {PICTURE}; trajeval evaluate --output writes one where rerun-sdk "
+            "is installed, --rrd FILE another"
+        )
+    from trajeval_ros.viewer.recorded import write_recording
+
+    live = evaluate_folder(result)
+    with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:
+        made = Path(folder) / PICTURE
+        write_recording(made, [run.evaluation for run in live.runs])
+        show(made, in_browser=web)

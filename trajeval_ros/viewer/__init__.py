@@ -1,0 +1,1 @@
+"""What is shown in Rerun: the only room that imports `rerun`."""

@@ -1,0 +1,288 @@
+"""The picture of a live run, drawn as it goes on; all of it happens on a stream's own thread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.similarity import Similarity
+from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.viewer import colours, scene, summary
+from trajeval_ros.viewer.blueprint import blueprint
+from trajeval_ros.viewer.geometry import between_origins, gaps, origin_for
+from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
+
+if TYPE_CHECKING:
+    from trajeval_ros.online.reports import Snapshot, Update
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_PATHS_EVERY_NS = NANOSECONDS // 5
+_WORDS_EVERY_NS = 2 * NANOSECONDS
+_COLOURED_WHEN_GROWN_BY = 1.15
+_MOST_COLOURED = 4000  # pieces
+_MOST_CORRESPONDENCES = 60
+_LEAST_JUMP_M = 0.2
+_NEVER = np.iinfo(np.int64).min
+
+
+class LiveEstimatePicture:
+    """What is known of one estimate's picture."""
+
+    def __init__(self, entities: scene.EstimateEntities, log: Any) -> None:
+        """Begin without a pose."""
+        self.entities = entities
+        self.path = LivePath(entities.path, log)
+        self.thinning, self.memory = Thinning(), Memory(6)
+        self.origin: Floats | None = None
+        self.similarity: Similarity | None = None
+        self.snapshot: Snapshot | None = None
+        self.drawn_at = self.told_at = _NEVER
+        self.coloured = 0
+        self.lengths: list[str] = []
+
+
+class LiveScene:
+    """Draws on the recording that there is at present; without one it only remembers.
+
+    Attributes:
+        blueprint: The layout.
+    """
+
+    def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
+        """Begin, for a run of that title and estimates of these names."""
+        self._title = title
+        self._recording: Any = None
+        self._gauge = gauge
+        self._estimates = {
+            name: LiveEstimatePicture(scene.EstimateEntities(name, place), self._log)
+            for place, name in enumerate(names)
+        }
+        self._truth = LivePath(scene.GroundtruthEntities.path, self._log)
+        self._truth_thinning, self._truth_memory = Thinning(), Memory(3)
+        self._origin: Floats | None = None
+        self._truth_drawn_at = self._begin = _NEVER
+        self._full_m: float | None = None
+        self.blueprint = blueprint(self._entities, gauge, is_live=True)
+
+    def begin(self, recording: Any) -> None:
+        """Draw on a recording from now on, and first what came before it."""
+        self._recording = recording
+        recording.send_recording_name(self._title)
+        scene.declare(recording, self._entities)
+        if self._origin is not None:
+            self._draw_origin()
+        stamps, points = self._truth_memory.columns()
+        self._draw_again(scene.GroundtruthEntities.path.past, stamps, points)
+        for each in self._estimates.values():
+            lengths, each.lengths, each.coloured = each.lengths, [], 0
+            for length in lengths:
+                self._see_length(each, length)
+            stamps, rows = each.memory.columns()
+            self._draw_again(each.entities.path.past, stamps, rows[:, 3:])
+
+    def leave(self) -> None:
+        """Draw no more, until another recording begins."""
+        self._recording = None
+
+    def finish(self) -> None:
+        """Draw what is drawn now and then for the last time."""
+        for each in self._estimates.values():
+            stamps, _ = each.memory.columns()
+            if len(stamps) and each.similarity is not None:
+                self._colour(each, int(stamps[-1]))
+                self._correspond(each, int(stamps[-1]))
+                self._tell(int(stamps[-1]))
+
+    def groundtruth(self, stamps: Stamps, states: Floats) -> None:
+        """Take groundtruth: stamps (N,), and rows (N, 10) of position, xyzw and velocity."""
+        usable = np.isfinite(states[:, :3]).all(axis=1)
+        stamps, states = stamps[usable], states[usable]
+        if not len(stamps):
+            return
+        if self._origin is None:
+            self._origin = origin_for(states[:, :3])
+            self._begin = int(stamps[0])
+            self._draw_origin()
+            self._log(
+                self._begin, scene.GroundtruthEntities.start, scene.start(self._at(states[0]))
+            )
+        for row in self._truth_thinning.pick(stamps).tolist():
+            point = self._at(states[row])
+            self._truth.add(int(stamps[row]), point)
+            self._truth_memory.add(int(stamps[row]), point)
+        stamp = int(stamps[-1])
+        if stamp >= self._truth_drawn_at + _PATHS_EVERY_NS:
+            self._truth_drawn_at = stamp
+            point = self._at(states[-1])
+            self._truth.draw_to(stamp, point)
+            pose = scene.pose(point, states[-1, 3:7])
+            self._log(stamp, scene.GroundtruthEntities.pose, pose)
+
+    def pairs(self, name: str, stamps: Stamps, truth: Floats, states: Floats) -> None:
+        """Take pairs of an estimate: stamps (N,), groundtruth and estimate (N, 10)."""
+        each = self._estimates[name]
+        if not len(stamps) or self._origin is None:
+            return
+        if each.origin is None:
+            each.origin = origin_for(states[:, :3])
+        for row in each.thinning.pick(stamps).tolist():
+            stamp, point = int(stamps[row]), states[row, :3] - each.origin
+            gap = each.path.add(stamp, point)
+            if gap:
+                self.event(stamp, f"{name}: no pair of poses for {gap / NANOSECONDS:.1f} s")
+            each.memory.add(stamp, np.concatenate([truth[row, :3] - self._origin, point]))
+        stamp = int(stamps[-1])
+        if stamp >= each.drawn_at + _PATHS_EVERY_NS:
+            each.drawn_at = stamp
+            point = states[-1, :3] - each.origin
+            each.path.draw_to(stamp, point)
+            self._log(stamp, each.entities.pose, scene.pose(point, states[-1, 3:7]))
+
+    def update(self, name: str, update: Update) -> None:
+        """Take the errors of the newest pair, as they are published."""
+        each = self._estimates[name]
+        if update.stamp is None:
+            return
+        self._number(update.stamp, each, scene.POSITION_ERROR, update.position_m)
+        self._number(update.stamp, each, scene.ROTATION_ERROR, update.rotation_deg)
+        for end in update.ends:
+            self._see_length(each, end.length)
+            entity = each.entities.metric(scene.RELATIVE_ERROR, end.length)
+            self._log(end.stamp, entity, scene.number(end.position_m))
+
+    def snapshot(self, name: str, stamp: int, snapshot: Snapshot, revised_m: float | None) -> None:
+        """Take the state of an evaluation as of a stamp, as it is published."""
+        each = self._estimates[name]
+        each.snapshot = snapshot
+        for quantity, value in (
+            (scene.ATE_POSITION, snapshot.window_position_rmse_m),
+            (scene.ATE_ROTATION, _rmse(snapshot, "rotation_deg")),
+            (scene.YAW_ERROR, _rmse(snapshot, "yaw_deg")),
+            (scene.REVISED_ATE_POSITION, revised_m),
+        ):
+            self._number(stamp, each, quantity, value)
+        if snapshot.alignment is not None and each.origin is not None:
+            assert self._origin is not None
+            similarity = between_origins(snapshot.alignment.similarity, self._origin, each.origin)
+            self._align(each, stamp, similarity)
+        if stamp >= each.told_at + _WORDS_EVERY_NS:
+            each.told_at = stamp
+            if each.similarity is not None:
+                if len(each.memory) >= _COLOURED_WHEN_GROWN_BY * each.coloured:
+                    self._colour(each, stamp)
+                self._correspond(each, stamp)
+            self._tell(stamp)
+
+    def event(self, stamp: int, text: str, *, warn: bool = True) -> None:
+        """Take a line for the log."""
+        since = "" if self._begin == _NEVER else f"{(stamp - self._begin) / NANOSECONDS:.1f} s: "
+        self._log(stamp, scene.EVENTS, scene.event(since + text, warn=warn))
+
+    def dropped(self, count: int) -> None:
+        """Take the number of updates that were not drawn."""
+        stamps, _ = self._truth_memory.columns()
+        if len(stamps):
+            self.event(int(stamps[-1]), f"{count} updates were not drawn, this was too slow")
+
+    @property
+    def _entities(self) -> list[scene.EstimateEntities]:
+        return [each.entities for each in self._estimates.values()]
+
+    def _log(self, stamp: int, entity: str, archetype: Any) -> None:
+        if self._recording is not None:
+            self._recording.set_time(scene.TIMELINE, timestamp=np.datetime64(stamp, "ns"))
+            self._recording.log(entity, archetype)
+
+    def _number(
+        self, stamp: int, each: LiveEstimatePicture, quantity: str, value: float | None
+    ) -> None:
+        if value is not None:
+            self._log(stamp, each.entities.metric(quantity), scene.number(value))
+
+    def _at(self, state: Floats) -> Floats:
+        assert self._origin is not None
+        return state[:3] - self._origin
+
+    def _draw_origin(self) -> None:
+        assert self._origin is not None
+        if self._recording is not None:
+            scene.send_origin(self._recording, self._origin)
+        if self._origin.any():
+            self.event(self._begin, scene.origin_in_words(self._origin), warn=False)
+
+    def _see_length(self, each: LiveEstimatePicture, length: str) -> None:
+        if length not in each.lengths:
+            each.lengths.append(length)
+            if self._recording is not None:
+                place = len(each.lengths) - 1
+                scene.declare_length(self._recording, each.entities, length, place)
+
+    def _align(self, each: LiveEstimatePicture, stamp: int, similarity: Similarity) -> None:
+        """Move the estimate, and tell of it if that is far."""
+        before, each.similarity = each.similarity, similarity
+        self._log(stamp, each.entities.frame, scene.alignment(similarity))
+        yaw = float(Rotation.from_matrix(similarity.rotation).as_euler("ZYX", degrees=True)[0])
+        self._number(stamp, each, scene.ALIGNMENT_YAW, yaw)
+        if self._gauge.has_scale:
+            self._number(stamp, each, scene.SCALE, similarity.scale)
+        name = each.entities.name
+        if before is None:
+            self.event(stamp, f"{name}: aligned for the first time", warn=False)
+            return
+        _, rows = each.memory.columns()
+        moved = similarity.positions(rows[-1:, 3:]) - before.positions(rows[-1:, 3:])
+        moved_m = float(np.linalg.norm(moved))
+        assert each.snapshot is not None
+        if moved_m > max(_LEAST_JUMP_M, each.snapshot.position_rmse_m or 0.0):
+            self.event(stamp, f"{name}: alignment moves its end by {moved_m:.2f} m", warn=False)
+
+    def _colour(self, each: LiveEstimatePicture, stamp: int) -> None:
+        """Colour the whole path by its errors under the present alignment."""
+        assert each.similarity is not None
+        stamps, rows = each.memory.columns()
+        difference = rows[:, :3] - each.similarity.positions(rows[:, 3:])
+        errors = np.sqrt(np.einsum("ni,ni->n", difference, difference))
+        self._full_m = colours.scale_for(errors)
+        each.coloured = len(rows)
+        self._log(
+            stamp,
+            each.entities.by_error,
+            scene.path_by_error(rows[:, 3:], errors, gaps(stamps), self._full_m, _MOST_COLOURED),
+        )
+
+    def _correspond(self, each: LiveEstimatePicture, stamp: int) -> None:
+        """Join poses with their groundtruth, evenly over the run."""
+        assert each.similarity is not None
+        _, rows = each.memory.columns()
+        rows = rows[:: max(1, len(rows) // _MOST_CORRESPONDENCES)]
+        joined = scene.correspondences(
+            rows[:, :3], each.similarity.positions(rows[:, 3:]), self._full_m or 1.0
+        )
+        self._log(stamp, each.entities.correspondences, joined)
+
+    def _draw_again(self, entity: str, stamps: Stamps, points: Floats) -> None:
+        """Draw a path that a new recording hasn't seen."""
+        if len(stamps) > 1:
+            cuts = np.flatnonzero(gaps(stamps)) + 1
+            strips = [each for each in np.split(points, cuts) if len(each) > 1]
+            self._log(int(stamps[-1]), entity, scene.lines(strips))
+
+    def _tell(self, stamp: int) -> None:
+        told = [each for each in self._estimates.values() if each.snapshot is not None]
+        snapshots = [each.snapshot for each in told if each.snapshot is not None]
+        words = summary.of_snapshots(
+            snapshots, [each.entities.name for each in told], self._gauge, self._full_m
+        )
+        self._log(stamp, scene.SUMMARY, scene.summary(words))
+
+
+def _rmse(snapshot: Snapshot, metric: str) -> float | None:
+    statistics = snapshot.ate.get(metric)
+    return None if statistics is None else statistics.rmse

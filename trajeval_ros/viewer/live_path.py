@@ -1,0 +1,127 @@
+"""A path that grows while it is drawn: in few rows for the viewer, and few bytes for the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.viewer import scene
+from trajeval_ros.viewer.geometry import is_gap
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Log = Callable[[int, str, Any], None]
+
+DRAWN_EVERY_NS = 100_000_000  # poses that are closer in time are left out
+_PIECE = 200  # poses, of which each is a row that stays in sight
+_HEAD = 20  # poses that are sent again with each new one
+_NO_POINTS = np.empty((0, 3))
+_NEVER = np.iinfo(np.int64).min
+
+
+class Thinning:
+    """Picks one pose of each tenth of a second."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self._last = _NEVER
+
+    def pick(self, stamps: Stamps) -> NDArray[np.int64]:
+        """Return which of N new stamps to draw, by index; those of the past are passed over."""
+        slots = stamps // DRAWN_EVERY_NS
+        newest = np.maximum.accumulate(np.concatenate([[self._last], slots]))
+        if len(slots):
+            self._last = int(newest[-1])
+        return np.flatnonzero(slots > newest[:-1])
+
+
+class LivePath:
+    """Draws one path, pose by pose.
+
+    A piece that is whole is `past`, and never sent again. `recent` is the piece in the making, and
+    `newest` its end: each is sent anew as it grows, the short one often, the long one seldom.
+    """
+
+    def __init__(self, entities: scene.PathEntities, log: Log) -> None:
+        """Begin without a pose.
+
+        Args:
+            entities: Where it is drawn.
+            log: Draws an archetype at a stamp.
+        """
+        self._entities, self._log = entities, log
+        self._piece: list[Floats] = []
+        self._stamp = _NEVER
+        self._usual_ns = 0.0
+
+    def add(self, stamp: int, point: Floats) -> int:
+        """Add a pose (3,); returns for how long there was none before, ns, if that is a gap."""
+        gap = 0
+        step = stamp - self._stamp if self._piece else 0
+        if is_gap(step, self._usual_ns):
+            gap = step
+            self._end_piece()
+            self._piece = []
+        elif step:
+            self._usual_ns += (step - self._usual_ns) * (0.1 if self._usual_ns else 1.0)
+        self._piece.append(point)
+        self._stamp = stamp
+        if len(self._piece) > _PIECE:
+            self._end_piece()
+            self._piece = [point]
+        elif len(self._piece) % _HEAD == 1 and len(self._piece) > 1:
+            self._log(stamp, self._entities.recent, scene.lines([np.array(self._piece)]))
+        return gap
+
+    def draw_to(self, stamp: int, point: Floats) -> None:
+        """Draw up to a pose (3,) that need not be one of those added."""
+        if self._piece:
+            begin = (len(self._piece) - 1) // _HEAD * _HEAD
+            head = np.array([*self._piece[begin:], point])
+            self._log(stamp, self._entities.newest, scene.lines([head]))
+
+    def _end_piece(self) -> None:
+        if len(self._piece) > 1:
+            self._log(self._stamp, self._entities.past, scene.lines([np.array(self._piece)]))
+            self._log(self._stamp, self._entities.recent, scene.lines(_NO_POINTS[None, :0]))
+            self._log(self._stamp, self._entities.newest, scene.lines(_NO_POINTS[None, :0]))
+
+
+class Memory:
+    """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
+
+    def __init__(self, width: int, most: int = 100_000) -> None:
+        """Begin empty, for rows of so many numbers."""
+        self._most, self._width = most, width
+        self._stamps: Stamps = np.empty(1024, dtype=np.int64)
+        self._rows: Floats = np.empty((1024, width))
+        self._count = self._seen = 0
+        self._every = 1
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return self._count
+
+    def add(self, stamp: int, row: Floats) -> None:
+        """Add a row."""
+        self._seen += 1
+        if self._seen % self._every:
+            return
+        if self._count == self._most:
+            kept = slice(0, self._count, 2)
+            self._count = len(self._stamps[kept])
+            self._stamps[: self._count] = self._stamps[kept]
+            self._rows[: self._count] = self._rows[kept]
+            self._every *= 2
+        if self._count == len(self._stamps):
+            self._stamps = np.concatenate([self._stamps, np.empty_like(self._stamps)])
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._stamps[self._count], self._rows[self._count] = stamp, row
+        self._count += 1
+
+    def columns(self) -> tuple[Stamps, Floats]:
+        """Return views of stamps (N,) and rows."""
+        return self._stamps[: self._count], self._rows[: self._count]

@@ -1,0 +1,38 @@
+"""Rerun's SDK, imported when it is used; it is an optional extra."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any
+
+from trajeval_ros.exceptions import InputError
+
+
+def is_installed() -> bool:
+    """Return whether there is a rerun-sdk, without the time that its import takes."""
+    return find_spec("rerun") is not None
+
+
+def sdk() -> tuple[Any, Any]:
+    """Return the modules `rerun` and `rerun.blueprint`.
+
+    Raises:
+        InputError: rerun-sdk isn't installed, or doesn't fit the packages that are.
+    """
+    try:
+        import rerun
+        import rerun.blueprint
+    except ImportError as error:
+        if is_installed():
+            raise InputError(
+                f"rerun-sdk is installed but can't be imported ({error}); beside numpy 1 it needs "
+                "an older pyarrow: pip install 'pyarrow>=18,<26'"
+            ) from error
+        raise InputError(
+            "the Rerun picture needs rerun-sdk, which is not installed: "
+            "pip install 'trajeval-ros[rerun]'"
+        ) from error
+    # It flushes all recordings when Python ends, which hangs where a viewer doesn't read. Ours
+    # are closed one by one.
+    rerun.unregister_shutdown()
+    return rerun, rerun.blueprint

@@ -1,0 +1,196 @@
+"""Where a live picture goes: a file, viewers that come here, or a viewer elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import socket
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.viewer.scene import APPLICATION
+from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.stream import Sink
+
+LOOPBACK = "127.0.0.1"
+PORT = 9876
+_FILE_FLUSH_S = 10.0
+_SERVER_MEMORY = "512MB"
+_PROBE_S = 0.3
+
+
+class FileTarget:
+    """A file (.rrd).
+
+    What is logged becomes a chunk per entity each time that it is flushed, of a kilobyte at the
+    least. So it is flushed seldom: a killed process loses the last ten seconds, a full disk is
+    noticed as late.
+    """
+
+    name = "file"
+    check_every_s = _FILE_FLUSH_S
+
+    def __init__(self, path: Path, recording_id: str) -> None:
+        """Name the file; it is replaced if it exists."""
+        self._path, self._id = path, recording_id
+
+    def open(self, blueprint: Any) -> Any:
+        """Return a recording into the file."""
+        rerun, _ = sdk()
+        try:
+            self._path.touch()
+        except OSError as error:
+            raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
+        recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
+        recording.set_sinks(rerun.FileSink(str(self._path)), default_blueprint=blueprint)
+        return recording
+
+    def check(self, recording: Any) -> bool:
+        """Have everything in the file."""
+        try:
+            recording.flush()
+        except RuntimeError as error:
+            raise InputError(f"{self._path} can't be written: {self._why(error)}") from error
+        return True
+
+    def close(self, recording: Any) -> None:
+        """End the file."""
+        self.check(recording)
+        recording.disconnect()
+
+    def _why(self, error: Exception) -> str:
+        """Return why the disk takes no more; Rerun says only that it doesn't."""
+        with contextlib.suppress(OSError):
+            disk = os.statvfs(self._path.parent)
+            if disk.f_bavail * disk.f_frsize < 1024 * 1024:
+                return "no space left on device"
+        return str(error).lower()
+
+
+class ServerTarget:
+    """A server on this machine, for viewers that come, go, and come back."""
+
+    name = "server"
+    check_every_s = 1.0
+
+    def __init__(self, port: int, recording_id: str) -> None:
+        """Name the port."""
+        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        self._port, self._id = port, recording_id
+
+    def open(self, blueprint: Any) -> Any:
+        """Return a recording that the server holds."""
+        rerun, _ = sdk()
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, self._port))
+            except OSError as error:
+                raise InputError(
+                    f"Rerun can't be served at port {self._port}: {_reason(error)}; choose "
+                    f"another one, as in rerun:=serve:{self._port + 1}"
+                ) from error
+        recording = _recording(self._id, flush_s=0.5)
+        server = rerun.GrpcServerSink(LOOPBACK, self._port, server_memory_limit=_SERVER_MEMORY)
+        recording.set_sinks(server, default_blueprint=blueprint)
+        return recording
+
+    def check(self, recording: Any) -> bool:
+        """Do nothing: the server never fails for what viewers do."""
+        del recording
+        return True
+
+    def close(self, recording: Any) -> None:
+        """End the server."""
+        recording.disconnect()
+
+
+class ViewerTarget:
+    """A viewer that listens somewhere, as `rerun` does when it is started."""
+
+    name = "viewer"
+    check_every_s = 2.0
+
+    def __init__(self, url: str, recording_id: str) -> None:
+        """Name the viewer.
+
+        Raises:
+            SettingsError: It is no such URL.
+        """
+        match = re.fullmatch(r"rerun\+https?://(\[[^\]]+\]|[^:/\s]+):(\d{1,5})/proxy", url)
+        if match is None:
+            raise SettingsError(
+                f"{url!r} is no viewer's URL; write it as in "
+                f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy"
+            )
+        self._url, self._id = url, recording_id
+        self._address = match[1].strip("[]"), int(match[2])
+
+    def open(self, blueprint: Any) -> Any | None:
+        """Return a recording that the viewer shows, None while it isn't there."""
+        # To connect where nobody listens takes five seconds and may hang later.
+        if not self._is_there():
+            return None
+        recording = _recording(self._id, flush_s=0.5)
+        recording.connect_grpc(self._url, default_blueprint=blueprint)
+        return recording
+
+    def check(self, recording: Any) -> bool:
+        """Return whether it is still there; a connection that is lost never comes back."""
+        del recording
+        return self._is_there()
+
+    def close(self, recording: Any) -> None:
+        """End; to flush a viewer that doesn't read hangs, to disconnect doesn't."""
+        recording.disconnect()
+
+    def _is_there(self) -> bool:
+        try:
+            socket.create_connection(self._address, _PROBE_S).close()
+        except OSError:
+            return False
+        return True
+
+
+def sinks_for(value: str, file: Path, recording_id: str) -> list[Sink]:
+    """Return the sinks that a value of the parameter `rerun` asks for.
+
+    Args:
+        value: `none`, `file`, `serve`, `serve:PORT` or `connect:URL`; all but `none` keep a file.
+        file: Which one.
+        recording_id: Tells viewers that it is all one recording.
+
+    Raises:
+        SettingsError: It is none of these.
+    """
+    kind, _, where = value.partition(":")
+    if value == "none":
+        return []
+    kept = FileTarget(file, recording_id)
+    if value == "file":
+        return [kept]
+    if kind == "serve" and (not where or (where.isdecimal() and 0 < int(where) < 65536)):
+        return [kept, ServerTarget(int(where or PORT), recording_id)]
+    if kind == "connect":
+        return [kept, ViewerTarget(where, recording_id)]
+    raise SettingsError(
+        f"rerun can't be {value!r}; it is none, file, serve, serve:PORT or "
+        f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy"
+    )
+
+
+def _recording(recording_id: str, flush_s: float) -> Any:
+    rerun, _ = sdk()
+    recording = rerun.RecordingStream(
+        APPLICATION,
+        recording_id=recording_id,
+        batcher_config=rerun.ChunkBatcherConfig(flush_tick=flush_s),
+    )
+    recording.set_log_time_enabled(False)
+    return recording
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()

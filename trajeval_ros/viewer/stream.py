@@ -1,0 +1,169 @@
+"""A live picture that nobody has to wait for: a thread of its own behind a queue that drops.
+
+Rerun's `log` may block for seconds, or for ever where a viewer connects and doesn't read, and a
+file beside such a connection stops growing with it. So every sink has a recording, a thread and a
+queue of its own, and whoever fills the queue never waits.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from trajeval_ros.exceptions import TrajevalError
+
+_MOST_WAITING = 2000  # about a minute of a run
+_PATIENCE_S = 5.0
+_TELL_DROPS_EVERY_S = 10.0
+
+Job = Callable[[], object]
+
+
+class Sink(Protocol):
+    """Where a recording goes.
+
+    Attributes:
+        name: What it is, for the user.
+        check_every_s: How often `check` is to be called.
+    """
+
+    name: str
+    check_every_s: float
+
+    def open(self, blueprint: Any) -> Any | None:
+        """Return a new recording, None if there is nobody to receive it yet.
+
+        Raises:
+            TrajevalError: There will never be one.
+        """
+
+    def check(self, recording: Any) -> bool:
+        """Have it out so far; returns False if it is lost and may be opened again.
+
+        Raises:
+            TrajevalError: It is lost for good.
+        """
+
+    def close(self, recording: Any) -> None:
+        """Have all of it out, and end."""
+
+
+class Drawing(Protocol):
+    """What draws on a recording, and remembers while there is none."""
+
+    blueprint: Any
+
+    def begin(self, recording: Any) -> None:
+        """Draw on a recording from now on."""
+
+    def leave(self) -> None:
+        """Draw no more."""
+
+    def finish(self) -> None:
+        """Draw what comes last."""
+
+    def dropped(self, count: int) -> None:
+        """Show how many updates were not drawn."""
+
+
+class Stream:
+    """Draws on a sink, on its own thread.
+
+    Attributes:
+        dropped: Number of jobs that did not reach the sink.
+        trouble: Why nothing reaches it any more; empty while it does.
+    """
+
+    def __init__(self, sink: Sink, drawing: Drawing, after: Stream | None = None) -> None:
+        """Begin; the sink is opened by the thread, since that may take long.
+
+        Args:
+            sink: Where it goes.
+            drawing: What draws.
+            after: A stream that is closing, whose port or file this one takes over.
+        """
+        self.name = sink.name
+        self.dropped = 0
+        self.trouble = ""
+        self._sink, self._drawing = sink, drawing
+        self._jobs: queue.Queue[Job] = queue.Queue(_MOST_WAITING)
+        self._closing = threading.Event()
+        self._after = after
+        self._recording: Any = None
+        self._told_dropped = 0
+        self._tell_at = 0.0
+        self._thread = threading.Thread(target=self._work, name=f"rerun {sink.name}", daemon=True)
+        self._thread.start()
+
+    def put(self, job: Job) -> None:
+        """Have something drawn, in order; never waits."""
+        try:
+            self._jobs.put_nowait(job)
+        except queue.Full:
+            self.dropped += 1
+
+    def end(self) -> None:
+        """Begin to end, and don't wait for it."""
+        self._closing.set()
+
+    def close(self, patience_s: float = _PATIENCE_S) -> bool:
+        """Have everything out and end; returns whether that was possible in so much time."""
+        self.end()
+        self._thread.join(patience_s)
+        return not self._thread.is_alive()
+
+    def _work(self) -> None:
+        if self._after is not None:
+            self._after.close()
+            self._after = None
+        check_at = 0.0
+        while True:
+            if time.monotonic() >= check_at and not self.trouble:
+                self._guarded(self._tend)
+                check_at = time.monotonic() + self._sink.check_every_s
+            try:
+                job = self._jobs.get(timeout=min(self._sink.check_every_s, 0.2))
+            except queue.Empty:
+                if self._closing.is_set():
+                    break
+                continue
+            if self._recording is None:
+                self.dropped += 1
+            self._guarded(job)
+        if self._recording is not None:
+            self._guarded(self._drawing.finish)
+            self._guarded(lambda: self._sink.close(self._recording))
+
+    def _tend(self) -> None:
+        """Open the sink, or look after it."""
+        if self._recording is None:
+            recording = self._sink.open(self._drawing.blueprint)
+            if recording is not None:
+                self._recording = recording
+                self._drawing.begin(recording)
+        elif not self._sink.check(self._recording):
+            self._forget()
+        elif self.dropped > self._told_dropped and time.monotonic() >= self._tell_at:
+            self._told_dropped = self.dropped
+            self._tell_at = time.monotonic() + _TELL_DROPS_EVERY_S
+            self._drawing.dropped(self.dropped)
+
+    def _guarded(self, action: Job) -> None:
+        """Do something; whatever goes wrong ends the picture, and never the node."""
+        try:
+            action()
+        except TrajevalError as error:
+            self.trouble = str(error)
+            self._forget()
+        except Exception as error:
+            self.trouble = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            self._forget()
+
+    def _forget(self) -> None:
+        recording, self._recording = self._recording, None
+        self._drawing.leave()
+        if recording is not None:
+            recording.disconnect()

@@ -1,0 +1,174 @@
+"""The picture's text: how wrong, over how much, and what its colours mean; in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from trajeval_ros.evaluation import Evaluation
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.viewer import colours
+
+if TYPE_CHECKING:
+    from trajeval_ros.online.reports import Snapshot
+
+Rows = Sequence[tuple[str, Sequence[str]]]
+NOTHING = "–"
+
+
+def text(
+    names: Sequence[str], rows: Rows, full_m: float | None, remarks: Sequence[str] = ()
+) -> str:
+    """Return the whole text.
+
+    Args:
+        names: Of the estimates.
+        rows: What is told of each of them: a label, and a value for each name.
+        full_m: The error where the scale of colours ends; None while there is none.
+        remarks: One sentence each.
+    """
+    table = [
+        "| | " + " | ".join(f"**{_plain(each)}**" for each in names) + " |",
+        "|---|" + "---|" * len(names),
+        *(f"| {label} | {' | '.join(map(_plain, values))} |" for label, values in rows),
+    ]
+    meaning = ["The grey line is the groundtruth."]
+    if full_m is not None:
+        meaning.append(
+            "The other line is the estimate, aligned with it."
+            if len(names) == 1
+            else "The other lines are the estimates, aligned with it."
+        )
+        what = "The estimate is" if len(names) == 1 else "Lines from estimate to groundtruth are"
+        meaning.append(f"{what} {colours.in_words(full_m)}.")
+    else:
+        meaning.append("The other line is the estimate in its own frame: no alignment yet.")
+    return "\n".join(
+        [*table, "", " ".join(meaning), "", *(f"* {_plain(each)}" for each in remarks)]
+    )
+
+
+def metres(value: float | None) -> str:
+    """Return a length in words."""
+    return NOTHING if value is None else f"{value:.3f} m"
+
+
+def degrees(value: float | None) -> str:
+    """Return an angle in words."""
+    return NOTHING if value is None else f"{value:.2f}°"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in words."""
+    return NOTHING if share is None else f"{100.0 * share:.1f} %"
+
+
+def of_evaluations(
+    evaluations: Sequence[Evaluation], names: Sequence[str], full_m: float, remarks: Sequence[str]
+) -> str:
+    """Return the text about recorded runs."""
+    rows: list[tuple[str, list[str]]] = [
+        (
+            "Position error, rmse (ATE)",
+            [metres(_rmse(each, "position_m")) for each in evaluations],
+        ),
+        (
+            "Rotation error, rmse",
+            [degrees(_rmse(each, "rotation_deg")) for each in evaluations],
+        ),
+        ("Drift", [_drift(each) for each in evaluations]),
+        (
+            "Estimate covered",
+            [percent(each.association.estimate_coverage) for each in evaluations],
+        ),
+        (
+            "Groundtruth covered",
+            [percent(each.association.groundtruth_coverage) for each in evaluations],
+        ),
+        ("Aligned by", [aligned_by(each) for each in evaluations]),
+    ]
+    if evaluations[0].protocol.gauge.has_scale:
+        scales = [f"{each.alignment.similarity.scale:.4f}" for each in evaluations]
+        rows.insert(2, ("Scale", scales))
+    return text(names, rows, full_m, remarks)
+
+
+def of_snapshots(
+    snapshots: Sequence[Snapshot], names: Sequence[str], gauge: Gauge, full_m: float | None
+) -> str:
+    """Return the text about live runs so far."""
+    rows: list[tuple[str, list[str]]] = [
+        (
+            "Position error, rmse (ATE)",
+            [metres(each.position_rmse_m) for each in snapshots],
+        ),
+        (
+            "of the newest window",
+            [metres(each.window_position_rmse_m) for each in snapshots],
+        ),
+        (
+            "Rotation error of the window",
+            [degrees(_window_rmse(each, "rotation_deg")) for each in snapshots],
+        ),
+        ("Drift", [_drift_so_far(each) for each in snapshots]),
+        ("Estimate covered", [percent(each.estimate_coverage) for each in snapshots]),
+        ("Aligned by", [_aligned_so_far(each, gauge) for each in snapshots]),
+    ]
+    if gauge.has_scale:
+        scales = [
+            NOTHING if each.alignment is None else f"{each.alignment.similarity.scale:.4f}"
+            for each in snapshots
+        ]
+        rows.insert(3, ("Scale", scales))
+    remarks = [
+        f"{name}: {each.warming_up}"
+        for name, each in zip(names, snapshots, strict=True)
+        if each.warming_up
+    ]
+    return text(names, rows, full_m, remarks)
+
+
+def aligned_by(evaluation: Evaluation) -> str:
+    """Return gauge and states in few words."""
+    gauge = evaluation.protocol.gauge
+    if gauge is Gauge.NONE:
+        return "nothing"
+    return f"{gauge.value}, {evaluation.alignment.states_used} states"
+
+
+def _rmse(evaluation: Evaluation, metric: str) -> float | None:
+    statistics = evaluation.ate[metric]
+    return None if statistics is None else statistics.rmse
+
+
+def _drift(evaluation: Evaluation) -> str:
+    for segment in reversed(evaluation.segments or ()):
+        drift = segment.statistics["position_percent"]
+        if drift is not None:
+            return f"{drift.mean:.2f} % of {segment.length_m:.4g} m"
+    return NOTHING
+
+
+def _window_rmse(snapshot: Snapshot, metric: str) -> float | None:
+    statistics = snapshot.ate.get(metric)
+    return None if statistics is None else statistics.rmse
+
+
+def _drift_so_far(snapshot: Snapshot) -> str:
+    for length, errors in reversed(snapshot.relative.items()):
+        if errors.count:
+            return f"{errors.position_m:.3f} m in {length}"
+    return NOTHING
+
+
+def _aligned_so_far(snapshot: Snapshot, gauge: Gauge) -> str:
+    if gauge is Gauge.NONE:
+        return "nothing"
+    if snapshot.alignment is None:
+        return NOTHING
+    return f"{gauge.value}, {snapshot.alignment.states_used} states"
+
+
+def _plain(words: str) -> str:
+    """Keep names and sentences from being taken for Markdown."""
+    return "".join(f"\\{each}" if each in "\\|*_`<>[]#" else each for each in words)
