@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ class LiveEstimate:
         jumps: Restarts and corrections so far.
         trail: The run in few poses.
         revised: The newest path, if the topic carries paths.
+        watch: Is given all new pairs, to draw them.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class LiveEstimate:
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
+        self.watch: Callable[[Pairs], object] | None = None
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._folder = folder
         self._undigested: list[Pairs] = []
@@ -143,6 +145,8 @@ class LiveEstimate:
         """Have new pairs on disk before anything else."""
         self.writer.append(*pairs)
         self._undigested.append(pairs)
+        if self.watch is not None:
+            self.watch(pairs)
 
     def _take(self, message_type: str, taken: Taken, arrived: Stamps) -> None:
         if message_type == PATH_TYPE:

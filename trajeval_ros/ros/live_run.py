@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.ros.folder import Finisher
@@ -28,6 +28,7 @@ class LiveRun:
         groundtruth: Where it comes from.
         estimates: One for each estimate topic.
         finisher: Writes result.json, in a process of its own.
+        watch: Is given stamps and states of the groundtruth, to draw them.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class LiveRun:
         """
         self.groundtruth, self.finisher = groundtruth, Finisher(folder)
         self.words = words
+        self.watch: Callable[[Stamps, Floats], object] | None = None
         self.estimates = [
             LiveEstimate(side, settings, folder, groundtruth.source, place)
             for place, side in enumerate(sides)
@@ -65,6 +67,8 @@ class LiveRun:
             poses = self.groundtruth.stream.poses(message_type, taken.payloads, arrived)
             for each in self.estimates:
                 each.evaluator.add_groundtruth(poses.stamps, poses.states)
+            if self.watch is not None:
+                self.watch(poses.stamps, poses.states)
         for each in self.estimates:
             each.take(now_ns)
 

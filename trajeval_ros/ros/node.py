@@ -19,6 +19,7 @@ from trajeval_ros.ros.folder import make_folder
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.outputs import Outputs
+from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.sides import Side, told_apart
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
 
@@ -40,6 +41,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._settings = parameters.settings_of(self._values)
         self._line = StatusLine()
         self._run = self._new_run()
+        self._picture = self._new_picture()
         self._outputs = {each.name: Outputs(self, each.name) for each in self._run.estimates}
         self._snapshots: dict[str, Snapshot] = {}
         self._newest: dict[str, Update] = {}
@@ -55,6 +57,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         """Evaluate what is left, and write everything; returns whether it was written."""
         self._line.clear()
         self._run.drain(self._simulated_ns())
+        for each in self._picture.close():
+            self.get_logger().warning(each)
         troubles = self._run.close()
         for each in troubles:
             self.get_logger().error(each)
@@ -76,6 +80,10 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             parameters.words_of(self._values),
             make_folder(self._values["output"]),
         )
+
+    def _new_picture(self, before: RerunOutput | None = None) -> RerunOutput:
+        gauge = self._settings.protocol.gauge
+        return RerunOutput(self._values["rerun"], self._run, gauge, before)
 
     def _advertise(self) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
@@ -111,6 +119,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 continue
             self._newest[estimate.name] = update
             self._outputs[estimate.name].publish_update(update)
+            self._picture.update(estimate, update)
             estimate.latency.publish(update.stamp, time.time_ns())
 
     def report(self) -> None:
@@ -121,6 +130,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for estimate in self._run.estimates:
             for jump in estimate.digest():
                 self._tell_of_jump(estimate, jump)
+                self._picture.jump(estimate, jump)
         begin = time.monotonic()
         if begin < self._snapshot_at:
             return
@@ -133,6 +143,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 outputs.advertise_revised()
                 revised = estimate.revised.position_rmse_m()
             outputs.publish_snapshot(snapshot, revised)
+            self._picture.snapshot(estimate, snapshot, revised)
             if snapshot.alignment is not None:
                 outputs.publish_geometry(
                     estimate.trail,
@@ -169,6 +180,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 )
             )
         self._diagnostics.publish(message)
+        for each in self._picture.news():
+            self._log(f"there is no picture in Rerun: {each}", warn=True)
         self._complain()
         self._autosave()
         self._line.show(parts)
@@ -225,6 +238,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._log(trouble, warn=True)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
+        self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
         if ended.has_pairs:
             ended.finisher.finish_alone()

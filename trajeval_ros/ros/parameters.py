@@ -113,6 +113,13 @@ PARAMETERS = (
         is_live=True,
     ),
     Parameter(
+        "rerun",
+        "none",
+        "The Rerun picture: none; file (run.rrd in the output folder); serve or serve:PORT, for "
+        "viewers on this machine that come and go, and the file; connect:URL, to a viewer that "
+        "listens there, and the file. It needs rerun-sdk.",
+    ),
+    Parameter(
         "warn_position_error_m",
         0.0,
         "Diagnostics warn above this position error, metres; 0 never.",

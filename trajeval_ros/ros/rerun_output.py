@@ -1,0 +1,114 @@
+"""What the node shows in Rerun: handed to threads that nobody waits for."""
+
+from __future__ import annotations
+
+import functools
+import uuid
+from collections.abc import Callable
+
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.jumps import Jump
+from trajeval_ros.online.pairing import Floats, Pairs, Stamps
+from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.viewer.live import LiveScene
+from trajeval_ros.viewer.sinks import sinks_for
+from trajeval_ros.viewer.stream import Stream
+
+FILE = "run.rrd"
+
+
+class RerunOutput:
+    """Draws a live run on every sink that the parameter `rerun` names.
+
+    Attributes:
+        trouble: Why there is no picture at all; empty if there is, or none was asked for.
+    """
+
+    def __init__(
+        self, value: str, run: LiveRun, gauge: Gauge, before: RerunOutput | None = None
+    ) -> None:
+        """Begin to draw; a sink that can't be had is told by `news`, and the node runs on.
+
+        Args:
+            value: Of the parameter.
+            run: What to draw.
+            gauge: Of its alignments.
+            before: The picture of the run that this one follows, which ends.
+        """
+        self._run = run
+        self._streams: list[tuple[Stream, LiveScene]] = []
+        self._told: set[str] = set()
+        self.trouble = ""
+        folder = run.finisher.folder
+        names = [each.name for each in run.estimates]
+        try:
+            for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
+                scene = LiveScene(folder.name, names, gauge)
+                after = None if before is None else before._ending(place)
+                self._streams.append((Stream(sink, scene, after), scene))
+        except TrajevalError as error:
+            self.trouble = str(error)
+        if self._streams:
+            run.watch = self._groundtruth
+            for each in run.estimates:
+                each.watch = functools.partial(self._pairs, each.name)
+
+    def update(self, estimate: LiveEstimate, update: Update) -> None:
+        """Show the errors of the newest pair."""
+        name = estimate.name
+        self._put(lambda scene: scene.update(name, update))
+
+    def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
+        """Show where an estimate jumps."""
+        text = f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
+        self._put(lambda scene: scene.event(jump.stamp, text))
+
+    def snapshot(
+        self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
+    ) -> None:
+        """Show the errors of the window, and the alignment."""
+        name, stamps = estimate.name, estimate.evaluator.store.stamps()
+        if len(stamps):
+            stamp = int(stamps[-1])
+            self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m))
+
+    def news(self) -> list[str]:
+        """Return what has gone wrong since the last call."""
+        troubles = [self.trouble, *(stream.trouble for stream, _ in self._streams)]
+        new = [each for each in troubles if each and each not in self._told]
+        self._told.update(new)
+        return new
+
+    @property
+    def dropped(self) -> int:
+        """Number of updates that some sink didn't get."""
+        return sum(stream.dropped for stream, _ in self._streams)
+
+    def close(self) -> list[str]:
+        """Draw the end and have everything out; returns what has gone wrong."""
+        for estimate in self._run.estimates:
+            self.snapshot(estimate, estimate.evaluator.snapshot(), None)
+        for stream, _ in self._streams:
+            stream.end()
+        late = [stream.name for stream, _ in self._streams if not stream.close()]
+        return [*self.news(), *(f"Rerun's {each} takes too long to end" for each in late)]
+
+    def _ending(self, place: int) -> Stream | None:
+        if place >= len(self._streams):
+            return None
+        stream, _ = self._streams[place]
+        stream.end()
+        return stream
+
+    def _groundtruth(self, stamps: Stamps, states: Floats) -> None:
+        self._put(lambda scene: scene.groundtruth(stamps, states))
+
+    def _pairs(self, name: str, pairs: Pairs) -> None:
+        self._put(lambda scene: scene.pairs(name, *pairs))
+
+    def _put(self, draw: Callable[[LiveScene], object]) -> None:
+        for stream, scene in self._streams:
+            stream.put(functools.partial(draw, scene))
