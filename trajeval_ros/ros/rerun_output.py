@@ -15,7 +15,7 @@ from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.viewer.live import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
-from trajeval_ros.viewer.stream import Stream
+from trajeval_ros.viewer.stream import Stream, give_way
 
 FILE = "run.rrd"
 
@@ -52,6 +52,7 @@ class RerunOutput:
         except TrajevalError as error:
             self.trouble = str(error)
         if self._streams:
+            give_way()
             run.watch = self._groundtruth
             for each in run.estimates:
                 each.watch = functools.partial(self._pairs, each.name)

@@ -18,7 +18,6 @@ Log = Callable[[int, str, Any], None]
 DRAWN_EVERY_NS = 100_000_000  # poses that are closer in time are left out
 _PIECE = 200  # poses, of which each is a row that stays in sight
 _HEAD = 20  # poses that are sent again with each new one
-_NO_POINTS = np.empty((0, 3))
 _NEVER = np.iinfo(np.int64).min
 
 
@@ -86,8 +85,8 @@ class LivePath:
     def _end_piece(self) -> None:
         if len(self._piece) > 1:
             self._log(self._stamp, self._entities.past, scene.lines([np.array(self._piece)]))
-            self._log(self._stamp, self._entities.recent, scene.lines(_NO_POINTS[None, :0]))
-            self._log(self._stamp, self._entities.newest, scene.lines(_NO_POINTS[None, :0]))
+            self._log(self._stamp, self._entities.recent, scene.lines([]))
+            self._log(self._stamp, self._entities.newest, scene.lines([]))
 
 
 class Memory:

@@ -35,6 +35,7 @@ class FileTarget:
     def __init__(self, path: Path, recording_id: str) -> None:
         """Name the file; it is replaced if it exists."""
         self._path, self._id = path, recording_id
+        self._whole = 0  # bytes that are known to be on disk
 
     def open(self, blueprint: Any) -> Any:
         """Return a recording into the file."""
@@ -51,8 +52,15 @@ class FileTarget:
         """Have everything in the file."""
         try:
             recording.flush()
-        except RuntimeError as error:
-            raise InputError(f"{self._path} can't be written: {self._why(error)}") from error
+            self._whole = self._path.stat().st_size
+        except (RuntimeError, OSError) as error:
+            why = self._why(error)
+            # Half a chunk at the end would make all of it unreadable. What Rerun still holds would
+            # be written behind a hole, so it goes first.
+            recording.disconnect()
+            with contextlib.suppress(OSError):
+                os.truncate(self._path, self._whole)
+            raise InputError(f"{self._path} can't be written: {why}") from error
         return True
 
     def close(self, recording: Any) -> None:
