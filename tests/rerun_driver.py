@@ -1,0 +1,119 @@
+"""A process that draws a simulated flight on Rerun's sinks, as the live evaluator does.
+
+    rerun_driver.py SINKS FOLDER SECONDS SPEED
+
+It prints JSON: the longest time that handing anything over took, what each sink made of it, and
+the numbers that were handed over.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.pairing import states
+from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.protocol import Protocol
+from trajeval_ros.simulation import simulate
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.viewer.live import LiveScene
+from trajeval_ros.viewer.sinks import sinks_for
+from trajeval_ros.viewer.stream import Stream, give_way
+
+NAME = "vio_odometry"
+TICK_S = 0.05
+_REPORT_EVERY = 10
+
+
+def rows(trajectory: Trajectory) -> np.ndarray:
+    return states(trajectory.positions, trajectory.quaternions, trajectory.velocities)
+
+
+def main(value: str, folder: Path, seconds: float, speed: float) -> None:
+    flight = simulate(0, seconds)
+    truth, estimate = flight.groundtruth, flight.estimate
+    truth_rows, estimate_rows = rows(truth), rows(estimate)
+    evaluator = OnlineEvaluator(
+        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda pairs: new.append(pairs)
+    )
+    new: list = []
+    streams = []
+    give_way()
+    for sink in sinks_for(value, folder / "run.rrd", "flight"):
+        scene = LiveScene("flight", [NAME], Gauge.YAW)
+        streams.append((Stream(sink, scene), scene))
+    waits, handed = [], {"position_error": [], "ate_position": [], "alignment": []}
+
+    def put(draw) -> None:
+        begin = time.perf_counter()
+        for stream, scene in streams:
+            stream.put(functools.partial(draw, scene))
+        waits.append(time.perf_counter() - begin)
+
+    print("ready", flush=True)
+    begin, ticks = time.monotonic(), round(seconds / TICK_S)
+    late = 0.0
+    for tick in range(ticks):
+        until = truth.stamps[0] + round((tick + 1) * TICK_S * NANOSECONDS)
+        since = until - round(TICK_S * NANOSECONDS)
+        part = (truth.stamps > since) & (truth.stamps <= until)
+        evaluator.add_groundtruth(truth.stamps[part], truth_rows[part])
+        taken = truth.stamps[part], truth_rows[part]
+        put(lambda scene, taken=taken: scene.groundtruth(*taken))
+        part = (estimate.stamps > since) & (estimate.stamps <= until)
+        evaluator.add_estimate(estimate.stamps[part], estimate_rows[part])
+        update = evaluator.update()
+        for pairs in new:
+            put(lambda scene, pairs=pairs: scene.pairs(NAME, *pairs))
+        new.clear()
+        if update.stamp is not None:
+            put(lambda scene, update=update: scene.update(NAME, update))
+            if update.position_m is not None:
+                handed["position_error"].append((update.stamp, update.position_m))
+        if tick % _REPORT_EVERY == 0 and evaluator.pairs:
+            snapshot, stamp = evaluator.snapshot(), int(evaluator.store.stamps()[-1])
+            put(
+                lambda scene, stamp=stamp, snapshot=snapshot: scene.snapshot(
+                    NAME, stamp, snapshot, None
+                )
+            )
+            if snapshot.window_position_rmse_m is not None:
+                handed["ate_position"].append((stamp, snapshot.window_position_rmse_m))
+            if snapshot.alignment is not None:
+                similarity = snapshot.alignment.similarity
+                handed["alignment"].append(
+                    (
+                        stamp,
+                        *similarity.rotation.ravel().tolist(),
+                        *similarity.translation.tolist(),
+                    )
+                )
+        left = begin + (tick + 1) * TICK_S / speed - time.monotonic()
+        late = max(late, -left)
+        time.sleep(max(0.0, left))
+    closed = [stream.close() for stream, _ in streams]
+    print(
+        json.dumps(
+            {
+                "longest_wait_s": max(waits),
+                "usual_wait_s": sorted(waits)[int(0.99 * len(waits))],
+                "latest_tick_s": late,
+                "closed": closed,
+                "dropped": [stream.dropped for stream, _ in streams],
+                "trouble": [stream.trouble for stream, _ in streams],
+                "handed": handed,
+            }
+        ),
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4]))

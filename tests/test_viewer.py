@@ -1,0 +1,291 @@
+"""The picture of recorded runs, read back from its file; and the laws of what it is made of."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros import Gauge, Protocol, evaluate
+from trajeval_ros.cli.app import main
+from trajeval_ros.evaluation import Evaluation
+from trajeval_ros.simulation import simulate
+from trajeval_ros.viewer import colours, live_path, scene
+from trajeval_ros.viewer.geometry import gaps, pieces
+from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
+
+ROOT = Path(__file__).resolve().parent.parent
+NAME = "vio"
+FRAME = f"world/estimate/{NAME}"
+HAVE_RERUN = True
+try:
+    import rerun  # noqa: F401
+except ImportError:
+    HAVE_RERUN = False
+needs_rerun = pytest.mark.skipif(not HAVE_RERUN, reason="rerun-sdk is missing, the extra `rerun`")
+
+
+def evaluated(
+    gauge: Gauge = Gauge.YAW,
+    duration_s: float = 30.0,
+    offset: tuple[float, ...] = (0, 0, 0),
+    scale: float = 1.0,
+) -> Evaluation:
+    flight = simulate(0, duration_s)
+    return evaluate(
+        dataclasses.replace(
+            flight.groundtruth, positions=flight.groundtruth.positions + np.array(offset)
+        ),
+        dataclasses.replace(
+            flight.estimate,
+            name=NAME,
+            positions=scale * flight.estimate.positions + np.array(offset),
+        ),
+        Protocol(gauge=gauge),
+    )
+
+
+# Laws.
+
+
+@given(
+    st.integers(0, 60),
+    st.lists(st.integers(0, 58), max_size=5),
+    st.integers(1, 70),
+)
+def test_pieces_draw_every_step_once_but_the_gaps(count: int, cuts: list[int], most: int) -> None:
+    is_gap = np.zeros(max(count - 1, 0), dtype=bool)
+    is_gap[[each for each in cuts if each < len(is_gap)]] = True
+    rows = pieces(count, is_gap, most)
+    assert len(rows) <= most
+    steps = [(a, b) for piece in rows.tolist() for a, b in pairwise(piece) if a != b]
+    assert len(steps) == len(set(steps))
+    assert all(b == a + 1 and not is_gap[a] for a, b in steps)
+    if rows.shape[1] == 2:
+        assert {a for a, _ in steps} == set(np.flatnonzero(~is_gap).tolist())
+
+
+@given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=50))
+def test_scale_of_colours_is_round_and_holds_nearly_all(errors: list[float]) -> None:
+    full_m = colours.scale_for(np.array(errors))
+    most = float(np.percentile(errors, 98))
+    assert full_m >= 0.998 * most
+    assert full_m <= max(2.0 * most, 1e-3) * 1.001
+    assert float(f"{full_m:.0e}") == pytest.approx(full_m)
+
+
+@given(st.lists(st.integers(1, 30_000_000_000), min_size=1, max_size=80), st.integers(1, 7))
+def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], size: int) -> None:
+    stamps = np.cumsum(np.array(steps, dtype=np.int64) // 100)
+    thinning = Thinning()
+    picked = np.concatenate(
+        [
+            stamps[begin : begin + size][thinning.pick(stamps[begin : begin + size])]
+            for begin in range(0, len(stamps), size)
+        ]
+    )
+    slots = stamps // live_path.DRAWN_EVERY_NS
+    assert picked.tolist() == stamps[np.unique(slots, return_index=True)[1]].tolist()
+
+
+def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene, "lines", lambda strips: [np.asarray(each) for each in strips])
+    rows: list[tuple[int, str, list[np.ndarray]]] = []
+    entities = scene.PathEntities.below("world/x")
+    path = LivePath(entities, lambda stamp, entity, strips: rows.append((stamp, entity, strips)))
+    points = np.random.default_rng(0).normal(size=(1000, 3))
+    stamps = np.arange(1000) * 100_000_000
+    stamps[600:] += 5_000_000_000
+    told = []
+    for stamp, point in zip(stamps.tolist(), points, strict=True):
+        told.append(path.add(stamp, point))
+        path.draw_to(stamp, point)
+    assert [gap for gap in told if gap] == [5_100_000_000]
+    for now in (0, 1, 19, 20, 21, 199, 200, 201, 599, 600, 601, 999):
+        shown: list[np.ndarray] = []
+        for part in (entities.past, entities.recent, entities.newest):
+            until = [
+                strips for stamp, entity, strips in rows if entity == part and stamp <= stamps[now]
+            ]
+            shown += [
+                each
+                for strips in (until if part == entities.past else until[-1:])
+                for each in strips
+            ]
+        seen = {tuple(point) for strip in shown for point in strip}
+        assert seen == {tuple(each) for each in points[: now + 1]}
+        for strip in shown:
+            ends = [np.flatnonzero((points == each).all(axis=1))[0] for each in strip]
+            assert not (min(ends) < 600 <= max(ends))
+
+
+def test_memory_keeps_the_run_and_its_bounds() -> None:
+    memory = Memory(1, most=100)
+    for each in range(12_345):
+        memory.add(each, np.array([float(each)]))
+    stamps, rows = memory.columns()
+    assert 50 <= len(stamps) <= 100
+    assert (np.diff(stamps) > 0).all()
+    assert (rows[:, 0] == stamps).all()
+    assert stamps[0] < 300 < 12_000 < stamps[-1]
+
+
+# The file.
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory):
+    """A mono run far from the origin, and its picture."""
+    pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
+    from rrd import Rrd
+
+    from trajeval_ros.viewer.recorded import write_recording
+
+    evaluation = evaluated(Gauge.SIM3, offset=(432_100.0, 5_012_345.0, 410.0), scale=0.4)
+    path = tmp_path_factory.mktemp("picture") / "run.rrd"
+    write_recording(path, [evaluation])
+    return evaluation, Rrd(path)
+
+
+@needs_rerun
+def test_drawn_path_is_the_aligned_one_far_from_the_origin(drawn) -> None:
+    evaluation, picture = drawn
+    (origin,) = picture.rows("__properties/origin", "groundtruth_m")[1]
+    _, ((rotation, translation, scale),) = picture.transforms(FRAME)
+    assert scale == pytest.approx(evaluation.alignment.similarity.scale, rel=1e-6)
+    stamps, rows = picture.strips(f"{FRAME}/path/past")
+    ends = np.array([row[0][-1] for row in rows], dtype=np.float64)
+    there = ends @ (scale * rotation).T + translation + np.array(origin)
+    places = np.searchsorted(evaluation.estimate.stamps, stamps)
+    assert (evaluation.estimate.stamps[places] == stamps).all()
+    wanted = evaluation.alignment.similarity.positions(evaluation.estimate.positions)[places]
+    # A step of float32 at 5e6 m would be half a metre.
+    assert np.abs(there - wanted).max() < 1e-4
+
+
+@needs_rerun
+def test_drawn_numbers_are_the_evaluations(drawn) -> None:
+    evaluation, picture = drawn
+    stamps, values = picture.numbers(f"metrics/position_error/{NAME}")
+    assert (stamps == evaluation.association.estimate.stamps).all()
+    assert (values == evaluation.absolute.position_m).all()
+    _, level = picture.numbers(f"metrics/ate_position/{NAME}")
+    assert (level == evaluation.ate["position_m"].rmse).all()
+    for segment in evaluation.segments:
+        _, values = picture.numbers(f"metrics/relative_error/{NAME}/{segment.length}")
+        assert (values == segment.errors.position_m).all()
+    ((text,),) = picture.rows("summary", "TextDocument:text")[1]
+    assert f"{evaluation.ate['position_m'].rmse:.3f} m" in text
+
+
+@needs_rerun
+def test_gap_is_told_and_not_drawn_across(drawn) -> None:
+    evaluation, picture = drawn
+    said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
+    assert any("no pair of poses for 2.0 s" in each for each in said)
+    longest = max(
+        np.linalg.norm(np.diff(row[0], axis=0), axis=1).max()
+        for row in picture.strips(f"{FRAME}/path/past")[1]
+    )
+    steps = np.linalg.norm(np.diff(evaluation.estimate.positions, axis=0), axis=1)
+    across = gaps(evaluation.estimate.stamps)
+    assert longest <= steps[~across].max() * 1.001 < steps[across].min()
+
+
+@needs_rerun
+@pytest.mark.slow
+def test_two_hours_stay_few_rows(tmp_path: Path) -> None:
+    from rrd import Rrd
+
+    from trajeval_ros.viewer.recorded import write_recording
+
+    evaluation = evaluated(duration_s=7200.0)
+    assert len(evaluation.estimate) > 143_000
+    write_recording(tmp_path / "run.rrd", [evaluation])
+    picture = Rrd(tmp_path / "run.rrd")
+    rows = sum(
+        len(picture.strips(entity)[0]) for entity in picture.entities if entity.startswith("world")
+    )
+    # 20 us of each frame per row: 30 ms.
+    assert rows <= 1500
+
+
+@needs_rerun
+def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
+    from rrd import Rrd
+
+    from trajeval_ros.viewer.recorded import write_recording
+
+    one = evaluated(duration_s=10.0)
+    write_recording(tmp_path / "run.rrd", [one, one], ["/a b/c", "x#2"])
+    entities = Rrd(tmp_path / "run.rrd").entities
+    frames = {
+        each.split("/path/")[0]
+        for each in entities
+        if "world/estimate" in each and "/path/" in each
+    }
+    assert len(frames) == 2
+
+
+# The command line.
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    bag = tmp_path_factory.mktemp("bag") / "flight"
+    assert main(["simulate", str(bag), "--duration", "10"]) == 0
+    return ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--quiet"]
+
+
+def test_without_rerun_one_sentence_names_the_extra(sources: list[str], tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.modules['rerun'] = None; from trajeval_ros.cli.app import main; "
+        "sys.exit(main())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "evaluate", *sources, "--rrd", str(tmp_path / "a.rrd")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "rerun" in done.stderr
+    assert "pip install" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@needs_rerun
+def test_evaluate_writes_the_picture(sources: list[str], tmp_path: Path) -> None:
+    from rrd import Rrd
+
+    assert main(["evaluate", *sources, "--rrd", str(tmp_path / "a.rrd")]) == 0
+    assert main(["evaluate", *sources, "--output", str(tmp_path / "out")]) == 0
+    for path in (tmp_path / "a.rrd", tmp_path / "out" / "run.rrd"):
+        assert "world/groundtruth/path/past" in Rrd(path).entities
+    assert {each.name for each in tmp_path.iterdir()} == {"a.rrd", "out"}
+
+
+@needs_rerun
+def test_file_that_cannot_be_written(
+    sources: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", *sources, "--rrd", str(tmp_path / "no" / "a.rrd")]) == 2
+    assert "a.rrd can't be written: no such file or directory" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "said"), [("nothing", "there is no"), ("", "holds no run.rrd")])
+def test_view_says_what_it_needs(
+    name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", str(tmp_path / name)]) == 2
+    assert said in capsys.readouterr().err
