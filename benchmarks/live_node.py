@@ -51,7 +51,11 @@ def cpu_s(pid: int) -> float:
 
 @contextmanager
 def running(
-    rates: Sequence[float], topics: Sequence[str], seconds: float, speed: float = 1.0
+    rates: Sequence[float],
+    topics: Sequence[str],
+    seconds: float,
+    speed: float = 1.0,
+    rerun: str = "none",
 ) -> Iterator[tuple[subprocess.Popen[str], subprocess.Popen[str], Path]]:
     """Run the node and its traffic: yields both processes, once pairs are made, and the folder."""
     variables = environment()
@@ -63,6 +67,7 @@ def running(
                 "-p", "groundtruth_topic:=/groundtruth/pose",
                 "-p", f"estimate_topics:=[{','.join(topics)}]",
                 "-p", f"output:={output}",
+                "-p", f"rerun:={rerun}",
             ],
             env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
@@ -84,12 +89,13 @@ def running(
 
 
 def measure(
-    groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float
+    groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float, rerun: str
 ) -> dict[str, float]:
-    """Return what one run of the node took: percent of a core, losses, latency."""
+    """Return what one run of the node took: percent of a core, losses, latency, picture."""
     topics = [f"/vio_{number}/odometry" for number in range(estimates)]
     rates = groundtruth_hz, odometry_hz
-    with running(rates, topics, SETTLE_S + seconds + 1.0) as (node, traffic, output):
+    length_s = SETTLE_S + seconds + 1.0
+    with running(rates, topics, length_s, rerun=rerun) as (node, traffic, output):
         time.sleep(SETTLE_S)
         before, begin = cpu_s(node.pid), time.monotonic()
         time.sleep(seconds)
@@ -99,12 +105,15 @@ def measure(
         node.send_signal(signal.SIGINT)
         node.wait()
         result = json.loads((output / "result.json").read_text())
+        picture = output / "run.rrd"
+        size = picture.stat().st_size if picture.exists() else 0
     live = [run["live"] for run in result["runs"]]
     received = result["groundtruth"]["poses"] + result["runs"][0]["estimate"]["poses"]
     return {
         "cpu_percent": 100.0 * share,
         "lost": sum(sent) - received,
         "latency_p95_ms": 1e3 * max(each["latency_p95_s"] for each in live),
+        "picture_kb_per_s": size / length_s / 1e3,
     }
 
 
@@ -129,6 +138,9 @@ def main() -> None:
     parser.add_argument(
         "--soak", type=float, metavar="HOURS", help="instead, the memory of so long a run at 20x"
     )
+    parser.add_argument(
+        "--rerun", default="none", help="the node's parameter: file draws a Rerun picture as well"
+    )
     options = parser.parse_args()
     print(f"load average {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores", flush=True)
     if options.soak:
@@ -136,7 +148,7 @@ def main() -> None:
         return
     for groundtruth_hz, odometry_hz, estimates, limit in LOADS:
         found = [
-            measure(groundtruth_hz, odometry_hz, estimates, options.seconds)
+            measure(groundtruth_hz, odometry_hz, estimates, options.seconds, options.rerun)
             for _ in range(options.runs)
         ]
         median = {key: statistics.median(each[key] for each in found) for key in found[0]}
@@ -145,7 +157,8 @@ def main() -> None:
             f"groundtruth {groundtruth_hz} Hz, {estimates} x odometry {odometry_hz} Hz: "
             f"{median['cpu_percent']:.1f} %{allowed} of a core, "
             f"{max(each['lost'] for each in found):.0f} lost at most, "
-            f"latency p95 {median['latency_p95_ms']:.1f} ms",
+            f"latency p95 {median['latency_p95_ms']:.1f} ms, "
+            f"picture {median['picture_kb_per_s']:.1f} kB/s",
             flush=True,
         )
 
