@@ -18,16 +18,18 @@ from trajeval_ros.viewer.geometry import between_origins, gaps, origin_for
 from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
 
 if TYPE_CHECKING:
+    from trajeval_ros.online.relative import RelativeEnd
     from trajeval_ros.online.reports import Snapshot, Update
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-_PATHS_EVERY_NS = NANOSECONDS // 5
+_DRAWN_EVERY_NS = NANOSECONDS // 5  # paths, and relative errors of a length
 _WORDS_EVERY_NS = 2 * NANOSECONDS
-_COLOURED_WHEN_GROWN_BY = 1.15
+_COLOURED_WHEN_GROWN_BY = 1.25
+_COLOURED_STEPS = 3  # of one piece of a path
 _MOST_COLOURED = 4000  # pieces
-_MOST_CORRESPONDENCES = 60
+_MOST_CORRESPONDENCES = 40
 _LEAST_JUMP_M = 0.2
 _NEVER = np.iinfo(np.int64).min
 
@@ -45,7 +47,7 @@ class LiveEstimatePicture:
         self.snapshot: Snapshot | None = None
         self.drawn_at = self.told_at = _NEVER
         self.coloured = 0
-        self.lengths: list[str] = []
+        self.lengths: dict[str, int] = {}  # with the stamp of the newest error that was drawn
 
 
 class LiveScene:
@@ -81,9 +83,9 @@ class LiveScene:
         stamps, points = self._truth_memory.columns()
         self._draw_again(scene.GroundtruthEntities.path.past, stamps, points)
         for each in self._estimates.values():
-            lengths, each.lengths, each.coloured = each.lengths, [], 0
-            for length in lengths:
-                self._see_length(each, length)
+            each.coloured = 0
+            for place, length in enumerate(each.lengths):
+                scene.declare_length(recording, each.entities, length, place)
             stamps, rows = each.memory.columns()
             self._draw_again(each.entities.path.past, stamps, rows[:, 3:])
 
@@ -118,7 +120,7 @@ class LiveScene:
             self._truth.add(int(stamps[row]), point)
             self._truth_memory.add(int(stamps[row]), point)
         stamp = int(stamps[-1])
-        if stamp >= self._truth_drawn_at + _PATHS_EVERY_NS:
+        if stamp >= self._truth_drawn_at + _DRAWN_EVERY_NS:
             self._truth_drawn_at = stamp
             point = self._at(states[-1])
             self._truth.draw_to(stamp, point)
@@ -139,7 +141,7 @@ class LiveScene:
                 self.event(stamp, f"{name}: no pair of poses for {gap / NANOSECONDS:.1f} s")
             each.memory.add(stamp, np.concatenate([truth[row, :3] - self._origin, point]))
         stamp = int(stamps[-1])
-        if stamp >= each.drawn_at + _PATHS_EVERY_NS:
+        if stamp >= each.drawn_at + _DRAWN_EVERY_NS:
             each.drawn_at = stamp
             point = states[-1, :3] - each.origin
             each.path.draw_to(stamp, point)
@@ -153,9 +155,7 @@ class LiveScene:
         self._number(update.stamp, each, scene.POSITION_ERROR, update.position_m)
         self._number(update.stamp, each, scene.ROTATION_ERROR, update.rotation_deg)
         for end in update.ends:
-            self._see_length(each, end.length)
-            entity = each.entities.metric(scene.RELATIVE_ERROR, end.length)
-            self._log(end.stamp, entity, scene.number(end.position_m))
+            self._end(each, end)
 
     def snapshot(self, name: str, stamp: int, snapshot: Snapshot, revised_m: float | None) -> None:
         """Take the state of an evaluation as of a stamp, as it is published."""
@@ -217,12 +217,17 @@ class LiveScene:
         if self._origin.any():
             self.event(self._begin, scene.origin_in_words(self._origin), warn=False)
 
-    def _see_length(self, each: LiveEstimatePicture, length: str) -> None:
-        if length not in each.lengths:
-            each.lengths.append(length)
+    def _end(self, each: LiveEstimatePicture, end: RelativeEnd) -> None:
+        """Draw the error of a sub-trajectory, unless its length has had one just now."""
+        if end.length not in each.lengths:
+            each.lengths[end.length] = _NEVER
             if self._recording is not None:
                 place = len(each.lengths) - 1
-                scene.declare_length(self._recording, each.entities, length, place)
+                scene.declare_length(self._recording, each.entities, end.length, place)
+        if end.stamp >= each.lengths[end.length] + _DRAWN_EVERY_NS:
+            each.lengths[end.length] = end.stamp
+            entity = each.entities.metric(scene.RELATIVE_ERROR, end.length)
+            self._log(end.stamp, entity, scene.number(end.position_m))
 
     def _align(self, each: LiveEstimatePicture, stamp: int, similarity: Similarity) -> None:
         """Move the estimate, and tell of it if that is far."""
@@ -251,10 +256,11 @@ class LiveScene:
         errors = np.sqrt(np.einsum("ni,ni->n", difference, difference))
         self._full_m = colours.scale_for(errors)
         each.coloured = len(rows)
+        most = min(_MOST_COLOURED, -(-len(rows) // _COLOURED_STEPS))
         self._log(
             stamp,
             each.entities.by_error,
-            scene.path_by_error(rows[:, 3:], errors, gaps(stamps), self._full_m, _MOST_COLOURED),
+            scene.path_by_error(rows[:, 3:], errors, gaps(stamps), self._full_m, most),
         )
 
     def _correspond(self, each: LiveEstimatePicture, stamp: int) -> None:

@@ -16,7 +16,7 @@ from trajeval_ros.viewer.stream import Sink
 
 LOOPBACK = "127.0.0.1"
 PORT = 9876
-_FILE_FLUSH_S = 10.0
+_FILE_FLUSH_S = 20.0
 _SERVER_MEMORY = "512MB"
 _PROBE_S = 0.3
 
@@ -25,8 +25,8 @@ class FileTarget:
     """A file (.rrd).
 
     What is logged becomes a chunk per entity each time that it is flushed, of a kilobyte at the
-    least. So it is flushed seldom: a killed process loses the last ten seconds, a full disk is
-    noticed as late.
+    least. So it is flushed seldom: a killed process loses the last twenty seconds of the picture,
+    a full disk is noticed as late.
     """
 
     name = "file"
