@@ -225,7 +225,7 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
     from trajeval_ros.viewer.recorded import write_recording
 
     one = evaluated(duration_s=10.0)
-    write_recording(tmp_path / "run.rrd", [one, one], ["/a b/c", "x#2"])
+    write_recording(tmp_path / "run.rrd", [one, one], names=["/a b/c", "x#2"])
     entities = Rrd(tmp_path / "run.rrd").entities
     frames = {
         each.split("/path/")[0]
@@ -233,6 +233,39 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
         if "world/estimate" in each and "/path/" in each
     }
     assert len(frames) == 2
+
+
+@needs_rerun
+@pytest.mark.parametrize("covariance", ["message", "joint"])
+def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) -> None:
+    from rrd import Rrd
+
+    bag = tmp_path / "flight"
+    assert main(["simulate", str(bag), "--profile", "euroc", "--duration", "10"]) == 0
+    arguments = ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--gauge", "yaw"]
+    chosen = "message" if covariance == "message" else f"{bag}.npz"
+    arguments += ["--align-states", "1", "--covariance", chosen, "--output", str(tmp_path / "out")]
+    assert main(["evaluate", *arguments, "--quiet"]) == 0
+    with np.load(tmp_path / "out" / "errors.npz") as file:
+        errors, sigmas, nees = (
+            file[f"vio/odometry.consistency.{each}"] for each in ("errors", "sigmas", "nees")
+        )
+    picture = Rrd(tmp_path / "out" / "run.rrd")
+    units = np.repeat([1.0, 180.0 / np.pi], 3)
+    for axis, quantity in enumerate(scene.ERRORS_WITHIN):
+        _, rows = picture.rows(f"metrics/{quantity}/vio\\/odometry", "Scalars:scalars")
+        error, upper, lower = np.array(rows).T
+        assert error == pytest.approx(units[axis] * errors[:, axis], rel=1e-12)
+        assert upper == pytest.approx(3.0 * units[axis] * sigmas[:, axis], rel=1e-12)
+        assert (lower == -upper).all()
+    _, drawn = picture.numbers("metrics/nees/vio\\/odometry")
+    assert drawn == pytest.approx(nees[np.isfinite(nees)], rel=1e-12)
+    # The largest ellipsoid: three sigma of a position, as many times as the text says.
+    ((text,),) = picture.rows("summary", "TextDocument:text")[1]
+    factor = float(text.split("3 sigma, ")[1].split(" times")[0])
+    _, half_axes = picture.rows("world/uncertainty/vio\\/odometry", "Ellipsoids3D:half_sizes")
+    largest = max(float(each.max()) for each in half_axes)
+    assert largest >= 0.99 * factor * 3.0 * sigmas[-1, :3].max()
 
 
 # The command line.

@@ -60,6 +60,12 @@ def statistics_of(errors: NDArray[np.float64] | None) -> Statistics | None:
     )
 
 
+def round_below(value: float) -> float:
+    """Return the largest of 1, 2 or 5 times a power of ten that a value > 0 holds."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
+
+
 def _quantile(ordered: NDArray[np.float64], share: float) -> float:
     """Linear interpolation between the order statistics, numpy's default definition."""
     place = share * (len(ordered) - 1)

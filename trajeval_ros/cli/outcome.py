@@ -56,8 +56,7 @@ def deliver(
         unmet += failed
     if output is not None:
         _write_folder(output, result, runs, pictures)
-    evaluations = [run.evaluation for run in runs]
-    pictures.write(evaluations)
+    pictures.write(runs)
     if json == "-":
         sys.stdout.write(results.to_json(result))
     elif json is not None:
@@ -71,7 +70,7 @@ def deliver(
         pairs = [(run.evaluation.groundtruth, run.evaluation.estimate) for run in runs]
         for line in dict.fromkeys(line for pair in pairs for each in pair for line in each.damage):
             print(f"warning: {line}", file=sys.stderr)
-    pictures.show(evaluations)
+    pictures.show(runs)
     for line in unmet:
         print(f"trajeval: {line}", file=sys.stderr)
     if unmet:
@@ -101,7 +100,7 @@ def _write_folder(
                     suffix = f"_{place}" if len(runs) > 1 else ""
                     name = run.estimate.name
                     write_consistency(run.evaluation, run.consistency, temporary, name, suffix)
-        pictures.write_into(temporary, [run.evaluation for run in runs])
+        pictures.write_into(temporary, runs)
         (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         for file in sorted(temporary.iterdir()):

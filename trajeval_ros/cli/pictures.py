@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from trajeval_ros.evaluation import Evaluation
+from trajeval_ros.io.results import Run
 
 PICTURE = "run.rrd"
 HAVE_RERUN = find_spec("rerun") is not None
@@ -39,17 +39,17 @@ class Pictures:
 
             sdk()
 
-    def write(self, evaluations: Sequence[Evaluation]) -> None:
+    def write(self, runs: Sequence[Run]) -> None:
         """Write the file that was asked for by name."""
         if self.rrd is not None:
-            _write(self.rrd, evaluations)
+            _write(self.rrd, runs)
 
-    def write_into(self, folder: Path, evaluations: Sequence[Evaluation]) -> None:
+    def write_into(self, folder: Path, runs: Sequence[Run]) -> None:
         """Write the file of an output folder."""
         if self.in_output and HAVE_RERUN:
-            _write(folder / PICTURE, evaluations)
+            _write(folder / PICTURE, runs)
 
-    def show(self, evaluations: Sequence[Evaluation]) -> None:
+    def show(self, runs: Sequence[Run]) -> None:
         """Show it if that was asked for, and wait until the viewer is closed."""
         if not self.viewer:
             return
@@ -60,11 +60,11 @@ class Pictures:
             return
         with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:
             made = Path(folder) / PICTURE
-            _write(made, evaluations)
+            _write(made, runs)
             show(made)
 
 
-def _write(path: Path, evaluations: Sequence[Evaluation]) -> None:
+def _write(path: Path, runs: Sequence[Run]) -> None:
     from trajeval_ros.viewer.recorded import write_recording
 
-    write_recording(path, evaluations)
+    write_recording(path, [run.evaluation for run in runs], [run.consistency for run in runs])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trajeval_ros.consistency.verdict import Consistency
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.report import canvas
+from trajeval_ros.statistics import round_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,7 +119,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
     # Full axes of the ellipses, metres.
     axes_m = 2.0 * _SIGMAS * np.sqrt(np.maximum(values, 0.0))
     largest = max(float(axes_m.max()), 1e-12)
-    factor = _enlargement(_LARGEST_ELLIPSE * extent / largest)
+    factor = max(1.0, round_below(_LARGEST_ELLIPSE * extent / largest))
     figure = canvas.new_figure(_WIDTH_IN, 5.0, layout="constrained")
     axes = figure.subplots()
     for trajectory, colour, width, label in (
@@ -156,11 +157,3 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
         f"({consistency.exactness})",
     )
     return figure
-
-
-def _enlargement(wanted: float) -> float:
-    """Return the round number (1, 2, 5, 10, ...) below what is wanted, at least 1."""
-    if wanted <= 1.0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted))

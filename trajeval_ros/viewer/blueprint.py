@@ -22,6 +22,7 @@ def blueprint(
     gauge: Gauge,
     *,
     is_live: bool,
+    has_consistency: bool = False,
     bounds: tuple[Floats, Floats] | None = None,
 ) -> Any:
     """Return the layout.
@@ -30,41 +31,56 @@ def blueprint(
         estimates: What is drawn.
         gauge: Of the alignments.
         is_live: Follow what comes; else the whole run is there already.
+        has_consistency: Whether errors are drawn within their bands.
         bounds: Least and greatest coordinates (3,), (3,) of what is drawn, if known.
     """
     _, layout = sdk()
+    errors = _errors(gauge, is_live=is_live)
     return layout.Blueprint(
         layout.Horizontal(
             _space(estimates, is_live=is_live, bounds=bounds),
-            layout.Vertical(
-                layout.TextDocumentView(origin=f"/{scene.SUMMARY}", name="How wrong is it?"),
-                _plot(
-                    "Position error [m]",
-                    scene.POSITION_ERROR,
-                    scene.ATE_POSITION,
-                    scene.REVISED_ATE_POSITION,
-                    legend=True,
-                ),
-                _plot("Rotation error [deg]", scene.ROTATION_ERROR, scene.ATE_ROTATION),
-                layout.Tabs(
-                    layout.TextLogView(origin=f"/{scene.EVENTS}", name="Events"),
-                    _plot("Relative error [m]", scene.RELATIVE_ERROR, legend=True),
-                    _plot("Yaw error [deg]", scene.YAW_ERROR),
-                    *([_plot("Scale", scene.SCALE)] if gauge.has_scale else []),
-                    *(
-                        [_plot("Yaw of the alignment [deg]", scene.ALIGNMENT_YAW)]
-                        if is_live
-                        else []
-                    ),
-                ),
-                row_shares=[6, 4, 3, 3],
-            ),
+            layout.Tabs(errors, _within_bands()) if has_consistency else errors,
             column_shares=[5, 3],
         ),
         layout.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),
         layout.SelectionPanel(state="collapsed"),
         layout.BlueprintPanel(state="collapsed"),
         auto_views=False,
+    )
+
+
+def _errors(gauge: Gauge, *, is_live: bool) -> Any:
+    _, layout = sdk()
+    return layout.Vertical(
+        layout.TextDocumentView(origin=f"/{scene.SUMMARY}", name="How wrong is it?"),
+        _plot(
+            "Position error [m]",
+            scene.POSITION_ERROR,
+            scene.ATE_POSITION,
+            scene.REVISED_ATE_POSITION,
+            legend=True,
+        ),
+        _plot("Rotation error [deg]", scene.ROTATION_ERROR, scene.ATE_ROTATION),
+        layout.Tabs(
+            layout.TextLogView(origin=f"/{scene.EVENTS}", name="Events"),
+            _plot("Relative error [m]", scene.RELATIVE_ERROR, legend=True),
+            _plot("Yaw error [deg]", scene.YAW_ERROR),
+            *([_plot("Scale", scene.SCALE)] if gauge.has_scale else []),
+            *([_plot("Yaw of the alignment [deg]", scene.ALIGNMENT_YAW)] if is_live else []),
+        ),
+        name="Errors",
+        row_shares=[7, 4, 3, 3],
+    )
+
+
+def _within_bands() -> Any:
+    _, layout = sdk()
+    names = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
+    plots = [_plot(*each) for each in zip(names, scene.ERRORS_WITHIN, strict=True)]
+    return layout.Vertical(
+        *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
+        _plot("NEES / 6 of each pose", scene.NEES, scene.NEES_LIMIT, legend=True),
+        name="Errors within 3 sigma",
     )
 
 
@@ -88,6 +104,7 @@ def _space(
     if not is_live:
         growing += [each.by_error for each in estimates]
         growing += [each.correspondences for each in estimates]
+        growing += [each.uncertainty for each in estimates]
     overrides: dict[str, list[Any]] = {each: [until_now] for each in growing}
     if len(estimates) > _MOST_COLOURED:
         hidden = [each.by_error for each in estimates]

@@ -12,6 +12,7 @@ Colours = NDArray[np.uint8]
 BACKGROUND: Colour = (17, 19, 24)
 GRID: Colour = (52, 56, 66)
 GROUNDTRUTH: Colour = (150, 154, 163)
+BAND: Colour = (200, 200, 205)
 # The first one is none of those that errors have; the others are Okabe and Ito's, which the
 # colour-blind can tell apart.
 ESTIMATES: tuple[Colour, ...] = (

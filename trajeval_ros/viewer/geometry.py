@@ -66,3 +66,20 @@ def pieces(count: int, is_gap: NDArray[np.bool_], most: int) -> Rows:
     connected = passed[rows] == passed[rows[:, :1]]
     last = connected.sum(axis=1) - 1
     return np.take_along_axis(rows, np.minimum(np.arange(size + 1), last[:, None]), axis=1)
+
+
+def spread(count: int, most: int) -> Rows:
+    """Return at most so many rows of N, evenly, the first and the last among them."""
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.int64)
+
+
+def peaks(values: Floats, most: int) -> Rows:
+    """Return at most so many rows of values (N,), the greatest of each of many equal runs."""
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    size = -(-count // most)
+    runs = np.pad(values, (0, -count % size), constant_values=-np.inf).reshape(-1, size)
+    return np.asarray(size * np.arange(len(runs)) + runs.argmax(axis=1), dtype=np.int64)

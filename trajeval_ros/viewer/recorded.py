@@ -10,12 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.consistency.verdict import Consistency
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.viewer import colours, scene, summary
 from trajeval_ros.viewer.blueprint import blueprint
-from trajeval_ros.viewer.geometry import between_origins, gaps, origin_for, pieces
+from trajeval_ros.viewer.consistency import send_consistency
+from trajeval_ros.viewer.geometry import (
+    between_origins,
+    gaps,
+    origin_for,
+    peaks,
+    pieces,
+    spread,
+)
 from trajeval_ros.viewer.sdk import sdk
 
 Floats = NDArray[np.float64]
@@ -30,19 +39,26 @@ _COLOURED_PER_ROW = 8
 
 
 def write_recording(
-    path: Path, evaluations: Sequence[Evaluation], names: Sequence[str] | None = None
+    path: Path,
+    evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None] = (),
+    names: Sequence[str] | None = None,
 ) -> None:
     """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth.
 
     Args:
         path: The file; it is replaced if it exists.
         evaluations: One per estimate, with the same groundtruth and protocol.
+        consistencies: Of the same, None where nobody asked; by default of none.
         names: What the estimates are called; by default their trajectories' names.
 
     Raises:
         InputError: rerun-sdk is not installed, or the file can't be written.
     """
     rerun, _ = sdk()
+    consistencies = [
+        None if each is None or each.covariances is None else each for each in consistencies
+    ] or [None] * len(evaluations)
     names = names or [each.estimate.name or "estimate" for each in evaluations]
     estimates = [scene.EstimateEntities(name, place) for place, name in enumerate(names)]
     truth = evaluations[0].groundtruth
@@ -58,12 +74,13 @@ def write_recording(
                 estimates,
                 evaluations[0].protocol.gauge,
                 is_live=False,
+                has_consistency=any(consistencies),
                 bounds=_bounds(evaluations, origin),
             ),
         )
         try:
             recording.send_recording_name(", ".join(names))
-            _draw(recording, evaluations, estimates, origin)
+            _draw(recording, evaluations, consistencies, estimates, origin)
             recording.flush()
         finally:
             recording.disconnect()
@@ -78,6 +95,7 @@ def write_recording(
 def _draw(
     recording: Any,
     evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None],
     estimates: Sequence[scene.EstimateEntities],
     origin: Floats,
 ) -> None:
@@ -89,19 +107,26 @@ def _draw(
     _send_poses(recording, scene.GroundtruthEntities.pose, truth, origin)
     start = scene.start(truth.positions[0] - origin)
     recording.log(scene.GroundtruthEntities.start, start, static=True)
-    for evaluation, entities in zip(evaluations, estimates, strict=True):
+    remarks = []
+    for evaluation, consistency, entities in zip(
+        evaluations, consistencies, estimates, strict=True
+    ):
         _draw_estimate(recording, evaluation, entities, origin, full_m, rows)
-    remarks = [
-        f"{name}{warning}"
-        for evaluation, entities in zip(evaluations, estimates, strict=True)
-        for warning in evaluation.warnings
-        for name in [f"{entities.name}: " if len(estimates) > 1 else ""]
-    ]
+        said = list(evaluation.warnings)
+        if consistency is not None:
+            factor = send_consistency(recording, evaluation, consistency, entities, origin)
+            said.append(f"ellipsoids are {scene.SIGMAS:g} sigma, {factor:g} times enlarged")
+            said.append(consistency.statement)
+        elif evaluation.estimate.covariances is not None:
+            its_origin = origin_for(evaluation.estimate.positions)
+            _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
+        name = f"{entities.name}: " if len(estimates) > 1 else ""
+        remarks += [f"{name}{each}" for each in said]
     if origin.any():
         remarks.append(scene.origin_in_words(origin))
     scene.send_origin(recording, origin)
     names = [each.name for each in estimates]
-    words = summary.of_evaluations(evaluations, names, full_m, remarks)
+    words = summary.of_evaluations(evaluations, consistencies, names, full_m, remarks)
     recording.log(scene.SUMMARY, scene.summary(words), static=True)
     _send_events(recording, evaluations, names)
 
@@ -121,20 +146,18 @@ def _draw_estimate(
     _send_path(recording, entities.path.past, estimate, its_origin, rows)
     _send_poses(recording, entities.pose, estimate, its_origin)
     _send_by_error(recording, entities.by_error, evaluation, its_origin, full_m, rows)
-    some = _spread(len(pairs), _MOST_CORRESPONDENCES)
+    some = spread(len(pairs), _MOST_CORRESPONDENCES)
     truth, aligned = pairs.groundtruth.positions[some], evaluation.aligned.positions[some]
     errors = np.sqrt(np.square(truth - aligned).sum(axis=1))
     rerun, _ = sdk()
     recording.send_columns(
         entities.correspondences,
-        _times(pairs.estimate.stamps[some]),
+        scene.times(pairs.estimate.stamps[some]),
         rerun.LineStrips3D.columns(
             strips=np.stack([truth - origin, aligned - origin], axis=1),
             colors=colours.of_errors(errors, full_m),
         ),
     )
-    if estimate.covariances is not None:
-        _send_covariances(recording, entities.covariance, estimate, its_origin)
     _send_numbers(recording, evaluation, entities)
 
 
@@ -142,12 +165,12 @@ def _send_path(
     recording: Any, entity: str, trajectory: Trajectory, origin: Floats, most: int
 ) -> None:
     rerun, _ = sdk()
-    some = _spread(len(trajectory), _MOST_POINTS)
+    some = spread(len(trajectory), _MOST_POINTS)
     stamps, points = trajectory.stamps[some], trajectory.positions[some] - origin
     rows = pieces(len(some), gaps(stamps), most)
     if len(rows):
         strips = rerun.LineStrips3D.columns(strips=points[rows])
-        recording.send_columns(entity, _times(stamps[rows[:, -1]]), strips)
+        recording.send_columns(entity, scene.times(stamps[rows[:, -1]]), strips)
 
 
 def _send_by_error(
@@ -160,7 +183,7 @@ def _send_by_error(
 ) -> None:
     rerun, _ = sdk()
     paired = evaluation.association.estimate
-    some = _spread(len(paired), _MOST_POINTS)
+    some = spread(len(paired), _MOST_POINTS)
     stamps, points = paired.stamps[some], paired.positions[some] - origin
     errors = evaluation.absolute.position_m[some]
     rows = pieces(len(some), gaps(stamps), _COLOURED_PER_ROW * most)
@@ -172,18 +195,18 @@ def _send_by_error(
         strips=points[rows], colors=colours.of_errors(errors[rows].mean(axis=1), full_m)
     )
     recording.send_columns(
-        entity, _times(stamps[rows[ends - 1, -1]]), strips.partition(ends - begins)
+        entity, scene.times(stamps[rows[ends - 1, -1]]), strips.partition(ends - begins)
     )
 
 
 def _send_poses(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
     rerun, _ = sdk()
-    some = _spread(len(trajectory), _MOST_POSES)
+    some = spread(len(trajectory), _MOST_POSES)
     columns = {"translation": trajectory.positions[some] - origin}
     if trajectory.quaternions is not None:
         columns["quaternion"] = trajectory.quaternions[some]
     poses = rerun.Transform3D.columns(**columns)
-    recording.send_columns(entity, _times(trajectory.stamps[some]), poses)
+    recording.send_columns(entity, scene.times(trajectory.stamps[some]), poses)
 
 
 def _send_covariances(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
@@ -191,7 +214,7 @@ def _send_covariances(recording: Any, entity: str, trajectory: Trajectory, origi
 
     rerun, _ = sdk()
     assert trajectory.covariances is not None
-    some = _spread(len(trajectory), _MOST_POSES)
+    some = spread(len(trajectory), _MOST_POSES)
     covariances = trajectory.covariances[some, :3, :3]
     usable = np.isfinite(covariances).all(axis=(1, 2))
     some, covariances = some[usable], covariances[usable]
@@ -200,7 +223,7 @@ def _send_covariances(recording: Any, entity: str, trajectory: Trajectory, origi
     axes, directions = scene.ellipsoid_axes(covariances)
     recording.send_columns(
         entity,
-        _times(trajectory.stamps[some]),
+        scene.times(trajectory.stamps[some]),
         rerun.Ellipsoids3D.columns(
             centers=trajectory.positions[some] - origin,
             half_sizes=axes,
@@ -246,9 +269,9 @@ def _send_numbers(
 
 def _send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:
     rerun, _ = sdk()
-    some = _peaks(values, _MOST_NUMBERS)
+    some = peaks(values, _MOST_NUMBERS)
     scalars = rerun.Scalars.columns(scalars=values[some])
-    recording.send_columns(entity, _times(stamps[some]), scalars)
+    recording.send_columns(entity, scene.times(stamps[some]), scalars)
 
 
 def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Sequence[str]) -> None:
@@ -279,25 +302,3 @@ def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, 
     low = np.min([each.min(axis=0) for each in paths], axis=0)
     high = np.max([each.max(axis=0) for each in paths], axis=0)
     return low - origin, high - origin
-
-
-def _spread(count: int, most: int) -> NDArray[np.int64]:
-    """Return at most so many rows of N, evenly, the first and the last among them."""
-    if count <= most:
-        return np.arange(count)
-    return np.linspace(0, count - 1, most).round().astype(np.int64)
-
-
-def _peaks(values: Floats, most: int) -> NDArray[np.int64]:
-    """Return at most so many rows of N, the greatest of each of many equal runs of them."""
-    count = len(values)
-    if count <= most:
-        return np.arange(count)
-    size = -(-count // most)
-    runs = np.pad(values, (0, -count % size), constant_values=-np.inf).reshape(-1, size)
-    return np.asarray(size * np.arange(len(runs)) + runs.argmax(axis=1), dtype=np.int64)
-
-
-def _times(stamps: Stamps) -> list[Any]:
-    rerun, _ = sdk()
-    return [rerun.TimeColumn(scene.TIMELINE, timestamp=stamps.astype("datetime64[ns]"))]

@@ -9,6 +9,7 @@
     world/estimate/NAME/revised                   the newest `nav_msgs/Path`, where that is one
     world/estimate/NAME/pose                      where it is estimated to be
     world/estimate/NAME/covariance                three sigma of its position
+    world/uncertainty/NAME                        that of its error, in the alignment's gauge
     world/correspondences/NAME                    lines between poses of the same time
     metrics/QUANTITY/NAME...                      errors over time
     summary, events                               in words
@@ -40,13 +41,16 @@ WORLD = "world"
 SUMMARY, EVENTS = "summary", "events"
 _AXES_M = 0.4
 _DOT = 5.0
-_SIGMAS = 3.0
+SIGMAS = 3.0
 
 # Of metrics: the names are those of the node's topics.
 POSITION_ERROR, ROTATION_ERROR = "position_error", "rotation_error"
 ATE_POSITION, ATE_ROTATION = "ate_position", "ate_rotation"
 YAW_ERROR, SCALE, RELATIVE_ERROR = "yaw_error", "scale", "relative_error"
 REVISED_ATE_POSITION, ALIGNMENT_YAW = "revised_ate_position", "alignment_yaw"
+# Of each axis: the error, and three sigma above and below zero; metres, degrees.
+ERRORS_WITHIN = tuple(f"error_{axis}" for axis in ("x", "y", "z", "phi_x", "phi_y", "phi_z"))
+NEES, NEES_LIMIT = "nees", "nees_limit"
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ class EstimateEntities:
         self.revised = f"{self.frame}/revised"
         self.pose = f"{self.frame}/pose"
         self.covariance = f"{self.frame}/covariance"
+        self.uncertainty = f"{WORLD}/uncertainty/{self._part}"
         self.correspondences = f"{WORLD}/correspondences/{self._part}"
 
     def metric(self, quantity: str, part: str = "") -> str:
@@ -110,13 +115,7 @@ def declare(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
         _declare_lines(recording, each.by_error, None, 2.6)
         _declare_lines(recording, each.revised, each.colour, 1.0)
         _declare_lines(recording, each.correspondences, None, 0.8)
-        recording.log(
-            each.covariance,
-            rerun.Ellipsoids3D.from_fields(
-                colors=[(*each.colour, 60)], fill_mode=rerun.components.FillMode.Solid
-            ),
-            static=True,
-        )
+        _declare_ellipsoids(recording, each.covariance, each.colour)
         _declare_series(recording, each)
 
 
@@ -127,6 +126,31 @@ def declare_length(recording: Any, estimate: EstimateEntities, length: str, plac
     _series(
         recording, estimate.metric(RELATIVE_ERROR, length), f"{estimate.name} {length}", colour
     )
+
+
+def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
+    """Log once how errors beside their uncertainty look."""
+    rerun, _ = sdk()
+    name, colour = estimate.name, estimate.colour
+    _declare_ellipsoids(recording, estimate.uncertainty, colour)
+    _series(recording, estimate.metric(NEES), name, colour)
+    label = f"{name}, 95 % of honest runs stay below"
+    _series(recording, estimate.metric(NEES_LIMIT), label, colours.BAND, 1.6)
+    for quantity in ERRORS_WITHIN:
+        bands = rerun.SeriesLines(
+            colors=[colour, colours.BAND, colours.BAND],
+            names=[name, f"{SIGMAS:g} sigma", f"-{SIGMAS:g} sigma"],
+            widths=[1.2, 1.6, 1.6],
+        )
+        recording.log(estimate.metric(quantity), bands, static=True)
+
+
+def _declare_ellipsoids(recording: Any, entity: str, colour: colours.Colour) -> None:
+    rerun, _ = sdk()
+    ellipsoids = rerun.Ellipsoids3D.from_fields(
+        colors=[(*colour, 110)], fill_mode=rerun.components.FillMode.Solid
+    )
+    recording.log(entity, ellipsoids, static=True)
 
 
 def _declare_path(
@@ -188,6 +212,12 @@ def origin_in_words(origin: Floats) -> str:
 
 
 # The data of each kind of entity.
+
+
+def times(stamps: NDArray[np.int64]) -> list[Any]:
+    """Return the stamps (N,) of rows that are sent as columns."""
+    rerun, _ = sdk()
+    return [rerun.TimeColumn(TIMELINE, timestamp=stamps.astype("datetime64[ns]"))]
 
 
 def lines(strips: Sequence[Floats] | Floats) -> Any:
@@ -258,7 +288,7 @@ def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
     variances, directions = np.linalg.eigh(covariances)
     # A mirrored basis is no rotation.
     directions[:, :, 0] *= np.sign(np.linalg.det(directions))[:, None]
-    return _SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
+    return SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
 
 
 def number(value: float) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from trajeval_ros.consistency.verdict import Consistency
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.viewer import colours
@@ -64,7 +65,11 @@ def percent(share: float | None) -> str:
 
 
 def of_evaluations(
-    evaluations: Sequence[Evaluation], names: Sequence[str], full_m: float, remarks: Sequence[str]
+    evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None],
+    names: Sequence[str],
+    full_m: float,
+    remarks: Sequence[str],
 ) -> str:
     """Return the text about recorded runs."""
     rows: list[tuple[str, list[str]]] = [
@@ -90,6 +95,9 @@ def of_evaluations(
     if evaluations[0].protocol.gauge.has_scale:
         scales = [f"{each.alignment.similarity.scale:.4f}" for each in evaluations]
         rows.insert(2, ("Scale", scales))
+    if any(consistencies):
+        rows.append(("As sure as it should be?", [_verdict(each) for each in consistencies]))
+        rows.append(("NEES / dof", [_nees(each) for each in consistencies]))
     return text(names, rows, full_m, remarks)
 
 
@@ -147,6 +155,22 @@ def _drift(evaluation: Evaluation) -> str:
         if drift is not None:
             return f"{drift.mean:.2f} % of {segment.length_m:.4g} m"
     return NOTHING
+
+
+def _verdict(consistency: Consistency | None) -> str:
+    return NOTHING if consistency is None else consistency.verdict
+
+
+def _nees(consistency: Consistency | None) -> str:
+    """Return the NEES of all poses, or of the worst one, and what honest runs have."""
+    if consistency is None or consistency.per_pose is None:
+        return NOTHING
+    if consistency.joint is not None:
+        low, high = consistency.joint.band_95
+        share = consistency.joint.nees / consistency.joint.dof
+        return f"{share:.3g} (honest: {low:.2f} to {high:.2f})"
+    worst = consistency.per_pose
+    return f"{worst.max:.3g} at most (honest: under {worst.limit_95:.2f})"
 
 
 def _window_rmse(snapshot: Snapshot, metric: str) -> float | None:
