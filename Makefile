@@ -12,9 +12,13 @@ FUZZ := .venv-fuzz
 BENCH ?=
 ROS_TEST_DOMAIN ?= 71
 
-DEMO_BAG := demo_output/flight
-DEMO_GROUNDTRUTH := $(DEMO_BAG):/groundtruth/pose
-DEMO_ESTIMATE := $(DEMO_BAG):/vio/odometry
+# Where there are no wheels of ROS 2, the demo is about a recording alone.
+HAS_ROS_WHEELS := import platform, sys; sys.exit((sys.platform, platform.machine()) != \
+	("linux", "x86_64") or sys.version_info > (3, 13))
+DEMO = $(if $(shell $(PYTHON) -c '$(HAS_ROS_WHEELS)' && echo yes),$(ROS),$(VENV))
+# Discovery must not leave this machine, and a robot's own domain must not hear of us.
+ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
+	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -26,10 +30,9 @@ help: ## List the targets.
 
 install: $(VENV)/.installed ## Make the environment in .venv; .venv/bin/trajeval is the command.
 
-demo: $(VENV)/.installed ## Simulate a flight, evaluate it; tables here, figures in demo_output/.
-	$(VENV)/bin/trajeval simulate $(DEMO_BAG) --profile euroc --duration 30 --overwrite
-	$(VENV)/bin/trajeval evaluate --groundtruth $(DEMO_GROUNDTRUTH) --estimate $(DEMO_ESTIMATE) \
-		--modality stereo-inertial --covariance $(DEMO_BAG).npz --output demo_output
+demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see demo_output/.
+	@$(MAKE) --no-print-directory $(DEMO)/.installed
+	$(ALONE) $(DEMO)/bin/python launch_free_scripts/live_demo.py demo_output
 
 test: $(VENV)/.installed ## Run all tests.
 	$(VENV)/bin/python -m pytest -n auto
@@ -40,11 +43,8 @@ test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few se
 test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
 	$(JAZZY)/bin/python -m pytest -n auto -m "not slow"
 
-# Discovery must not leave this machine, and a robot's own domain must not hear of the tests.
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
-	ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
-		ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN) \
-		$(ROS)/bin/python -m pytest -m ros
+	$(ALONE) $(ROS)/bin/python -m pytest -m ros
 
 lint: $(VENV)/.installed ## Check style, format and types.
 	$(VENV)/bin/ruff check
@@ -77,8 +77,8 @@ COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade
 lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with the newest releases.
 	$(COMPILE) --extra plot --extra rerun --extra cluster --extra dev \
 		--output-file constraints.txt setup.py .ci/colcon-requirements.txt
-	$(COMPILE) --extra ros --extra test --constraint constraints-jazzy.txt \
-		--output-file constraints-ros.txt setup.py
+	$(COMPILE) --extra ros --extra plot --extra test --constraint constraints-jazzy.txt \
+		--output-file constraints-ros.txt setup.py .ci/rerun-requirements.txt
 	rm -rf trajeval_ros.egg-info
 
 colcon-environment: $(COLCON)/.installed
@@ -115,10 +115,11 @@ $(JAZZY)/.installed: setup.py constraints-jazzy.txt
 		--editable ".[test]"
 	touch $@
 
-$(ROS)/.installed: setup.py constraints-ros.txt
+$(ROS)/.installed: setup.py constraints-ros.txt constraints.txt .ci/rerun-requirements.txt
 	$(make_venv)
 	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
-		--editable ".[ros,test]"
+		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
+	$(ROS)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps rerun-sdk
 	touch $@
 
 # Without a compiler there is none; then it says so, and the tests of /tf are skipped.

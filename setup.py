@@ -48,6 +48,7 @@ ROS = [
 ]
 TEST = ["pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.100"]
 STORE = ["moto[s3]>=5", "flask", "flask-cors"]  # an S3 server for tests
+BROWSER = ["playwright>=1.50"]  # drives the machine's own Chromium, to test `trajeval view --web`
 LINT = ["ruff>=0.15", "mypy>=1.15"]
 
 setup(
@@ -105,7 +106,7 @@ setup(
         "foxglove": FOXGLOVE,
         "ros": ROS,
         "test": TEST,
-        "dev": [*PLOT, *REMOTE, *FOXGLOVE, *TEST, *STORE, *LINT],
+        "dev": [*PLOT, *RERUN, *REMOTE, *FOXGLOVE, *TEST, *BROWSER, *STORE, *LINT],
     },
     entry_points={
         "console_scripts": [
