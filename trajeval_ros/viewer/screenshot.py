@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.viewer.program import free_port, rerun_program
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK
 
@@ -29,7 +30,7 @@ def save_png(file: Path, png: Path) -> None:
     sdk()
     from rerun.experimental import ViewerClient
 
-    with _headless_viewer() as url, ViewerClient.connect(url) as viewer:
+    with headless_viewer() as url, ViewerClient.connect(url) as viewer:
         # `--screenshot-to` takes its picture before the file is loaded.
         viewer.open(str(file.resolve()))
         time.sleep(_SETTLE_S)
@@ -37,27 +38,18 @@ def save_png(file: Path, png: Path) -> None:
 
 
 @contextmanager
-def _headless_viewer() -> Iterator[str]:
-    """Run the viewer without a window; yields where it listens."""
-    import rerun_cli
+def headless_viewer() -> Iterator[str]:
+    """Run the viewer without a window; yields where it listens.
 
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        port = int(probe.getsockname()[1])
-    program = Path(rerun_cli.__file__).with_name("rerun")
-    # Its Python wrapper would leave it running; CI keeps it from calling home.
-    with subprocess.Popen(
-        [str(program), "--headless", "--hide-welcome-screen", "--window-size", _SIZE]
-        + ["--bind", LOOPBACK, "--port", str(port)],
-        env={**os.environ, "CI": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    ) as viewer:
-        try:
-            _wait_for(viewer, port)
-            yield f"rerun+http://{LOOPBACK}:{port}/proxy"
-        finally:
-            viewer.kill()
+    Raises:
+        InputError: rerun-sdk is not installed, or there is nothing to draw with.
+    """
+    port = free_port()
+    silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    options = ("--headless", "--hide-welcome-screen", "--window-size", _SIZE)
+    with rerun_program(port, *options, **silent) as viewer:
+        _wait_for(viewer, port)
+        yield f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
 def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:

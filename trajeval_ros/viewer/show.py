@@ -1,16 +1,13 @@
-"""Rerun's viewer as a process, for files."""
+"""A file in Rerun's viewer: in a window, or as a page for a browser."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.viewer.sdk import sdk
-from trajeval_ros.viewer.sinks import LOOPBACK, PORT
-
-WEB_PORT = 9090
+from trajeval_ros.viewer.program import free_port, rerun_program
+from trajeval_ros.viewer.sinks import LOOPBACK
 
 
 def show(file: Path, *, in_browser: bool = False) -> None:
@@ -23,23 +20,23 @@ def show(file: Path, *, in_browser: bool = False) -> None:
     Raises:
         InputError: rerun-sdk is not installed, the file can't be read, or the viewer fails.
     """
-    sdk()
     try:
         file.open("rb").close()
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{file} can't be read: {reason}") from error
-    options = ["--serve-web", "--web-viewer-port", str(WEB_PORT)] if in_browser else []
-    # It would listen on all of the machine's addresses.
-    address = ["--bind", LOOPBACK, "--port", str(PORT)]
-    if in_browser:
-        source = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{PORT}%2Fproxy"
-        print(f"open http://{LOOPBACK}:{WEB_PORT}/?url={source} in a browser; Ctrl-C ends it")
-        sys.stdout.flush()
+    port, page = free_port(), free_port()
+    options = ["--serve-web", "--web-viewer-port", str(page)] if in_browser else []
     try:
-        status = subprocess.call([sys.executable, "-m", "rerun", *options, *address, str(file)])
+        with rerun_program(port, *options, str(file)) as viewer:
+            if in_browser:
+                source = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
+                address = f"http://{LOOPBACK}:{page}/?url={source}"
+                print(f"open {address} in a browser; Ctrl-C ends it")
+                sys.stdout.flush()
+            status = viewer.wait()
     except KeyboardInterrupt:
         return
     if status:
-        hint = "is one of its ports taken?" if in_browser else "without a display, use --web"
-        raise InputError(f"Rerun's viewer ended with status {status}; {hint}")
+        hint = "" if in_browser else "; without a display, use --web"
+        raise InputError(f"Rerun's viewer ended with status {status}{hint}")

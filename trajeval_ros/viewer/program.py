@@ -1,0 +1,60 @@
+"""Rerun's own program, which shows files and recordings, as a process."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.sinks import LOOPBACK
+
+_PATIENCE_S = 5.0
+_NAME = "rerun.exe" if sys.platform == "win32" else "rerun"
+
+
+def free_port() -> int:
+    """Return a port of this machine that nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the program while the block does.
+
+    Args:
+        port: Where it listens, on this machine alone; it would on all addresses.
+        arguments: Its other arguments.
+        options: Of the process.
+
+    Raises:
+        InputError: rerun-sdk is not installed.
+    """
+    sdk()
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    binary = bundled if bundled.exists() else folder / _NAME
+    # Not by its Python wrapper, which would leave it running. CI keeps it from calling home.
+    process = subprocess.Popen(
+        [str(binary), "--bind", LOOPBACK, "--port", str(port), *arguments],
+        env={**os.environ, "CI": "1"},
+        **options,
+    )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
