@@ -1,13 +1,14 @@
 """A process that draws a simulated flight on Rerun's sinks, as the live evaluator does.
 
-    rerun_driver.py SINKS FOLDER SECONDS SPEED
+    rerun_driver.py SINKS FOLDER SECONDS SPEED [X,Y,Z]
 
-It prints JSON: the longest time that handing anything over took, what each sink made of it, and
-the numbers that were handed over.
+The flight is at X, Y, Z if they are given. It prints JSON: the longest time that handing
+anything over took, what each sink made of it, and the numbers that were handed over.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import sys
@@ -36,9 +37,18 @@ def rows(trajectory: Trajectory) -> np.ndarray:
     return states(trajectory.positions, trajectory.quaternions, trajectory.velocities)
 
 
-def main(value: str, folder: Path, seconds: float, speed: float) -> None:
+def flight_at(place: np.ndarray, seconds: float) -> tuple[Trajectory, Trajectory]:
+    """Return groundtruth and estimate of a flight somewhere."""
     flight = simulate(0, seconds)
-    truth, estimate = flight.groundtruth, flight.estimate
+    truth, estimate = (
+        dataclasses.replace(each, positions=each.positions + place)
+        for each in (flight.groundtruth, flight.estimate)
+    )
+    return truth, estimate
+
+
+def main(value: str, folder: Path, seconds: float, speed: float, place: str = "0,0,0") -> None:
+    truth, estimate = flight_at(np.array([float(each) for each in place.split(",")]), seconds)
     truth_rows, estimate_rows = rows(truth), rows(estimate)
     evaluator = OnlineEvaluator(
         OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda pairs: new.append(pairs)
@@ -116,4 +126,4 @@ def main(value: str, folder: Path, seconds: float, speed: float) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4]))
+    main(sys.argv[1], Path(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4]), *sys.argv[5:])

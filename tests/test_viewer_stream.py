@@ -26,6 +26,7 @@ from trajeval_ros.viewer.sinks import sinks_for
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
+from rerun_driver import flight_at
 from rrd import Rrd
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -81,10 +82,12 @@ def receiver(port: int, file: Path) -> Any:
     return rerun("--bind", "127.0.0.1", "--port", str(port), "--save", str(file))
 
 
-def drive(value: str, folder: Path, seconds: float = 30.0, speed: float = 3.0) -> Any:
+def drive(
+    value: str, folder: Path, seconds: float = 30.0, speed: float = 3.0, place: str = "0,0,0"
+) -> Any:
     """Begin to draw a flight in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, str(DRIVER), value, str(folder), str(seconds), str(speed)],
+        [sys.executable, str(DRIVER), value, str(folder), str(seconds), str(speed), place],
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -169,6 +172,28 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
         assert ahead.max() < 1e-5
 
 
+def test_far_from_the_origin_nothing_steps(tmp_path: Path) -> None:
+    place = np.array([432_100.0, 5_012_345.0, 410.0])
+    report = told(drive("file", tmp_path, 10.0, 3.0, ",".join(map(str, place))))
+    picture = Rrd(tmp_path / "run.rrd")
+    (origin,) = picture.rows("__properties/origin", "groundtruth_m")[1]
+    truth, estimate = flight_at(place, 10.0)
+    for entity, trajectory in (("groundtruth", truth), (f"estimate/{NAME}", estimate)):
+        stamps, rows = picture.strips(f"world/{entity}/path/recent")
+        points = np.array([row[0][-1] for row in rows if row], dtype=np.float64)
+        stamps = stamps[[bool(row) for row in rows]]
+        wanted = trajectory.positions[np.searchsorted(trajectory.stamps, stamps)]
+        steps = np.diff(points, axis=0) - np.diff(wanted, axis=0)
+        # A step of float32 at 5e6 m would be half a metre.
+        assert np.abs(steps).max() < 1e-4
+    _, transforms = picture.transforms(FRAME)
+    rotation, translation, _ = transforms[-1]
+    moved = points @ rotation.T + translation + np.array(origin)
+    # What is drawn is where the numbers say it is.
+    error = np.linalg.norm(moved[-1] - truth.positions[np.searchsorted(truth.stamps, stamps[-1])])
+    assert error < 2.0 * max(value for _, value in report["handed"]["position_error"])
+
+
 @pytest.mark.slow
 def test_viewer_that_is_absent(port: int, tmp_path: Path) -> None:
     report = told(drive(f"connect:{url(port)}", tmp_path))
@@ -194,19 +219,34 @@ def test_viewer_that_is_late_gets_everything(port: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["serve", "connect"])
-def test_viewer_that_freezes(mode: str, port: int, tmp_path: Path) -> None:
+def test_viewer_that_freezes_for_a_minute(mode: str, port: int, tmp_path: Path) -> None:
     if mode == "connect":
         viewer, value = receiver(port, tmp_path / "seen.rrd"), f"connect:{url(port)}"
     else:
         viewer, value = rerun(url(port), "--save", str(tmp_path / "seen.rrd")), f"serve:{port}"
     with viewer as frozen:
         time.sleep(2.0)
-        process = drive(value, tmp_path, seconds=60.0, speed=3.0)
-        time.sleep(5.0)
+        process = drive(value, tmp_path, seconds=72.0, speed=1.0)
+        time.sleep(6.0)
         frozen.send_signal(signal.SIGSTOP)
+        time.sleep(60.0)
+        frozen.send_signal(signal.SIGCONT)
         report = told(process)
     assert report["closed"][0]
     assert report["dropped"][0] == 0
+    assert_whole(tmp_path / "run.rrd", report)
+
+
+@pytest.mark.slow
+def test_viewer_that_is_killed(port: int, tmp_path: Path) -> None:
+    process = drive(f"serve:{port}", tmp_path)
+    time.sleep(4.0)
+    with rerun(url(port), "--save", str(tmp_path / "seen.rrd")) as killed:
+        time.sleep(2.0)
+        killed.kill()
+    report = told(process)
+    assert report["closed"] == [True, True]
+    assert report["dropped"] == [0, 0]
     assert_whole(tmp_path / "run.rrd", report)
 
 
@@ -266,15 +306,16 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
     ("value", "said"),
     [
         ("serve:{port}", "port {port}: address already in use"),
-        ("file", "run.rrd can't be written: no such file or directory"),
+        ("file", "run.rrd can't be written: is a directory"),
     ],
 )
 def test_sink_that_cannot_be_had(value: str, said: str, port: int, tmp_path: Path) -> None:
-    folder = tmp_path / "none" if value == "file" else tmp_path
+    if value == "file":
+        (tmp_path / "run.rrd").mkdir()
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", port))
         taken.listen()
-        report = told(drive(value.format(port=port), folder, seconds=5.0))
+        report = told(drive(value.format(port=port), tmp_path, seconds=5.0))
     assert said.format(port=port) in report["trouble"][-1]
 
 

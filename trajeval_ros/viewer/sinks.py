@@ -41,7 +41,7 @@ class FileTarget:
         """Return a recording into the file."""
         rerun, _ = sdk()
         try:
-            self._path.touch()
+            self._path.open("ab").close()
         except OSError as error:
             raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
         recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
