@@ -95,6 +95,7 @@ _PATHS = {
     "geometry_msgs/msg/PointStamped": _Paths("point"),
 }
 POSE_TYPES = (*_PATHS, PATH_TYPE)
+COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
 _POSE_SIZE = 56  # bytes: position and quaternion
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]

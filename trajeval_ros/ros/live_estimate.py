@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.consistency.marginals import unknown_covariances
 from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
-from trajeval_ros.io.messages import PATH_TYPE
+from trajeval_ros.io.messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.results import write_whole
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -67,6 +68,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
+        self._newest: tuple[str, bytes] | None = None
         self._folder = folder
         self._undigested: list[Pairs] = []
         self._state: Mapping[str, Any] = {}
@@ -97,6 +99,24 @@ class LiveEstimate:
                 self.revised.record(pairs)
         self._undigested = []
         return found
+
+    def uncertainty(self) -> tuple[int, Floats, Floats] | None:
+        """Return stamp, position (3,) and its covariance (3, 3) of the newest message.
+
+        Returns:
+            None if there is none, or it says nothing of its covariance.
+        """
+        if self._newest is None or self._newest[0] not in COVARIANCE_TYPES:
+            return None
+        message_type, payload = self._newest
+        pose = decode_poses([payload], message_type, covariance=True)
+        if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
+            return None
+        position, covariance = pose.positions[0], pose.covariances[0]
+        # The first of a run may be zero, hence this one twice.
+        if not np.isfinite(position).all() or unknown_covariances(pose.covariances.repeat(2, 0)):
+            return None
+        return int(pose.stamps[0]) + self._offset_ns, position, covariance[:3, :3]
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` can't tell from pairs, if it has changed.
@@ -153,6 +173,7 @@ class LiveEstimate:
             for payload, each in zip(taken.payloads, arrived.tolist(), strict=True):
                 self._take_path(payload, each)
             return
+        self._newest = message_type, taken.payloads[-1]
         poses = self.stream.poses(message_type, taken.payloads, arrived)
         received = np.array(taken.received, dtype=np.int64)[poses.rows]
         self.latency.arrive(poses.stamps + self._offset_ns, received)

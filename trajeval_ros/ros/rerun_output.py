@@ -70,11 +70,14 @@ class RerunOutput:
     def snapshot(
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
     ) -> None:
-        """Show the errors of the window, and the alignment."""
+        """Show the errors of the window, the alignment, and how sure the estimate is."""
         name, stamps = estimate.name, estimate.evaluator.store.stamps()
         if len(stamps):
             stamp = int(stamps[-1])
             self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m))
+        uncertain = estimate.uncertainty() if self._streams else None
+        if uncertain is not None:
+            self._put(lambda scene: scene.uncertainty(name, *uncertain))
 
     def news(self) -> list[str]:
         """Return what has gone wrong since the last call."""

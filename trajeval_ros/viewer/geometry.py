@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,13 @@ def between_origins(similarity: Similarity, truth: Floats, estimate: Floats) -> 
     """Return an alignment as one of coordinates from these origins, (3,) and (3,)."""
     moved = similarity.positions(estimate[None])[0] - truth
     return Similarity(similarity.rotation, moved, similarity.scale)
+
+
+def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the least and the greatest coordinates of paths (N, 3), (3,) and (3,)."""
+    low = np.min([each.min(axis=0) for each in paths], axis=0)
+    high = np.max([each.max(axis=0) for each in paths], axis=0)
+    return low, high
 
 
 def gaps(stamps: Stamps) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from trajeval_ros.similarity import Similarity
 from trajeval_ros.trajectory import NANOSECONDS
 from trajeval_ros.viewer import colours, scene, summary
 from trajeval_ros.viewer.blueprint import blueprint
-from trajeval_ros.viewer.geometry import between_origins, gaps, origin_for
+from trajeval_ros.viewer.geometry import between_origins, bounds_of, gaps, origin_for
 from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
 
 if TYPE_CHECKING:
@@ -101,6 +101,7 @@ class LiveScene:
                 self._colour(each, int(stamps[-1]))
                 self._correspond(each, int(stamps[-1]))
                 self._tell(int(stamps[-1]))
+        self._frame()
 
     def groundtruth(self, stamps: Stamps, states: Floats) -> None:
         """Take groundtruth: stamps (N,), and rows (N, 10) of position, xyzw and velocity."""
@@ -179,6 +180,13 @@ class LiveScene:
                     self._colour(each, stamp)
                 self._correspond(each, stamp)
             self._tell(stamp)
+
+    def uncertainty(self, name: str, stamp: int, position: Floats, covariance: Floats) -> None:
+        """Take a position (3,) of an estimate and its covariance (3, 3), in its own frame."""
+        each = self._estimates[name]
+        if each.origin is not None:
+            around = position - each.origin
+            self._log(stamp, each.entities.covariance, scene.ellipsoid(around, covariance))
 
     def event(self, stamp: int, text: str, *, warn: bool = True) -> None:
         """Take a line for the log."""
@@ -272,6 +280,18 @@ class LiveScene:
             rows[:, :3], each.similarity.positions(rows[:, 3:]), self._full_m or 1.0
         )
         self._log(stamp, each.entities.correspondences, joined)
+
+    def _frame(self) -> None:
+        """Have whoever opens the recording see all of the run."""
+        _, truth = self._truth_memory.columns()
+        paths = [truth] if len(truth) else []
+        for each in self._estimates.values():
+            _, rows = each.memory.columns()
+            if len(rows) and each.similarity is not None:
+                paths.append(each.similarity.positions(rows[:, 3:]))
+        if paths and self._recording is not None:
+            seen = blueprint(self._entities, self._gauge, is_live=True, bounds=bounds_of(paths))
+            self._recording.send_blueprint(seen, make_active=False)
 
     def _draw_again(self, entity: str, stamps: Stamps, points: Floats) -> None:
         """Draw a path that a new recording hasn't seen."""

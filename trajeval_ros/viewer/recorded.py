@@ -19,6 +19,7 @@ from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency import send_consistency
 from trajeval_ros.viewer.geometry import (
     between_origins,
+    bounds_of,
     gaps,
     origin_for,
     peaks,
@@ -299,6 +300,5 @@ def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, 
         evaluations[0].groundtruth.positions,
         *(each.aligned.positions for each in evaluations),
     ]
-    low = np.min([each.min(axis=0) for each in paths], axis=0)
-    high = np.max([each.max(axis=0) for each in paths], axis=0)
+    low, high = bounds_of(paths)
     return low - origin, high - origin

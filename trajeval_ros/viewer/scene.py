@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from trajeval_ros.similarity import Similarity
 from trajeval_ros.viewer import colours
@@ -289,6 +290,17 @@ def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
     # A mirrored basis is no rotation.
     directions[:, :, 0] *= np.sign(np.linalg.det(directions))[:, None]
     return SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
+
+
+def ellipsoid(position: Floats, covariance: Floats) -> Any:
+    """Return three sigma of a covariance (3, 3) about a position (3,)."""
+    rerun, _ = sdk()
+    half_axes, directions = ellipsoid_axes(covariance[None])
+    return rerun.Ellipsoids3D.from_fields(
+        centers=[position],
+        half_sizes=half_axes,
+        quaternions=Rotation.from_matrix(directions).as_quat(),
+    )
 
 
 def number(value: float) -> Any:
