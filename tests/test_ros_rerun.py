@@ -1,0 +1,132 @@
+"""The live picture: what is published is what is drawn, and no trouble stops the node."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import ODOMETRY, TRUTH, evaluating, listening, parameters, replay
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytest.importorskip("rerun", reason="rerun-sdk is missing; `make test-ros` has it")
+
+from rrd import Rrd
+
+pytestmark = pytest.mark.ros
+
+NAME = "vio_odometry"
+FLOAT = "std_msgs/msg/Float64"
+NUMBERS = ("position_error", "rotation_error", "ate_position", "ate_rotation")
+
+
+def value_of(payload: bytes) -> float:
+    return float(np.frombuffer(payload, dtype="<f8", offset=4)[0])
+
+
+def test_drawn_numbers_are_the_published_ones(
+    flights: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    topics = {f"/evaluator/{NAME}/{each}": FLOAT for each in NUMBERS}
+    length = f"/evaluator/{NAME}/relative_error/length_8m"
+    with (
+        listening({**topics, length: FLOAT}, environment, tmp_path) as received,
+        evaluating(tmp_path / "out", environment, gauge="yaw", rerun="file") as evaluator,
+    ):
+        replay(flights / "mcap", environment, "--rate", 4)
+        assert evaluator.end() == 0
+        assert "Rerun" not in evaluator.said
+    picture = Rrd(tmp_path / "out" / "run.rrd")
+    for each in NUMBERS:
+        _, drawn = picture.numbers(f"metrics/{each}/{NAME}")
+        published = [value_of(payload) for payload in received[f"/evaluator/{NAME}/{each}"]]
+        # The picture has one more of the window's: that of the very end, which isn't published.
+        assert len(published) > 10
+        assert drawn.tolist()[: len(published)] == published
+        assert len(drawn) - len(published) <= 1
+    # Of relative errors the picture has five a second at most.
+    _, drawn = picture.numbers(f"metrics/relative_error/{NAME}/8m")
+    assert len(drawn) > 30
+    assert set(drawn.tolist()) <= {value_of(payload) for payload in received[length]}
+    _, half_axes = picture.rows(f"world/estimate/{NAME}/covariance", "Ellipsoids3D:half_sizes")
+    assert all(np.isfinite(each).all() for each in half_axes)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("serve:{port}", "Rerun can't be served at port {port}: address already in use; choose"),
+        ("connect:http://127.0.0.1:{port}", "is no viewer's URL; write it as in connect:rerun+"),
+        ("flie", "rerun can't be 'flie'; it is none, file, serve, serve:PORT or connect:"),
+    ],
+)
+def test_the_node_runs_on_without_the_picture(
+    value: str, said: str, flights: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        wanted = value.format(port=port)
+        with evaluating(tmp_path / "out", environment, rerun=wanted) as evaluator:
+            replay(flights / "mcap", environment, "--rate", 9)
+            assert evaluator.end() == 0
+    assert evaluator.said.count(said.format(port=port)) == 1
+    assert evaluator.result["runs"][0]["association"]["pairs"] > 300
+    # A port that is taken leaves the file.
+    assert (tmp_path / "out" / "run.rrd").exists() == value.startswith("serve")
+
+
+def test_without_rerun_the_extra_is_named_and_the_node_runs_on(
+    flights: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    code = (
+        "import sys; sys.modules['rerun'] = None; from trajeval_ros.cli.app import ros_evaluator; "
+        "sys.exit(ros_evaluator())"
+    )
+    values = {
+        "groundtruth_topic": TRUTH,
+        "estimate_topics": [ODOMETRY],
+        "output": str(tmp_path / "out"),
+        "rerun": "file",
+    }
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *parameters(**values)],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            replay(flights / "mcap", environment, "--rate", 9)
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=60.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert err.count("pip install 'trajeval-ros[rerun]'") == 1
+    assert "Traceback" not in err
+    assert (tmp_path / "out" / "result.json").exists()
+
+
+def test_reset_begins_another_picture(
+    flights: Path, environment: dict[str, str], tmp_path: Path, peer: Any
+) -> None:
+    from std_srvs.srv import Trigger
+
+    with evaluating(tmp_path / "out", environment, gauge="yaw", rerun="file") as evaluator:
+        replay(flights / "mcap", environment, "--rate", 9)
+        assert peer.ask("/evaluator/reset", Trigger).success
+        replay(flights / "mcap", environment, "--rate", 9)
+        assert evaluator.end() == 0
+    first, second = (tmp_path / each / "run.rrd" for each in ("out", "out_2"))
+    for each in (first, second):
+        stamps, _ = Rrd(each).numbers(f"metrics/position_error/{NAME}")
+        assert len(stamps) > 30
