@@ -47,10 +47,12 @@ def test_drawn_numbers_are_the_published_ones(
     for each in NUMBERS:
         _, drawn = picture.numbers(f"metrics/{each}/{NAME}")
         published = [value_of(payload) for payload in received[f"/evaluator/{NAME}/{each}"]]
-        # The picture has one more of the window's: that of the very end, which isn't published.
         assert len(published) > 10
-        assert drawn.tolist()[: len(published)] == published
-        assert len(drawn) - len(published) <= 1
+        # A listener may be found late. At the very end, the picture has one more of the window's.
+        missed = drawn.tolist().index(published[0])
+        assert drawn.tolist()[missed : missed + len(published)] == published
+        assert len(drawn) - len(published) <= missed + 1
+        assert missed < 0.2 * len(drawn)
     # Of relative errors the picture has five a second at most.
     _, drawn = picture.numbers(f"metrics/relative_error/{NAME}/8m")
     assert len(drawn) > 30

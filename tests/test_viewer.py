@@ -6,6 +6,8 @@ import dataclasses
 import os
 import subprocess
 import sys
+import threading
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from trajeval_ros.simulation import simulate
 from trajeval_ros.viewer import colours, live_path, scene
 from trajeval_ros.viewer.geometry import gaps, pieces
 from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
+from trajeval_ros.viewer.stream import Stream
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = "vio"
@@ -136,6 +139,71 @@ def test_memory_keeps_the_run_and_its_bounds() -> None:
     assert (np.diff(stamps) > 0).all()
     assert (rows[:, 0] == stamps).all()
     assert stamps[0] < 300 < 12_000 < stamps[-1]
+
+
+class Slow:
+    """A sink, and what draws on it, which a test holds up."""
+
+    name, check_every_s, blueprint = "slow", 0.05, None
+
+    def __init__(self) -> None:
+        self.free = threading.Event()
+        self.told: list[int] = []
+
+    def open(self, blueprint: object) -> object:
+        del blueprint
+        return self
+
+    def check(self, recording: object) -> bool:
+        del recording
+        return True
+
+    def close(self, recording: object) -> None:
+        del recording
+
+    def begin(self, recording: object) -> None:
+        del recording
+
+    def leave(self) -> None:
+        pass
+
+    def finish(self) -> None:
+        pass
+
+    def disconnect(self) -> None:
+        pass
+
+    def dropped(self, count: int) -> None:
+        self.told.append(count)
+
+
+def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
+    sink, drawn = Slow(), []
+    stream = Stream(sink, sink)
+    stream.put(lambda: sink.free.wait(30.0))
+    for each in range(5000):
+        stream.put(lambda each=each: drawn.append(each))
+    assert stream.dropped > 2000
+    assert not stream.close(patience_s=0.2)
+    sink.free.set()
+    assert stream.close(patience_s=30.0)
+    assert len(drawn) == 5000 - stream.dropped
+    assert drawn == list(range(len(drawn)))
+    assert sink.told[-1:] in ([], [stream.dropped])
+
+
+def test_drops_are_told_while_it_goes_on() -> None:
+    sink = Slow()
+    stream = Stream(sink, sink)
+    stream.put(lambda: sink.free.wait(30.0))
+    for _ in range(3000):
+        stream.put(lambda: None)
+    sink.free.set()
+    until = time.monotonic() + 30.0
+    while not sink.told and time.monotonic() < until:
+        time.sleep(0.05)
+    assert sink.told == [stream.dropped]
+    assert stream.close()
 
 
 # The file.

@@ -25,6 +25,7 @@ def diagnose(
     snapshot: Snapshot,
     newest: Update,
     limits: Mapping[str, Any],
+    undrawn: int,
 ) -> Any:
     """Return the status of one estimate.
 
@@ -35,6 +36,7 @@ def diagnose(
         snapshot: Its evaluation.
         newest: Of its newest pair.
         limits: The parameters.
+        undrawn: Number of updates that Rerun didn't get.
     """
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
@@ -47,6 +49,7 @@ def diagnose(
     gravest_first = sorted(complaints, key=lambda each: -_BY_GRAVITY.index(each[0]))
     level = gravest_first[0][0] if gravest_first else OK
     values = _values(run, estimate, snapshot, newest)
+    values["updates not drawn in Rerun"] = undrawn or None
     return DiagnosticStatus(
         level=bytes([level]),
         name=f"{node}: {estimate.name}",

@@ -168,7 +168,15 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 continue
             update = self._newest.get(estimate.name, Update())
             message.status.append(
-                diagnose(self.get_name(), self._run, estimate, snapshot, update, self._values)
+                diagnose(
+                    self.get_name(),
+                    self._run,
+                    estimate,
+                    snapshot,
+                    update,
+                    self._values,
+                    self._picture.dropped,
+                )
             )
             parts.append(
                 summary(
