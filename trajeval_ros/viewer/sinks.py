@@ -59,7 +59,10 @@ class FileTarget:
             # be written behind a hole, so it goes first.
             recording.disconnect()
             with contextlib.suppress(OSError):
-                os.truncate(self._path, self._whole)
+                if self._whole:
+                    os.truncate(self._path, self._whole)
+                else:
+                    self._path.unlink()
             raise InputError(f"{self._path} can't be written: {why}") from error
         return True
 
