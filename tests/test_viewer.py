@@ -304,6 +304,7 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
 
 
 @needs_rerun
+@pytest.mark.slow
 @pytest.mark.parametrize("covariance", ["message", "joint"])
 def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) -> None:
     from rrd import Rrd

@@ -100,7 +100,7 @@ class LiveScene:
             if len(stamps) and each.similarity is not None:
                 self._colour(each, int(stamps[-1]))
                 self._correspond(each, int(stamps[-1]))
-                self._tell(int(stamps[-1]))
+                self._tell(int(stamps[-1]), is_growing=False)
         self._frame()
 
     def groundtruth(self, stamps: Stamps, states: Floats) -> None:
@@ -300,11 +300,15 @@ class LiveScene:
             strips = [each for each in np.split(points, cuts) if len(each) > 1]
             self._log(int(stamps[-1]), entity, scene.lines(strips))
 
-    def _tell(self, stamp: int) -> None:
+    def _tell(self, stamp: int, *, is_growing: bool = True) -> None:
         told = [each for each in self._estimates.values() if each.snapshot is not None]
         snapshots = [each.snapshot for each in told if each.snapshot is not None]
         words = summary.of_snapshots(
-            snapshots, [each.entities.name for each in told], self._gauge, self._full_m
+            snapshots,
+            [each.entities.name for each in told],
+            self._gauge,
+            self._full_m,
+            is_growing=is_growing,
         )
         self._log(stamp, scene.SUMMARY, scene.summary(words))
 

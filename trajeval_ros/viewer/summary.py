@@ -18,7 +18,12 @@ NOTHING = "–"
 
 
 def text(
-    names: Sequence[str], rows: Rows, full_m: float | None, remarks: Sequence[str] = ()
+    names: Sequence[str],
+    rows: Rows,
+    full_m: float | None,
+    remarks: Sequence[str] = (),
+    *,
+    is_growing: bool = False,
 ) -> str:
     """Return the whole text.
 
@@ -27,6 +32,7 @@ def text(
         rows: What is told of each of them: a label, and a value for each name.
         full_m: The error where the scale of colours ends; None while there is none.
         remarks: One sentence each.
+        is_growing: Whether the newest part of the path is not coloured yet.
     """
     table = [
         "| | " + " | ".join(f"**{_plain(each)}**" for each in names) + " |",
@@ -42,6 +48,8 @@ def text(
         )
         what = "The estimate is" if len(names) == 1 else "Lines from estimate to groundtruth are"
         meaning.append(f"{what} {colours.in_words(full_m)}.")
+        if is_growing and len(names) == 1:
+            meaning.append("Its newest part gets its colours later.")
     else:
         meaning.append("The other line is the estimate in its own frame: no alignment yet.")
     return "\n".join(
@@ -102,7 +110,12 @@ def of_evaluations(
 
 
 def of_snapshots(
-    snapshots: Sequence[Snapshot], names: Sequence[str], gauge: Gauge, full_m: float | None
+    snapshots: Sequence[Snapshot],
+    names: Sequence[str],
+    gauge: Gauge,
+    full_m: float | None,
+    *,
+    is_growing: bool,
 ) -> str:
     """Return the text about live runs so far."""
     rows: list[tuple[str, list[str]]] = [
@@ -133,7 +146,7 @@ def of_snapshots(
         for name, each in zip(names, snapshots, strict=True)
         if each.warming_up
     ]
-    return text(names, rows, full_m, remarks)
+    return text(names, rows, full_m, remarks, is_growing=is_growing)
 
 
 def aligned_by(evaluation: Evaluation) -> str:
