@@ -78,9 +78,7 @@ def test_views_have_nothing_to_report_at_three_times(
     from rerun.experimental import ViewerClient
 
     seen = []
-    with headless_viewer() as url, ViewerClient.connect(url) as viewer:
-        viewer.open(str(pictures[kind]))
-        time.sleep(4.0)
+    with headless_viewer(pictures[kind]) as url, ViewerClient.connect(url) as viewer:
         (line,) = viewer.get_state().recordings[0].timelines
         assert line.name == "ros_time"
         for share in (0.25, 0.6, 1.0):

@@ -289,7 +289,7 @@ def small_disk(folder: Path, size: str) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
-    with small_disk(tmp_path, "550k"):
+    with small_disk(tmp_path, "350k"):
         report = told(drive("file", tmp_path, seconds=75.0, speed=1.5))
         picture = Rrd(tmp_path / "run.rrd")
     assert report["trouble"] == [

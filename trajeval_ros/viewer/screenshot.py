@@ -30,16 +30,15 @@ def save_png(file: Path, png: Path) -> None:
     sdk()
     from rerun.experimental import ViewerClient
 
-    with headless_viewer() as url, ViewerClient.connect(url) as viewer:
-        # `--screenshot-to` takes its picture before the file is loaded.
-        viewer.open(str(file.resolve()))
+    # `--screenshot-to` takes its picture before the file is loaded.
+    with headless_viewer(file) as url, ViewerClient.connect(url) as viewer:
         time.sleep(_SETTLE_S)
         viewer.save_screenshot(str(png.resolve()))
 
 
 @contextmanager
-def headless_viewer() -> Iterator[str]:
-    """Run the viewer without a window; yields where it listens.
+def headless_viewer(file: Path) -> Iterator[str]:
+    """Run the viewer of a file (.rrd) without a window; yields where it listens.
 
     Raises:
         InputError: rerun-sdk is not installed, or there is nothing to draw with.
@@ -47,7 +46,7 @@ def headless_viewer() -> Iterator[str]:
     port = free_port()
     silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     options = ("--headless", "--hide-welcome-screen", "--window-size", _SIZE)
-    with rerun_program(port, *options, **silent) as viewer:
+    with rerun_program(port, *options, str(file), **silent) as viewer:
         _wait_for(viewer, port)
         yield f"rerun+http://{LOOPBACK}:{port}/proxy"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -13,12 +15,16 @@ def is_installed() -> bool:
     return find_spec("rerun") is not None
 
 
+@cache
 def sdk() -> tuple[Any, Any]:
     """Return the modules `rerun` and `rerun.blueprint`.
 
     Raises:
         InputError: rerun-sdk isn't installed, or doesn't fit the packages that are.
     """
+    # It looks here when it is imported. What its log says at length, we say in a sentence.
+    is_ours = "RUST_LOG" not in os.environ
+    os.environ.setdefault("RUST_LOG", "off")
     try:
         import rerun
         import rerun.blueprint
@@ -32,6 +38,9 @@ def sdk() -> tuple[Any, Any]:
             "the Rerun picture needs rerun-sdk, which is not installed: "
             "pip install 'trajeval-ros[rerun]'"
         ) from error
+    finally:
+        if is_ours:
+            del os.environ["RUST_LOG"]
     # It flushes all recordings when Python ends, which hangs where a viewer doesn't read. Ours
     # are closed one by one.
     rerun.unregister_shutdown()

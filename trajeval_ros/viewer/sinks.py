@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import socket
@@ -17,6 +18,7 @@ from trajeval_ros.viewer.stream import Sink
 LOOPBACK = "127.0.0.1"
 PORT = 9876
 _FILE_FLUSH_S = 20.0
+_LEAST_ROOM, _LITTLE_ROOM = 2**16, 2**20  # bytes
 _SERVER_MEMORY = "512MB"
 _PROBE_S = 0.3
 
@@ -26,7 +28,8 @@ class FileTarget:
 
     What is logged becomes a chunk per entity each time that it is flushed, of a kilobyte at the
     least. So it is flushed seldom: a killed process loses the last twenty seconds of the picture,
-    a full disk is noticed as late.
+    a full disk is noticed as late. It has no footer, of which every chunk would have another
+    kilobyte or two, in memory until the end: a node may run for days.
     """
 
     name = "file"
@@ -45,13 +48,17 @@ class FileTarget:
         except OSError as error:
             raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
         recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
-        recording.set_sinks(rerun.FileSink(str(self._path)), default_blueprint=blueprint)
+        recording.set_sinks(
+            rerun.FileSink(str(self._path), write_footer=False), default_blueprint=blueprint
+        )
         return recording
 
     def check(self, recording: Any) -> bool:
         """Have everything in the file."""
         try:
             recording.flush()
+            if self._room < _LEAST_ROOM:  # then a flush may pass over what did not fit
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             self._whole = self._path.stat().st_size
         except (RuntimeError, OSError) as error:
             why = self._why(error)
@@ -74,10 +81,15 @@ class FileTarget:
     def _why(self, error: Exception) -> str:
         """Return why the disk takes no more; Rerun says only that it doesn't."""
         with contextlib.suppress(OSError):
-            disk = os.statvfs(self._path.parent)
-            if disk.f_bavail * disk.f_frsize < 1024 * 1024:
+            if self._room < _LITTLE_ROOM:
                 return "no space left on device"
         return str(error).lower()
+
+    @property
+    def _room(self) -> int:
+        """Bytes that the disk still takes."""
+        disk = os.statvfs(self._path.parent)
+        return disk.f_bavail * disk.f_frsize
 
 
 class ServerTarget:
