@@ -385,6 +385,25 @@ def test_file_that_cannot_be_written(
     assert "a.rrd can't be written: no such file or directory" in capfd.readouterr().err
 
 
+@needs_rerun
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"RRF2", "there is no display here; use --web"), (b"pairs", "is no file of Rerun's")],
+)
+def test_view_says_what_is_wrong(
+    content: bytes,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for each in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(each, raising=False)
+    (tmp_path / "run.rrd").write_bytes(content)
+    assert main(["view", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("name", "said"), [("nothing", "there is no"), ("", "holds no run.rrd")])
 def test_view_says_what_it_needs(
     name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -302,9 +302,11 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
     assert values.tolist() == [value for _, value in wanted]
 
 
+@pytest.mark.slow
 def test_disk_without_any_room_leaves_no_stub(tmp_path: Path) -> None:
     with small_disk(tmp_path, "60k"):
-        report = told(drive("file", tmp_path, seconds=5.0))
+        report = told(drive("file", tmp_path, seconds=15.0, speed=1.5))
+        assert report["closed"] == [True]
         assert not (tmp_path / "run.rrd").exists()
     assert "no space left on device" in report["trouble"][0]
 

@@ -46,7 +46,7 @@ def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subpro
     # Not by its Python wrapper, which would leave it running. CI keeps it from calling home.
     process = subprocess.Popen(
         [str(binary), "--bind", LOOPBACK, "--port", str(port), *arguments],
-        env={**os.environ, "CI": "1"},
+        env={"RUST_LOG": "error", **os.environ, "CI": "1"},
         **options,
     )
     try:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.viewer.program import free_port, rerun_program
 from trajeval_ros.viewer.sinks import LOOPBACK
+
+_MAGIC = b"RRF"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def show(file: Path, *, in_browser: bool = False) -> None:
@@ -18,13 +22,19 @@ def show(file: Path, *, in_browser: bool = False) -> None:
         in_browser: Serve the viewer as a web page on this machine instead, until Ctrl-C.
 
     Raises:
-        InputError: rerun-sdk is not installed, the file can't be read, or the viewer fails.
+        InputError: rerun-sdk is not installed, the file can't be read or is none of Rerun's,
+            there is no display, or the viewer fails.
     """
     try:
-        file.open("rb").close()
+        with file.open("rb") as opened:
+            magic = opened.read(len(_MAGIC))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{file} can't be read: {reason}") from error
+    if magic != _MAGIC:
+        raise InputError(f"{file} is no file of Rerun's; name one that --rrd wrote, or a folder")
+    if not (in_browser or sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))):
+        raise InputError("there is no display here; use --web, and open the page in a browser")
     port, page = free_port(), free_port()
     options = ["--serve-web", "--web-viewer-port", str(page)] if in_browser else []
     try:
@@ -38,5 +48,4 @@ def show(file: Path, *, in_browser: bool = False) -> None:
     except KeyboardInterrupt:
         return
     if status:
-        hint = "" if in_browser else "; without a display, use --web"
-        raise InputError(f"Rerun's viewer ended with status {status}{hint}")
+        raise InputError(f"Rerun's viewer ended with status {status}")
