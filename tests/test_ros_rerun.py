@@ -55,7 +55,7 @@ def test_drawn_numbers_are_the_published_ones(
         assert missed < 0.2 * len(drawn)
     # Of relative errors the picture has five a second at most.
     _, drawn = picture.numbers(f"metrics/relative_error/{NAME}/8m")
-    assert len(drawn) > 30
+    assert len(drawn) > 10
     assert set(drawn.tolist()) <= {value_of(payload) for payload in received[length]}
     _, half_axes = picture.rows(f"world/estimate/{NAME}/covariance", "Ellipsoids3D:half_sizes")
     assert all(np.isfinite(each).all() for each in half_axes)
@@ -131,4 +131,4 @@ def test_reset_begins_another_picture(
     first, second = (tmp_path / each / "run.rrd" for each in ("out", "out_2"))
     for each in (first, second):
         stamps, _ = Rrd(each).numbers(f"metrics/position_error/{NAME}")
-        assert len(stamps) > 30
+        assert len(stamps) > 10
