@@ -197,8 +197,22 @@ def exp(rotation_vector: Array) -> Array:
 
 def log(matrix: Array) -> Array:
     """Return the rotation vectors (..., 3), at most pi long, of rotation matrices (..., 3, 3)."""
-    vectors = np.asarray(Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_rotvec())
-    return vectors.reshape(matrix.shape[:-1])
+    cosine = 0.5 * (np.trace(matrix, axis1=-2, axis2=-1) - 1.0)
+    axis = 0.5 * np.stack(
+        [
+            matrix[..., 2, 1] - matrix[..., 1, 2],
+            matrix[..., 0, 2] - matrix[..., 2, 0],
+            matrix[..., 1, 0] - matrix[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    sine = np.sqrt(np.einsum("...i,...i->...", axis, axis))
+    factor = np.where(sine < 1e-9, 1.0, np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))
+    vectors: Array = factor[..., None] * axis
+    far = cosine < -0.9  # where the sine has lost digits; quaternions haven't
+    if far.any():
+        vectors[far] = Rotation.from_matrix(matrix[far]).as_rotvec()
+    return vectors
 
 
 def yaw_of_matrix(matrix: Array) -> Array:

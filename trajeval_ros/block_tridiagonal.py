@@ -1,0 +1,135 @@
+"""Symmetric positive definite matrices whose only blocks are on the diagonal and next to it.
+
+Neighbouring states share such a matrix: relative poses by the state between them, eq. (15) of the
+probabilistic paper, and states of a Markov process by its motion. Everything is O(N).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+
+Array = NDArray[np.float64]
+_NEGLIGIBLE = 1e-20
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """The Cholesky factor L of S A S, with S diagonal and A the matrix: A = S^-1 L L^T S^-1.
+
+    Rows and columns are scaled to a unit diagonal, so that metres beside radians, or positions
+    beside accelerations, cost no digits.
+
+    Attributes:
+        band: (2 d, N d) lower banded storage of L.
+        scale: (N, d), the diagonal of S.
+    """
+
+    band: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, diagonal: Array, lower: Array) -> Factor:
+        """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
+
+        Raises:
+            numpy.linalg.LinAlgError: It is not positive definite.
+        """
+        entries = np.einsum("nii->ni", diagonal)
+        if not (entries > 0.0).all():
+            raise np.linalg.LinAlgError("a diagonal entry is not positive")
+        scale = 1.0 / np.sqrt(entries)
+        band = _lower_band(
+            diagonal * scale[:, :, None] * scale[:, None, :],
+            lower * scale[1:, :, None] * scale[:-1, None, :],
+        )
+        return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
+
+    @property
+    def log_diagonal(self) -> Array:
+        """Logarithms of the diagonal of the matrix's own factor S^-1 L, (N, d)."""
+        logarithms: Array = np.log(self.band[0]).reshape(self.scale.shape) - np.log(self.scale)
+        return logarithms
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant."""
+        return 2.0 * float(self.log_diagonal.sum())
+
+    def whitened(self, rows: Array) -> Array:
+        """Return (S^-1 L)^-1 x for x (N, d): independent and of unit variance if cov x is A."""
+        scaled = (rows * self.scale).reshape(-1, 1)
+        return np.asarray(dtbtrs(self.band, scaled, uplo="L")[0]).reshape(rows.shape)
+
+    def coloured(self, rows: Array) -> Array:
+        """Return (S^-1 L)^-T z for z (N, d, k): draws of covariance A^-1 of white ones."""
+        flat = rows.reshape(self.scale.size, -1)
+        solved = np.asarray(dtbtrs(self.band, flat, uplo="L", trans="T")[0])
+        return solved.reshape(rows.shape) * self.scale[..., None]
+
+    def solve(self, rows: Array) -> Array:
+        """Return A^-1 x for x (N, d) or (N, d, k)."""
+        scale = self.scale if rows.ndim == 2 else self.scale[..., None]
+        flat = (rows * scale).reshape(self.scale.size, -1)
+        solved = np.asarray(cho_solve_banded((self.band, True), flat, check_finite=False))
+        return solved.reshape(rows.shape) * scale
+
+    def inverse_blocks(self) -> tuple[Array, Array]:
+        """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
+
+        The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states. It is
+        associative, so doubling the reach of each step takes as many rounds as states that far
+        apart take to forget each other, not as many as there are states.
+        """
+        count, size = self.scale.shape
+        diagonal, lower = _blocks(self.band, count, size)
+        inverted = np.linalg.inv(diagonal)
+        own = np.swapaxes(inverted, 1, 2) @ inverted
+        gain = lower @ inverted[:-1]
+        blocks, reach = own.copy(), np.concatenate([gain, np.zeros((1, size, size))])
+        step = 1
+        while step < count and np.abs(reach[:-step]).max() > _NEGLIGIBLE:
+            near = reach[:-step]
+            # Both right-hand sides are read before either array changes.
+            more = np.swapaxes(near, 1, 2) @ blocks[step:] @ near
+            farther = reach[step:] @ near
+            blocks[:-step] += more
+            reach[:-step] = farther
+            reach[-step:] = 0.0
+            step *= 2
+        beside = -np.swapaxes(gain, 1, 2) @ blocks[1:]
+        scale = self.scale
+        return (
+            blocks * scale[:, :, None] * scale[:, None, :],
+            beside * scale[:-1, :, None] * scale[1:, None, :],
+        )
+
+
+def _lower_band(diagonal: Array, lower: Array) -> Array:
+    """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j)."""
+    count, size, _ = diagonal.shape
+    band = np.zeros((2 * size, count * size))
+    for row in range(size):
+        for column in range(size):
+            if column <= row:
+                band[row - column, column::size] = diagonal[:, row, column]
+            end = (count - 1) * size
+            band[size + row - column, column:end:size] = lower[:, row, column]
+    return band
+
+
+def _blocks(band: Array, count: int, size: int) -> tuple[Array, Array]:
+    """Return the blocks of a factor in lower banded storage."""
+    diagonal = np.zeros((count, size, size))
+    lower = np.zeros((count - 1, size, size))
+    for row in range(size):
+        for column in range(size):
+            if column <= row:
+                diagonal[:, row, column] = band[row - column, column::size]
+            end = (count - 1) * size
+            lower[:, row, column] = band[size + row - column, column:end:size]
+    return diagonal, lower
