@@ -21,8 +21,10 @@ PACKAGE = ROOT / "trajeval_ros"
 # A file imports only from floors below its own, or from its own folder.
 FLOORS = {
     "exceptions": 0,
+    "lie": 0,
+    "block_tridiagonal": 1,
     "chain": 1,
-    "lie": 1,
+    "se3": 1,
     "trajectory": 1,
     "statistics": 1,
     "gauge": 2,

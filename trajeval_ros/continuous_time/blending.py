@@ -1,0 +1,36 @@
+"""From two beliefs about a pose to one, continuously."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import se3
+from trajeval_ros.continuous_time.samples import Belief
+
+Array = NDArray[np.float64]
+
+
+def blended(first: Belief, second: Belief, weight: Array) -> Belief:
+    """Return the moments of the mixture of two beliefs at Q times.
+
+    How far the two disagree is part of the covariance; precisions that are averaged instead are
+    too sure where experts disagree.
+
+    Args:
+        first: Q poses.
+        second: Q poses.
+        weight: (Q,) of the second, in [0, 1].
+    """
+    w = weight[:, None]
+    apart = se3.log(se3.inverse(first.poses) @ second.poses)
+    poses = first.poses @ se3.exp(w * apart)
+
+    def seen(belief: Belief, offset: Array) -> Array:
+        carried = se3.inverse_left_jacobian(-offset)
+        spread = offset[:, :, None] * offset[:, None, :]
+        return se3.congruent(carried, belief.covariances) + spread
+
+    covariances = (1.0 - w)[..., None] * seen(first, -w * apart)
+    covariances += w[..., None] * seen(second, (1.0 - w) * apart)
+    return Belief(poses, covariances)

@@ -1,0 +1,113 @@
+"""The size and the speed of a motion, by maximum likelihood over all segments at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from trajeval_ros.continuous_time.kernels import Kernel
+
+Array = NDArray[np.float64]
+
+_MOST_SEGMENTS = 200
+_IMPOSSIBLE = 1e25
+# Where to start: two lengths, in steps of the samples.
+_STARTS = (2.0, 6.0)
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Of a process.
+
+    Attributes:
+        sigma: Standard deviation of the motion about the reference, metres or rad.
+        length: Time over which it is alike, seconds.
+        noise: Standard deviation of samples, metres or rad.
+    """
+
+    sigma: float
+    length: float
+    noise: float
+
+
+def most_likely(
+    kernel: Kernel, times: Array, targets: Array, noise: float, usual_step_s: float
+) -> Hyperparameters:
+    """Return the hyperparameters that make the samples of all segments most likely.
+
+    Args:
+        kernel: Its form.
+        times: (S, n), of the samples of each segment, seconds.
+        targets: (S, n, 3), coordinates: three processes alike.
+        noise: Standard deviation of samples, known.
+        usual_step_s: Between samples.
+    """
+    if len(times) > _MOST_SEGMENTS:
+        some = np.unique(np.linspace(0, len(times) - 1, _MOST_SEGMENTS).astype(np.int64))
+        times, targets = times[some], targets[some]
+    lags = times[:, :, None] - times[:, None, :]
+    # What doesn't move is still not known better than its samples are.
+    spread = max(float(targets.std()), noise)
+    log_spread, log_step = np.log(spread), np.log(usual_step_s)
+    bounds = [
+        (max(log_spread - 4.0, np.log(noise)), log_spread + 8.0),
+        (log_step + np.log(0.3), np.log(200.0 * usual_step_s + 10.0)),
+    ]
+
+    def cost(parameters: Array) -> tuple[float, Array]:
+        value, gradient = negative_log_likelihood(
+            kernel, lags, targets, np.append(parameters, np.log(noise))
+        )
+        return value, gradient[:2]
+
+    results = [
+        minimize(
+            cost,
+            [log_spread, log_step + np.log(start)],
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxfun": 60},
+        )
+        for start in _STARTS
+    ]
+    best = min(results, key=lambda result: float(result.fun))
+    return Hyperparameters(float(np.exp(best.x[0])), float(np.exp(best.x[1])), noise)
+
+
+def negative_log_likelihood(
+    kernel: Kernel, lags: Array, targets: Array, log_parameters: Array
+) -> tuple[float, Array]:
+    """Return -log p of the samples of all segments, and its gradient, eq. (30).
+
+    Args:
+        kernel: Its form.
+        lags: (S, n, n), differences of time in each segment, seconds.
+        targets: (S, n, c), coordinates: c processes alike.
+        log_parameters: (3,), logarithms of sigma, length and noise.
+    """
+    sigma, length, noise = np.exp(log_parameters)
+    segments, count, axes = targets.shape
+    correlation = kernel.between(lags, float(length))
+    prior = sigma**2
+    covariance = prior * correlation + noise**2 * np.eye(count)
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return _IMPOSSIBLE, np.zeros(3)
+    inverse = np.linalg.inv(covariance)
+    weights = inverse @ targets
+    log_root = np.log(np.diagonal(root, axis1=1, axis2=2)).sum()
+    value = 0.5 * np.vdot(targets, weights) + axes * log_root
+    value += 0.5 * segments * count * axes * np.log(2.0 * np.pi)
+    # d value / d K = (c K^-1 - a a^T) / 2.
+    slope = 0.5 * (axes * inverse - weights @ np.swapaxes(weights, 1, 2))
+    gradient = [
+        2.0 * prior * np.vdot(slope, correlation),
+        prior * np.vdot(slope, kernel.by_log_length(lags, float(length))),
+        2.0 * noise**2 * np.einsum("sii->", slope),
+    ]
+    return float(value), np.array(gradient)

@@ -1,0 +1,59 @@
+"""The rules that know no uncertainty between samples: nearest, and linear with slerp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.continuous_time.samples import Belief, Samples
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Positions on straight lines, rotations by slerp, as sure as a sample everywhere."""
+
+    samples: Samples
+
+    def at(self, times: Array) -> Belief:
+        """Return what is known at times (Q,), seconds, within those of the samples."""
+        samples = self.samples
+        before, share = _before(samples, times)
+        start, end = samples.poses[before], samples.poses[before + 1]
+        turns = lie.log(se3.transposed(start[:, :3, :3]) @ end[:, :3, :3])
+        rotations = start[:, :3, :3] @ lie.exp(share * turns)
+        positions = (1.0 - share) * start[:, :3, 3] + share * end[:, :3, 3]
+        return Belief(se3.poses(rotations, positions), sample_covariances(samples, len(times)))
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The pose of the sample that is nearest in time, as sure as that sample."""
+
+    samples: Samples
+
+    def at(self, times: Array) -> Belief:
+        """Return what is known at times (Q,), seconds, within those of the samples."""
+        before, share = _before(self.samples, times)
+        nearest = before + (share[:, 0] > 0.5)
+        return Belief(self.samples.poses[nearest], sample_covariances(self.samples, len(times)))
+
+
+def sample_covariances(samples: Samples, count: int) -> Array:
+    """Return a sample's covariance, `count` times, (count, 6, 6)."""
+    noise = samples.noise
+    rotation = noise.rotation_rad if samples.oriented else 0.0
+    variances = np.square([noise.position_m] * 3 + [rotation] * 3)
+    return np.tile(np.diag(variances), (count, 1, 1))
+
+
+def _before(samples: Samples, times: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the sample before each time and the share (Q, 1) of the step that has passed."""
+    last = len(samples) - 2
+    before = np.clip(np.searchsorted(samples.times, times, side="right") - 1, 0, last)
+    start, end = samples.times[before], samples.times[before + 1]
+    return before, ((times - start) / (end - start))[:, None]

@@ -1,0 +1,102 @@
+"""The joint covariance of a groundtruth at many times, which errors of neighbours share.
+
+Covariances of single poses, taken as independent, count the same groundtruth sample once for every
+query beside it: log Bayes factors then grow with the estimate's rate without end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.block_tridiagonal import Factor
+from trajeval_ros.continuous_time.markov import Process
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Queries closer than this share of the usual step to a sample are at the sample: information
+# between knots that are closer than a thousandth can't be held in double precision.
+_SAME_SHARE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class JointPosterior:
+    """A Markov process with knots at Q query times, which no sample measures.
+
+    Attributes:
+        blocks: (N, 3m, 3m), of the information on its diagonal.
+        lower: (N - 1, 3m, 3m), of the information, below.
+        factor: Of the information.
+        rows: (Q,), the knots of the queries.
+    """
+
+    blocks: Array
+    lower: Array
+    factor: Factor
+    rows: Indices
+
+    @classmethod
+    def of(cls, process: Process, times: Array) -> JointPosterior:
+        """Add knots at times (Q,), seconds, within those of the process."""
+        own = process.times
+        after = np.clip(np.searchsorted(own, times), 1, len(own) - 1)
+        nearest = after - (times - own[after - 1] < own[after] - times)
+        close = np.abs(times - own[nearest]) < _SAME_SHARE * float(np.median(np.diff(own)))
+        asked = np.where(close, own[nearest], times)
+        union, place = np.unique(np.concatenate([own, asked]), return_inverse=True)
+        samples, rows = place[: len(own)], place[len(own) :]
+        states, _ = process.interpolator().at(union)
+        measured, information = states.copy(), np.zeros(len(union))
+        measured[samples], information[samples] = process.measured, process.information
+        rates = np.stack(
+            [
+                [np.interp(union, own, axis) for axis in rate.T]
+                for rate in process.rates.swapaxes(0, 1)
+            ]
+        )
+        dense = replace(
+            process,
+            times=union,
+            measured=measured,
+            information=information,
+            states=states,
+            rates=rates.transpose(2, 0, 1),
+        ).solved(15, 1e-10)
+        blocks, lower, _, _ = dense._normal_equations()
+        return cls(blocks, lower, Factor.of(blocks, lower), rows)
+
+    def covariance(self) -> Array:
+        """Return the covariance (3Q, 3Q) of all queries: dense, for a few."""
+        count = len(self.rows)
+        columns = np.zeros((*self.factor.scale.shape, 3 * count))
+        columns[np.repeat(self.rows, 3), np.tile(np.arange(3), count), np.arange(3 * count)] = 1.0
+        joint: Array = self.factor.solve(columns)[self.rows, :3].reshape(3 * count, 3 * count)
+        return joint
+
+    def draws(self, count: int, random: np.random.Generator) -> Array:
+        """Return draws (count, Q, 3) of the error at the queries."""
+        white = random.normal(size=(*self.factor.scale.shape, count))
+        return np.moveaxis(self.factor.coloured(white)[self.rows, :3], -1, 0)
+
+    def log_density(self, errors: Array, tolerance: Array) -> float:
+        """Return log N(errors; 0, P + R) in O(N), by the matrix inversion lemma.
+
+        Args:
+            errors: (Q, 3), at the queries.
+            tolerance: R, (Q, 3, 3), of errors that are independent of each other.
+        """
+        inverse = np.linalg.inv(tolerance)
+        blocks = self.blocks.copy()
+        np.add.at(blocks[:, :3, :3], self.rows, inverse)
+        both = Factor.of(blocks, self.lower)
+        weighted = np.einsum("qij,qj->qi", inverse, errors)
+        spread = np.zeros_like(self.factor.scale)
+        np.add.at(spread[:, :3], self.rows, weighted)
+        explained = np.vdot(spread, both.solve(spread))
+        surprise = np.vdot(errors, weighted) - explained
+        determinant = both.log_determinant - self.factor.log_determinant
+        determinant += float(np.linalg.slogdet(tolerance)[1].sum())
+        return -0.5 * float(surprise + determinant + errors.size * np.log(2.0 * np.pi))

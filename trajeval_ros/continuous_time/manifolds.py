@@ -1,0 +1,175 @@
+"""What a Markov process moves on: positions in R^3, or rotations in SO(3).
+
+A local variable g is 0 at a knot T and Log(T^-1 T') at the next; its first two derivatives follow
+from the next knot's rate w and acceleration a (Barfoot, State Estimation for Robotics, sec. 11):
+
+    g' = J_r^-1(g) w,    g'' = d(J_r^-1(g) w)/dg g' + J_r^-1(g) a
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.lie import skew
+
+Array = NDArray[np.float64]
+
+# Of the inverse Jacobian's quadratic term, as a series in the squared angle.
+_SERIES = np.polynomial.Polynomial(
+    [1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600]
+)
+_SERIES_1, _SERIES_2 = _SERIES.deriv(), _SERIES.deriv(2)
+_SMALL = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Local:
+    """A local variable's derivatives, and theirs.
+
+    Attributes:
+        values: (N, m, 3): g and as many derivatives as the process has.
+        jacobian: (N, m, 3, m, 3): of `values` by g, w, a.
+    """
+
+    values: Array
+    jacobian: Array
+
+
+class Manifold(Protocol):
+    """What a process needs to know of its states."""
+
+    def between(self, first: Array, second: Array) -> Array:
+        """Return Log(first^-1 second), (N, 3)."""
+
+    def plus(self, states: Array, steps: Array) -> Array:
+        """Return the states moved by steps (N, 3) on the right."""
+
+    def inverse_right_jacobian(self, steps: Array) -> Array:
+        """Return J_r^-1 (N, 3, 3)."""
+
+    def local(self, steps: Array, rates: Array) -> Local:
+        """Return the local variable at steps g (N, 3) with rates (N, m - 1, 3)."""
+
+
+class Positions:
+    """R^3: everything is linear."""
+
+    def between(self, first: Array, second: Array) -> Array:
+        """Return the differences (N, 3)."""
+        return second - first
+
+    def plus(self, states: Array, steps: Array) -> Array:
+        """Return the sums (N, 3)."""
+        return states + steps
+
+    def inverse_right_jacobian(self, steps: Array) -> Array:
+        """Return identities (N, 3, 3)."""
+        return np.broadcast_to(np.eye(3), (*steps.shape, 3))
+
+    def local(self, steps: Array, rates: Array) -> Local:
+        """Return the same values again."""
+        values = np.concatenate([steps[:, None], rates], axis=1)
+        count, order = values.shape[:2]
+        jacobian = np.eye(3 * order).reshape(order, 3, order, 3)
+        return Local(values, np.broadcast_to(jacobian, (count, order, 3, order, 3)))
+
+
+class Rotations:
+    """SO(3)."""
+
+    def between(self, first: Array, second: Array) -> Array:
+        """Return the rotation vectors (N, 3) from first to second (N, 3, 3)."""
+        return lie.log(se3.transposed(first) @ second)
+
+    def plus(self, states: Array, steps: Array) -> Array:
+        """Return the rotations (N, 3, 3) turned by rotation vectors (N, 3) in the body."""
+        turned: Array = states @ lie.exp(steps)
+        return turned
+
+    def inverse_right_jacobian(self, steps: Array) -> Array:
+        """Return J_r^-1 (N, 3, 3)."""
+        return lie.inverse_left_jacobian(-steps)
+
+    def local(self, steps: Array, rates: Array) -> Local:
+        """Return the local variable and its exact derivatives, up to the second one."""
+        count, order = len(steps), rates.shape[1] + 1
+        values = np.zeros((count, order, 3))
+        jacobian = np.zeros((count, order, 3, order, 3))
+        values[:, 0] = steps
+        jacobian[:, 0, :, 0] = np.eye(3)
+        if order == 1:
+            return Local(values, jacobian)
+        inverse = self.inverse_right_jacobian(steps)
+        values[:, 1] = rate = se3.times(inverse, rates[:, 0])
+        by_step = _derivative(steps, rates[:, 0])
+        jacobian[:, 1, :, 0], jacobian[:, 1, :, 1] = by_step, inverse
+        if order == 3:
+            values[:, 2] = se3.times(by_step, rate) + se3.times(inverse, rates[:, 1])
+            curved = _second_derivative(steps, rates[:, 0], rate)
+            jacobian[:, 2, :, 0] = curved + by_step @ by_step + _derivative(steps, rates[:, 1])
+            jacobian[:, 2, :, 1] = _along(steps, rate) + by_step @ inverse
+            jacobian[:, 2, :, 2] = inverse
+        return Local(values, jacobian)
+
+
+def _factors(steps: Array) -> tuple[Array, Array, Array]:
+    """Return k(s) of J_r^-1 = 1 + [g]/2 + k [g]^2, s = g.g, and its derivatives, (N, 1, 1)."""
+    s = np.sum(steps * steps, axis=-1)[..., None, None]
+    small = s < _SMALL
+    squared = np.where(small, 1.0, s)
+    x = np.sqrt(squared) / 2.0
+    cotangent, cosecant2 = 1.0 / np.tan(x), 1.0 / np.sin(x) ** 2
+    slope = (cotangent / x - cosecant2) / 8.0
+    bend = (2.0 * cosecant2 * cotangent - cosecant2 / x - cotangent / x**2) / (64.0 * x)
+    k = (1.0 - x * cotangent) / squared
+    k1 = -(slope + k) / squared
+    k2 = -(bend + 2.0 * k1) / squared
+    return (
+        np.where(small, _SERIES(s), k),
+        np.where(small, _SERIES_1(s), k1),
+        np.where(small, _SERIES_2(s), k2),
+    )
+
+
+def _derivative(g: Array, w: Array) -> Array:
+    """Return d(J_r^-1(g) w)/dg, (N, 3, 3)."""
+    k, k1, _ = _factors(g)
+    gw = np.cross(g, w)
+    derivative: Array = (
+        -0.5 * skew(w)
+        - k * (skew(gw) + skew(g) @ skew(w))
+        + 2.0 * k1 * np.cross(g, gw)[:, :, None] * g[:, None, :]
+    )
+    return derivative
+
+
+def _along(g: Array, u: Array) -> Array:
+    """Return the derivative of J_r^-1(g) in the direction u, (N, 3, 3)."""
+    k, k1, _ = _factors(g)
+    cross, other = skew(g), skew(u)
+    inner = np.sum(g * u, axis=-1)[:, None, None]
+    change: Array = 0.5 * other + k * (other @ cross + cross @ other)
+    change += 2.0 * k1 * inner * (cross @ cross)
+    return change
+
+
+def _second_derivative(g: Array, w: Array, u: Array) -> Array:
+    """Return d(d(J_r^-1(g) w)/dg u)/dg for constant u, (N, 3, 3)."""
+    k, k1, k2 = _factors(g)
+    gw, uw = np.cross(g, w), np.cross(u, w)
+    ggw = np.cross(g, gw)[:, :, None]
+    inner = np.sum(g * u, axis=-1)[:, None, None]
+    mixed = (np.cross(u, gw) + np.cross(g, uw))[:, :, None]
+    row = g[:, None, :]
+    second: Array = (
+        -k * (skew(u) @ skew(w) + skew(uw))
+        + 2.0 * k1 * (mixed * row + ggw * u[:, None, :])
+        - 2.0 * k1 * inner * (skew(gw) + skew(g) @ skew(w))
+        + 4.0 * k2 * inner * ggw * row
+    )
+    return second

@@ -1,0 +1,273 @@
+"""Markov priors: white noise on acceleration (WNOA) or jerk (WNOJ), exactly sparse.
+
+Barfoot, Tong and Sarkka, RSS 2014; Dong, Boots and Dellaert, 2017. One process over the whole
+trajectory: continuous by construction, and with the joint covariance of any times. Positions and
+rotations are processes apart. The cost is O(N).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from trajeval_ros import lie, se3
+from trajeval_ros.block_tridiagonal import Factor
+from trajeval_ros.continuous_time import white_noise
+from trajeval_ros.continuous_time.manifolds import Manifold
+
+Array = NDArray[np.float64]
+
+_MOST_KNOTS = 1500
+_MOST_ITERATIONS = 10
+_CONVERGED = 1e-8
+_IMPOSSIBLE = 1e25
+_STILL_S, _STILL_STEPS = 2.0, 10
+_MOST_ABOVE_ROUGH = 1e5
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """N knots of a Markov process, at their most likely states.
+
+    Attributes:
+        manifold: What it moves on.
+        order: m: 2 for WNOA, 3 for WNOJ (1, Brownian motion, is linear interpolation).
+        times: (N,), seconds, increasing.
+        measured: (N, 3) or (N, 3, 3), samples.
+        information: (N,), inverse variances of the samples; zero for a knot without one.
+        density: Power spectral density of the noise.
+        states: Like `measured`.
+        rates: (N, m - 1, 3), velocities and accelerations, in the body for rotations.
+    """
+
+    manifold: Manifold
+    order: int
+    times: Array
+    measured: Array
+    information: Array
+    density: float
+    states: Array
+    rates: Array
+
+    @classmethod
+    def fit(
+        cls,
+        manifold: Manifold,
+        order: int,
+        times: Array,
+        measured: Array,
+        noise: float,
+        density: float | None = None,
+    ) -> Process:
+        """Find the most likely states.
+
+        Args:
+            manifold: What the samples are on.
+            order: m; less where there are not more samples than that.
+            times: (N,), seconds, distinct and in order.
+            measured: (N, 3) or (N, 3, 3).
+            noise: Standard deviation of the samples.
+            density: Of the white noise; by default the most likely one.
+        """
+        order = min(order, len(times) - 1)
+        velocity, acceleration = _differences(manifold, times, measured)
+        rates = np.stack([velocity, acceleration], axis=1)[:, : order - 1]
+        start = cls(
+            manifold,
+            order,
+            times,
+            measured,
+            np.full(len(times), noise**-2),
+            density or 1.0,
+            measured,
+            rates,
+        )
+        if density is None:
+            start = replace(start, density=start._most_likely_density(noise))
+        return start._solved_with_digits()
+
+    def solved(self, iterations: int = _MOST_ITERATIONS, tolerance: float = _CONVERGED) -> Process:
+        """Return it at the mode, by Gauss-Newton."""
+        process = self
+        for _ in range(iterations):
+            diagonal, lower, slope, cost = process._normal_equations()
+            step = Factor.of(diagonal, lower).solve(slope)
+            process = replace(
+                process,
+                states=process.manifold.plus(process.states, step[:, :3]),
+                rates=process.rates + step[:, 3:].reshape(process.rates.shape),
+            )
+            if 0.5 * np.vdot(step, slope) < tolerance * max(1.0, 1e-6 * cost):
+                break
+        return process
+
+    def _solved_with_digits(self) -> Process:
+        """Return it at the mode, with more noise for a body so still that digits run out."""
+        try:
+            return self.solved()
+        except np.linalg.LinAlgError:
+            return replace(self, density=10.0 * self.density)._solved_with_digits()
+
+    def log_likelihood(self) -> float:
+        """Return log p of the samples, at the mode; exact in R^3, by Laplace in SO(3)."""
+        diagonal, lower, _, cost = self._normal_equations()
+        steps = np.diff(self.times)
+        motion = 3.0 * np.linalg.slogdet(white_noise.covariance(self.order, steps))[1].sum()
+        motion += 3.0 * len(steps) * self.order * np.log(self.density)
+        known = self.information > 0.0
+        noise = -3.0 * np.log(self.information[known]).sum()
+        determinant = Factor.of(diagonal, lower).log_determinant
+        freedom = 3 * (np.count_nonzero(known) - self.order)
+        return float(
+            -cost - 0.5 * (determinant + motion + noise) - 0.5 * freedom * np.log(2.0 * np.pi)
+        )
+
+    def factor(self) -> Factor:
+        """Return the factor of the information of all knots (N 3m, N 3m)."""
+        diagonal, lower, _, _ = self._normal_equations()
+        return Factor.of(diagonal, lower)
+
+    def interpolator(self) -> Interpolator:
+        """Return what answers for any time between the knots."""
+        return Interpolator(self, *self.factor().inverse_blocks())
+
+    def _normal_equations(self) -> tuple[Array, Array, Array, float]:
+        """Return the information's blocks, minus the cost's gradient (N, 3m), and the cost."""
+        size = 3 * self.order
+        steps = np.diff(self.times)
+        local = self.manifold.local(
+            self.manifold.between(self.states[:-1], self.states[1:]), self.rates[1:]
+        )
+        phi = white_noise.transition(self.order, steps)
+        start = np.concatenate([np.zeros((len(steps), 1, 3)), self.rates[:-1]], axis=1)
+        residual = (local.values - phi @ start).reshape(-1, size)
+        by_next = local.jacobian.copy()
+        by_step = local.jacobian[:, :, :, 0, :]
+        turned = self.manifold.inverse_right_jacobian(local.values[:, 0])
+        by_next[:, :, :, 0, :] = by_step @ turned[:, None]
+        by_next = by_next.reshape(-1, size, size)
+        # A step of this knot takes J_l^-1 = J_r^-1 transposed from g; its rates act through Phi.
+        by_this = -white_noise.spread_over_axes(phi)
+        by_this[:, :, :3] = -(by_step @ se3.transposed(turned)[:, None]).reshape(-1, size, 3)
+        weight = white_noise.spread_over_axes(
+            np.linalg.inv(white_noise.covariance(self.order, steps)) / self.density
+        )
+        weighted_this, weighted_next = weight @ by_this, weight @ by_next
+        diagonal = np.zeros((len(self.times), size, size))
+        diagonal[:-1] += se3.transposed(by_this) @ weighted_this
+        diagonal[1:] += se3.transposed(by_next) @ weighted_next
+        slope = np.zeros((len(self.times), size))
+        slope[:-1] -= se3.times(se3.transposed(weighted_this), residual)
+        slope[1:] -= se3.times(se3.transposed(weighted_next), residual)
+
+        missed = self.manifold.between(self.measured, self.states)
+        jacobian = self.manifold.inverse_right_jacobian(missed)
+        information = self.information[:, None]
+        diagonal[:, :3, :3] += information[..., None] * se3.transposed(jacobian) @ jacobian
+        slope[:, :3] -= information * se3.times(se3.transposed(jacobian), missed)
+        cost = 0.5 * np.vdot(residual, se3.times(weight, residual))
+        cost += 0.5 * float(np.sum(information * np.square(missed)))
+        return diagonal, se3.transposed(by_next) @ weighted_this, slope, float(cost)
+
+    def _most_likely_density(self, noise: float) -> float:
+        """Return the density that makes the samples, the middle 1500 of them, most likely."""
+        skip = max(0, (len(self.times) - _MOST_KNOTS) // 2)
+        some = slice(skip, skip + _MOST_KNOTS)
+        warm = [
+            replace(
+                self,
+                times=self.times[some],
+                measured=self.measured[some],
+                information=self.information[some],
+                states=self.states[some],
+                rates=self.rates[some],
+            )
+        ]
+
+        def cost(log_density: float) -> float:
+            try:
+                process = replace(warm[0], density=float(np.exp(log_density))).solved(4, 1e-3)
+                value = -process.log_likelihood()
+            except np.linalg.LinAlgError:
+                return _IMPOSSIBLE
+            warm[0] = process
+            return value
+
+        steps = np.diff(warm[0].times)
+        if self.order == 1:
+            jumps = self.manifold.between(warm[0].states[:-1], warm[0].states[1:])
+        else:
+            jumps = np.diff(warm[0].rates[:, -1], axis=0)
+        rough = float(np.median(np.square(jumps).mean(axis=1) / steps))
+        # At least so much that the noise could hide what it moves in some seconds.
+        span = min(float(steps.sum()), max(_STILL_S, _STILL_STEPS * float(np.median(steps))))
+        least = noise**2 / span ** (2 * self.order - 1)
+        most = max(rough, least) * _MOST_ABOVE_ROUGH
+        found = minimize_scalar(
+            cost,
+            bounds=(np.log(least), np.log(most)),
+            method="bounded",
+            options={"maxiter": 30, "xatol": 3e-3},
+        )
+        return float(np.exp(found.x))
+
+
+@dataclass(frozen=True, eq=False)
+class Interpolator:
+    """A process and the covariances of its knots.
+
+    Attributes:
+        process: At its mode.
+        own: (N, 3m, 3m), of each knot.
+        beside: (N - 1, 3m, 3m), between each knot and the next.
+    """
+
+    process: Process
+    own: Array
+    beside: Array
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Return states (Q, ...) and covariances (Q, 3, 3) on the right, within the knots."""
+        states, covariances = lie.by_blocks(self._at, times)
+        return states, covariances
+
+    def _at(self, times: Array) -> tuple[Array, Array]:
+        process, order = self.process, self.process.order
+        last = len(process.times) - 2
+        knot = np.clip(np.searchsorted(process.times, times, side="right") - 1, 0, last)
+        step, since = np.diff(process.times)[knot], times - process.times[knot]
+        by_first, by_second, spread = white_noise.interpolation(order, step, since)
+
+        manifold, rates = process.manifold, process.rates
+        here = process.states[knot]
+        gap = manifold.between(here, process.states[knot + 1])
+        second = manifold.local(gap, rates[knot + 1])
+        first = manifold.local(np.zeros_like(gap), rates[knot])
+        variable = np.einsum("qm,qmi->qi", by_first, first.values)
+        variable += np.einsum("qm,qmi->qi", by_second, second.values)
+        # The chart stays where the first knot is, so each knot moves its own end alone.
+        ahead = second.jacobian.copy()
+        turned = manifold.inverse_right_jacobian(gap)
+        ahead[:, :, :, 0, :] = ahead[:, :, :, 0, :] @ turned[:, None]
+        a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(-1, 3, 3 * order)
+        b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(-1, 3, 3 * order)
+        mixed = a @ self.beside[knot] @ se3.transposed(b)
+        covariance = se3.congruent(a, self.own[knot]) + se3.congruent(b, self.own[knot + 1])
+        covariance += mixed + se3.transposed(mixed)
+        covariance += (process.density * spread)[:, None, None] * np.eye(3)
+        carried = np.linalg.inv(manifold.inverse_right_jacobian(variable))
+        return manifold.plus(here, variable), se3.congruent(carried, covariance)
+
+
+def _differences(manifold: Manifold, times: Array, states: Array) -> tuple[Array, Array]:
+    """Return velocities and accelerations (N, 3) to start from, by finite differences."""
+    steps = np.diff(times)
+    between = manifold.between(states[:-1], states[1:]) / steps[:, None]
+    velocity = np.concatenate([between[:1], between])
+    if len(steps) > 1:
+        share = (steps[1:] / (steps[1:] + steps[:-1]))[:, None]
+        velocity[1:-1] = between[:-1] * share + between[1:] * (1.0 - share)
+    return velocity, np.gradient(velocity, times, axis=0)

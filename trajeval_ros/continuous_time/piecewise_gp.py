@@ -1,0 +1,140 @@
+"""A trajectory as a piecewise Gaussian process: section IV of the probabilistic paper.
+
+Overlapping segments share their hyperparameters and are blended, so that the mean and the
+covariance are continuous everywhere, which shared hyperparameters alone don't achieve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.continuous_time.blending import blended
+from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, most_likely
+from trajeval_ros.continuous_time.kernels import MATERN_52, Kernel
+from trajeval_ros.continuous_time.samples import Belief, Samples
+from trajeval_ros.continuous_time.segments import SIZE, Segments
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_BLOCK = 256
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseGP:
+    """Six processes for each segment, conditioned on its samples, eq. (31).
+
+    Attributes:
+        segments: With their samples.
+        kernel: Of all processes.
+        hyperparameters: Of the three translations, and of the three rotations where there are any.
+        roots: For each of these, L^-1 (S, n, n) of K = L L^T.
+        weights: For each of these, K^-1 y (S, n, 3).
+    """
+
+    segments: Segments
+    kernel: Kernel
+    hyperparameters: tuple[Hyperparameters, ...]
+    roots: tuple[Array, ...]
+    weights: tuple[Array, ...]
+
+    @classmethod
+    def fit(
+        cls,
+        samples: Samples,
+        kernel: Kernel = MATERN_52,
+        *,
+        joint: bool = False,
+        size: int = SIZE,
+        hyperparameters: Sequence[Hyperparameters] | None = None,
+    ) -> PiecewiseGP:
+        """Fit the processes.
+
+        Args:
+            samples: Of the trajectory.
+            kernel: Its form.
+            joint: Use coordinates of se(3), as the paper does.
+            size: Samples in a segment.
+            hyperparameters: Those to use; by default the most likely ones.
+        """
+        segments = Segments.of(samples, size, joint=joint)
+        sigmas = samples.noise.per_axis(samples.oriented)
+        if hyperparameters is None:
+            hyperparameters = [
+                most_likely(
+                    kernel,
+                    segments.times,
+                    _axes(segments.coordinates, block),
+                    sigma,
+                    samples.usual_step_s,
+                )
+                for block, sigma in enumerate(sigmas)
+            ]
+        roots, weights = [], []
+        for block, each in enumerate(hyperparameters):
+            root = _inverse_roots(kernel, segments.times, each)
+            roots.append(root)
+            target = _axes(segments.coordinates, block)
+            weights.append(se3.transposed(root) @ (root @ target))
+        return cls(segments, kernel, tuple(hyperparameters), tuple(roots), tuple(weights))
+
+    def at(self, times: Array) -> Belief:
+        """Return what is known at times (Q,), seconds, within those of the samples."""
+        return Belief(*lie.by_blocks(self._at, times))
+
+    def in_segment(self, segment: Indices, times: Array) -> Belief:
+        """Return what one segment for each time knows, eq. (31).
+
+        Args:
+            segment: (Q,).
+            times: (Q,), seconds.
+        """
+        means, variances = np.zeros((len(times), 6)), np.zeros((len(times), 6))
+        lags = times[:, None] - self.segments.times[segment]
+        for block, each in enumerate(self.hyperparameters):
+            axes = slice(3 * block, 3 * block + 3)
+            prior = each.sigma**2
+            near = prior * self.kernel.between(lags, each.length)
+            means[:, axes] = np.einsum("qn,qnc->qc", near, self.weights[block][segment])
+            explained = np.square(se3.times(self.roots[block][segment], near)).sum(axis=1)
+            # Rounding must not make a variance negative where samples explain all of it.
+            variances[:, axes] = np.maximum(prior - explained, 1e-14 * prior)[:, None]
+        return Belief(*self.segments.poses_at(segment, means, variances))
+
+    def _at(self, times: Array) -> tuple[Array, Array]:
+        first, second, weight = self.segments.around(times)
+        belief = self.in_segment(second, times)
+        if len(self.segments) > 1:
+            belief = blended(self.in_segment(first, times), belief, weight)
+        return belief.poses, belief.covariances
+
+
+def _axes(coordinates: Array, block: int) -> Array:
+    return coordinates[..., 3 * block : 3 * block + 3]
+
+
+def _inverse_roots(kernel: Kernel, times: Array, each: Hyperparameters) -> Array:
+    """Return L^-1 (S, n, n) of K + noise, some segments at a time, which stay in the cache."""
+    roots = np.empty((*times.shape, times.shape[1]))
+    for begin in range(0, len(times), _BLOCK):
+        some = slice(begin, begin + _BLOCK)
+        lags = times[some, :, None] - times[some, None, :]
+        roots[some] = _inverse_root(each.sigma**2 * kernel.between(lags, each.length), each)
+    return roots
+
+
+def _inverse_root(prior: Array, each: Hyperparameters) -> Array:
+    """Return L^-1 of a prior with noise; a smooth one may need more than that on its diagonal."""
+    diagonal = np.eye(prior.shape[-1])
+    for jitter in (0.0, 1e-10, 1e-8, 1e-6):
+        try:
+            root = np.linalg.cholesky(prior + (each.noise**2 + jitter * each.sigma**2) * diagonal)
+        except np.linalg.LinAlgError:
+            continue
+        return np.asarray(np.linalg.inv(root))
+    raise AssertionError("a kernel with a share of 1e-6 on its diagonal is positive definite")

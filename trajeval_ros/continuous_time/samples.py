@@ -1,0 +1,175 @@
+"""The samples that a continuous trajectory is fitted to, and how well each is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Samples closer than this, or than this share of the usual step, are one: a Markov process can't
+# be asked to accelerate between them.
+_SAME_S, _SAME_SHARE = 1e-6, 1e-2
+# A step so many times the usual one is a gap.
+GAP_STEPS = 3.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of a groundtruth's samples. They are given, never learned.
+
+    Between samples that are seconds apart, maximum likelihood can't tell noise from motion and
+    ends at none at all.
+
+    Attributes:
+        position_m: Along each axis.
+        rotation_rad: About each axis.
+    """
+
+    position_m: float = 0.002
+    rotation_rad: float = math.radians(0.1)
+
+    def __post_init__(self) -> None:
+        """Refuse a groundtruth without noise."""
+        for name in ("position_m", "rotation_rad"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise SettingsError(
+                    f"the groundtruth's noise must be above zero, not {getattr(self, name):g}: "
+                    "without any, every error is infinitely unlikely; use 0.0005 m and 0.05 deg "
+                    "for motion capture, 0.02 m for RTK"
+                )
+
+    def per_axis(self, oriented: bool) -> tuple[float, ...]:
+        """Return the deviations of positions and, where there are any, of rotations."""
+        return (self.position_m, self.rotation_rad) if oriented else (self.position_m,)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """N poses at distinct times, in order.
+
+    Attributes:
+        origin: Nanoseconds; times count from it, so that none loses digits.
+        times: (N,), seconds.
+        poses: (N, 4, 4); rotations are the identity where there are none.
+        oriented: Whether there are rotations.
+        noise: Of each sample.
+        merged: How many were merged into others that were too close in time.
+    """
+
+    origin: int
+    times: Array
+    poses: Array
+    oriented: bool
+    noise: Noise
+    merged: int = 0
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, noise: Noise) -> Samples:
+        """Take a trajectory's samples; those closer than 1 % of the usual step become one.
+
+        Raises:
+            InputError: There are fewer than two, so nothing says how the body moved.
+        """
+        trajectory = trajectory.in_order()
+        if len(trajectory) < 2:
+            raise InputError(
+                f"{trajectory.name or 'the groundtruth'} has {len(trajectory)} "
+                f"{'pose' if len(trajectory) == 1 else 'poses'}, and with fewer than two nothing "
+                "can be said of the time between; use association nearest"
+            )
+        oriented = trajectory.rotations is not None
+        rotations = np.broadcast_to(np.eye(3), (len(trajectory), 3, 3))
+        if trajectory.rotations is not None:
+            rotations = trajectory.rotations.as_matrix()
+        samples = cls(
+            origin=int(trajectory.stamps[0]),
+            times=trajectory.seconds,
+            poses=se3.poses(rotations, trajectory.positions),
+            oriented=oriented,
+            noise=noise,
+        )
+        return samples._merged()
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.times)
+
+    def __getitem__(self, rows: Indices | NDArray[np.bool_]) -> Samples:
+        """Return some of them."""
+        return Samples(self.origin, self.times[rows], self.poses[rows], self.oriented, self.noise)
+
+    @property
+    def usual_step_s(self) -> float:
+        """The median step."""
+        return float(np.median(np.diff(self.times)))
+
+    @property
+    def gaps(self) -> Indices:
+        """Indices of the samples that a gap follows."""
+        return np.flatnonzero(np.diff(self.times) > GAP_STEPS * self.usual_step_s)
+
+    def seconds(self, stamps: NDArray[np.int64]) -> Array:
+        """Return stamps (Q,), nanoseconds, as times."""
+        seconds: Array = (stamps - self.origin) / NANOSECONDS
+        return seconds
+
+    def step_turns(self) -> Array:
+        """Return the angles (N - 1,) between neighbours, rad."""
+        turns = se3.transposed(self.poses[:-1, :3, :3]) @ self.poses[1:, :3, :3]
+        angles: Array = np.linalg.norm(lie.log(turns), axis=1)
+        return angles
+
+    def _merged(self) -> Samples:
+        """Merge what is too close in time: means of times, positions and small turns."""
+        steps = np.diff(self.times)
+        limit = max(_SAME_S, _SAME_SHARE * float(np.median(steps)))
+        apart = np.concatenate([[True], steps >= limit])
+        if apart.all():
+            return self
+        first = np.flatnonzero(apart)
+        if len(first) < 2:
+            raise InputError(
+                f"all {len(self)} groundtruth poses are within {limit:.3g} s of each other, and "
+                "nothing can be said of any other time"
+            )
+        group = np.cumsum(apart) - 1
+        counts = np.bincount(group)
+
+        def means(columns: Array) -> Array:
+            sums: Array = np.add.reduceat(columns, first, axis=0)
+            return sums / counts.reshape(-1, *([1] * (columns.ndim - 1)))
+
+        base = self.poses[first, :3, :3]
+        turns = means(lie.log(se3.transposed(base[group]) @ self.poses[:, :3, :3]))
+        poses = se3.poses(base @ lie.exp(turns), means(self.poses[:, :3, 3]))
+        return Samples(
+            self.origin,
+            means(self.times),
+            poses,
+            self.oriented,
+            self.noise,
+            merged=len(self) - len(first),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What is known of a body at Q times.
+
+    Attributes:
+        poses: (Q, 4, 4), the most likely ones.
+        covariances: (Q, 6, 6), perturbations on the right, translation first: T Exp(xi), eq. (1).
+            Where the groundtruth has no rotations, their rows are zero.
+    """
+
+    poses: Array
+    covariances: Array

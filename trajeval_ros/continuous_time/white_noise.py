@@ -1,0 +1,61 @@
+"""The motion between two knots where the m-th derivative is white noise, m = 1, 2, 3.
+
+Transition and covariance of (g, g', ...) over a time; both act on each axis alike.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def transition(order: int, time: Array) -> Array:
+    """Return Phi (..., m, m) over times (...), seconds."""
+    matrix = np.zeros((*time.shape, order, order))
+    for row in range(order):
+        for column in range(row, order):
+            matrix[..., row, column] = time ** (column - row) / factorial(column - row)
+    return matrix
+
+
+def covariance(order: int, time: Array) -> Array:
+    """Return Q (..., m, m) of unit density over times (...), seconds."""
+    matrix = np.zeros((*time.shape, order, order))
+    for row in range(order):
+        for column in range(order):
+            a, b = order - 1 - row, order - 1 - column
+            power = a + b + 1
+            matrix[..., row, column] = time**power / (power * factorial(a) * factorial(b))
+    return matrix
+
+
+def interpolation(order: int, step: Array, since: Array) -> tuple[Array, Array, Array]:
+    """Return how the variable between two knots depends on both, and what it does by itself.
+
+    Args:
+        order: m.
+        step: (Q,), time from knot to knot.
+        since: (Q,), time since the first knot, within the step.
+
+    Returns:
+        Rows Lambda and Psi (Q, m), with g = Lambda z_0 + Psi z_1, and the variance (Q,) of g given
+        both knots, for unit density.
+    """
+    remaining = transition(order, step - since)
+    own = covariance(order, since)
+    psi: Array = own @ remaining.swapaxes(1, 2) @ np.linalg.inv(covariance(order, step))
+    spread = (own - psi @ remaining @ own)[:, 0, 0]
+    weights = transition(order, since) - psi @ transition(order, step)
+    return weights[:, 0], psi[:, 0], np.maximum(spread, 0.0)
+
+
+def spread_over_axes(matrices: NDArray[Any]) -> Array:
+    """Return the Kronecker products (..., m a, m b) of (..., m', m) with the 3 x 3 identity."""
+    product: Array = np.einsum("...ij,kl->...ikjl", matrices, np.eye(3))
+    rows, columns = matrices.shape[-2:]
+    return product.reshape(*matrices.shape[:-2], 3 * rows, 3 * columns)
