@@ -1,0 +1,319 @@
+"""Laws of the continuous-time models, and what they say of groundtruth that says nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from strategies import make_groundtruth, seeds
+
+from trajeval_ros import se3
+from trajeval_ros.block_tridiagonal import Factor
+from trajeval_ros.continuous_time.hyperparameters import (
+    Hyperparameters,
+    most_likely,
+    negative_log_likelihood,
+)
+from trajeval_ros.continuous_time.interpolated import Linear
+from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
+from trajeval_ros.continuous_time.manifolds import Positions, Rotations
+from trajeval_ros.continuous_time.markov import Process
+from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
+from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.trajectory import MODELS, MarkovPoses, fit_trajectory
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+KERNELS = [SQUARED_EXPONENTIAL, MATERN_52, MATERN_32]
+HYPERPARAMETERS = (Hyperparameters(3.0, 0.8, 1e-3), Hyperparameters(1.0, 0.7, 1e-3))
+UNCERTAIN = [name for name in MODELS if name not in ("linear", "nearest", "auto")]
+
+
+def smooth(count: int, seed: int = 0, step_s: float = 0.2) -> Trajectory:
+    """Return a slow motion with a turn, sampled evenly and without noise."""
+    random = np.random.default_rng(seed)
+    times = step_s * np.arange(count)
+    phase = random.uniform(0.0, 2.0 * np.pi, size=(2, 3))
+    positions = np.array([3.0, 2.0, 1.0]) * np.sin(times[:, None] * [0.5, 0.7, 0.9] + phase[0])
+    turns = np.array([0.2, 0.2, 1.2]) * np.sin(times[:, None] * [0.8, 0.6, 0.4] + phase[1])
+    stamps = 1_700_000_000_000_000_000 + np.round(times * 1e9).astype(np.int64)
+    return Trajectory(stamps, positions, Rotation.from_rotvec(turns))
+
+
+def jump(below: Belief, above: Belief) -> float:
+    return max(
+        float(np.abs(below.poses - above.poses).max()),
+        float(np.abs(below.covariances - above.covariances).max()),
+    )
+
+
+@given(seed=seeds, count=st.integers(2, 30), size=st.integers(1, 6))
+def test_block_tridiagonal_is_its_dense_matrix(seed: int, count: int, size: int) -> None:
+    random = np.random.default_rng(seed)
+    roots = random.normal(size=(count, size, size + 3))
+    below = random.normal(size=(count - 1, size, size))
+    diagonal = roots @ roots.swapaxes(1, 2) + 0.1 * np.eye(size)
+    diagonal[1:] += below @ below.swapaxes(1, 2)
+    diagonal[:-1] += np.eye(size)
+    dense = np.zeros((count * size, count * size))
+    for row in range(count):
+        here = slice(row * size, (row + 1) * size)
+        dense[here, here] = diagonal[row]
+        if row:
+            before = slice((row - 1) * size, row * size)
+            dense[here, before], dense[before, here] = below[row - 1], below[row - 1].T
+    factor = Factor.of(diagonal, below)
+    inverse = np.linalg.inv(dense)
+    own, beside = factor.inverse_blocks()
+    scale = np.abs(inverse).max()
+    for row in range(count):
+        here = slice(row * size, (row + 1) * size)
+        np.testing.assert_allclose(own[row], inverse[here, here], atol=1e-9 * scale)
+        if row:
+            before = slice((row - 1) * size, row * size)
+            np.testing.assert_allclose(beside[row - 1], inverse[before, here], atol=1e-9 * scale)
+    rows = random.normal(size=(count, size))
+    assert np.sum(factor.whitened(rows) ** 2) == pytest.approx(
+        rows.ravel() @ inverse @ rows.ravel()
+    )
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1])
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@given(seed=seeds)
+def test_gradient_of_the_likelihood(kernel: Kernel, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    times = np.sort(random.uniform(0.0, 5.0, size=(3, 8)), axis=1)
+    lags = times[:, :, None] - times[:, None, :]
+    targets = random.normal(size=(3, 8, 3))
+    at = np.log(random.uniform([0.5, 0.3, 0.05], [2.0, 1.5, 0.3]))
+    gradient = negative_log_likelihood(kernel, lags, targets, at)[1]
+    for axis in range(3):
+        step = 1e-5 * np.eye(3)[axis]
+        up, down = (
+            negative_log_likelihood(kernel, lags, targets, at + sign * step)[0] for sign in (1, -1)
+        )
+        assert gradient[axis] == pytest.approx((up - down) / 2e-5, rel=1e-6, abs=1e-4)
+
+
+def test_hyperparameters_are_recovered() -> None:
+    random = np.random.default_rng(3)
+    times = np.tile(0.1 * np.arange(20), (40, 1))
+    lags = times[:, :, None] - times[:, None, :]
+    covariance = 1.5**2 * MATERN_52.between(lags[0], 0.6) + 0.02**2 * np.eye(20)
+    targets = np.linalg.cholesky(covariance) @ random.normal(size=(40, 20, 3))
+    found = most_likely(MATERN_52, times, targets, 0.02, 0.1)
+    assert found.sigma == pytest.approx(1.5, rel=0.3)
+    assert found.length == pytest.approx(0.6, rel=0.3)
+
+
+@pytest.mark.parametrize("count", range(13, 61))
+def test_continuous_across_all_samples_and_borders(count: int) -> None:
+    samples = Samples.of(smooth(count), Noise(1e-3, 1e-3))
+    gp = PiecewiseGP.fit(samples, size=12, hyperparameters=HYPERPARAMETERS)
+    knots = samples.times[1:-1]
+    assert jump(gp.at(knots - 1e-9), gp.at(knots + 1e-9)) < 1e-6
+
+
+@pytest.mark.parametrize("model", UNCERTAIN)
+def test_continuous_across_gaps_too(model: str) -> None:
+    whole = make_groundtruth(5, 400)
+    kept = np.r_[np.arange(0, 150), np.arange(175, 300), np.arange(320, 400)]
+    fitted = fit_trajectory(whole[kept], model)
+    knots = fitted.samples.times[1:-1]
+    near = jump(fitted.poses.at(knots - 1e-9), fitted.poses.at(knots + 1e-9))
+    assert near < 1e-5  # it moves by some 1e-8 in between
+
+
+@pytest.mark.parametrize("model", UNCERTAIN)
+def test_less_is_known_inside_a_gap(model: str) -> None:
+    whole = smooth(120)
+    fitted = fit_trajectory(whole[np.r_[np.arange(0, 50), np.arange(60, 120)]], model)
+    times = np.linspace(fitted.samples.times[49], fitted.samples.times[50], 41)
+    size = np.trace(fitted.poses.at(times).covariances[:, :3, :3], axis1=1, axis2=2)
+    steps = np.diff(size)
+    peak = int(np.argmax(size))
+    assert 10 < peak < 30
+    assert (steps[: peak - 1] > 0.0).all()
+    assert (steps[peak + 1 :] < 0.0).all()
+
+
+@pytest.mark.parametrize("model", ["matern52", "matern32", "wnoa", "wnoj"])
+def test_samples_are_interpolated_as_their_noise_vanishes(model: str) -> None:
+    motion = smooth(60)
+    fitted = fit_trajectory(motion, model, Noise(1e-4, 1e-4))
+    belief = fitted.at(motion.stamps)
+    assert motion.rotations is not None
+    expected = se3.poses(motion.rotations.as_matrix(), motion.positions)
+    np.testing.assert_allclose(belief.poses, expected, atol=5e-4)
+    assert np.abs(belief.covariances).max() < 1.001e-8
+
+
+@pytest.mark.parametrize("model", ["matern52", "matern32", "wnoa", "wnoj", "linear"])
+@given(seed=seeds)
+@settings(max_examples=5)
+def test_another_world_frame_changes_nothing(model: str, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    motion = smooth(40, seed % 7)
+    turn = Rotation.random(random_state=seed % 2**31)
+    shift = random.normal(scale=50.0, size=3)
+    assert motion.rotations is not None
+    moved = dataclasses.replace(
+        motion, positions=turn.apply(motion.positions) + shift, rotations=turn * motion.rotations
+    )
+    stamps = motion.stamps[:-1] + 70_000_000
+    here, there = (fit_trajectory(each, model).at(stamps) for each in (motion, moved))
+    world = se3.poses(turn.as_matrix(), shift)
+    # The optimiser stops within its tolerance of the most likely hyperparameters.
+    np.testing.assert_allclose(there.poses, world @ here.poses, atol=2e-5)
+    np.testing.assert_allclose(there.covariances, here.covariances, rtol=2e-2, atol=1e-9)
+
+
+def test_same_hyperparameters_make_it_exactly_equivariant() -> None:
+    samples = Samples.of(smooth(45), Noise(1e-3, 1e-3))
+    world = se3.exp(np.array([10.0, -20.0, 5.0, 1.0, 0.5, -2.0]))
+    moved = dataclasses.replace(samples, poses=world @ samples.poses)
+    times = np.linspace(samples.times[0], samples.times[-1], 300)
+    for joint in (False, True):
+        here, there = (
+            PiecewiseGP.fit(each, joint=joint, hyperparameters=HYPERPARAMETERS).at(times)
+            for each in (samples, moved)
+        )
+        np.testing.assert_allclose(there.poses, world @ here.poses, atol=1e-9)
+        np.testing.assert_allclose(there.covariances, here.covariances, atol=1e-9)
+
+
+def test_a_markov_process_knows_no_direction_of_time() -> None:
+    random = np.random.default_rng(0)
+    times = 0.3 * np.arange(30) + random.uniform(0.0, 0.2, size=30)
+    positions = np.cumsum(random.normal(size=(30, 3)), axis=0)
+    asked = random.uniform(times[0], times[-1], size=50)
+    for order in (1, 2, 3):
+        forth = Process.fit(Positions(), order, times, positions, 0.01, 0.3).interpolator()
+        back = Process.fit(
+            Positions(), order, -times[::-1], positions[::-1], 0.01, 0.3
+        ).interpolator()
+        for one, other in zip(forth.at(asked), back.at(-asked), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10)
+
+
+def test_brownian_motion_is_linear_interpolation() -> None:
+    motion = smooth(30)
+    samples = Samples.of(motion, Noise(1e-7, 1e-7))
+    times = np.linspace(0.01, samples.times[-1] - 0.01, 200)
+    linear = Linear(samples).at(times).poses
+    for manifold, measured, axes in (
+        (Positions(), samples.poses[:, :3, 3], linear[:, :3, 3]),
+        (Rotations(), samples.poses[:, :3, :3], linear[:, :3, :3]),
+    ):
+        process = Process.fit(manifold, 1, samples.times, measured, 1e-7, 1.0)
+        np.testing.assert_allclose(process.interpolator().at(times)[0], axes, atol=1e-9)
+
+
+def test_joint_posterior_agrees_with_single_poses_and_with_its_draws() -> None:
+    samples = Samples.of(smooth(40), Noise())
+    process = MarkovPoses.fit(samples, 2).positions.process
+    asked = np.linspace(1.03, 6.07, 15)
+    joint = JointPosterior.of(process, asked)
+    dense = joint.covariance()
+    single = process.interpolator().at(asked)[1]
+    for place in range(len(asked)):
+        block = dense[3 * place : 3 * place + 3, 3 * place : 3 * place + 3]
+        np.testing.assert_allclose(block, single[place], rtol=1e-6)
+    draws = joint.draws(20000, np.random.default_rng(0)).reshape(20000, -1)
+    sampled = draws.T @ draws / len(draws)
+    scale = np.sqrt(np.diag(dense))
+    assert np.abs((sampled - dense) / np.outer(scale, scale)).max() < 0.05
+    errors = np.random.default_rng(1).normal(scale=0.01, size=(15, 3))
+    with_tolerance = dense + 1e-4 * np.eye(45)
+    expected = -0.5 * (
+        errors.ravel() @ np.linalg.solve(with_tolerance, errors.ravel())
+        + np.linalg.slogdet(2.0 * np.pi * with_tolerance)[1]
+    )
+    found = joint.log_density(errors, np.tile(1e-4 * np.eye(3), (15, 1, 1)))
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+def test_positions_alone_are_enough() -> None:
+    motion = smooth(60)
+    bare = dataclasses.replace(motion, rotations=None)
+    stamps = motion.stamps[:-1] + 90_000_000
+    for model in MODELS:
+        whole, alone = (fit_trajectory(each, model).at(stamps) for each in (motion, bare))
+        if model not in ("paper", "auto"):
+            np.testing.assert_allclose(
+                alone.poses[:, :3, 3], whole.poses[:, :3, 3], rtol=0, atol=1e-7
+            )
+        assert not alone.covariances[:, 3:].any()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_nearly_equal_stamps_are_merged_and_said(model: str) -> None:
+    motion = smooth(60)
+    twice = np.sort(np.r_[np.arange(60), [20, 33, 34]])
+    stamps = motion.stamps[twice].copy()
+    stamps[[21, 35]] += 100
+    near = dataclasses.replace(motion[twice], stamps=stamps)
+    fitted = fit_trajectory(near, model)
+    assert any("2 groundtruth poses were merged" in each for each in fitted.statements)
+    belief = fitted.at(motion.stamps[5:-5] + 50_000_000)
+    assert np.isfinite(belief.poses).all()
+    assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_no_motion_is_said_and_gives_no_confident_number(model: str) -> None:
+    still = dataclasses.replace(
+        smooth(40), positions=np.ones((40, 3)), rotations=Rotation.identity(40)
+    )
+    gap = still[np.r_[np.arange(0, 15), np.arange(30, 40)]]
+    fitted = fit_trajectory(gap, model)
+    assert any("does not move" in each for each in fitted.statements)
+    belief = fitted.at(still.stamps[20:25])
+    assert np.isfinite(belief.covariances).all()
+    # Not surer than half a sample, though nothing ever moved.
+    assert np.linalg.eigvalsh(belief.covariances)[:, 0].min() > 1e-8
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_half_turns_in_a_gap_are_said(model: str) -> None:
+    motion = smooth(40)
+    turns = np.zeros((40, 3))
+    turns[20:, 2] = 3.0
+    wild = dataclasses.replace(motion, rotations=Rotation.from_rotvec(turns))
+    fitted = fit_trajectory(wild, model)
+    assert any("turns by more than 115 deg at 1 place" in each for each in fitted.statements)
+    belief = fitted.at(motion.stamps[:-1] + 100_000_000)
+    assert np.isfinite(belief.poses).all()
+    assert np.isfinite(belief.covariances).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+def test_few_samples(model: str, count: int) -> None:
+    motion = smooth(count)
+    belief = fit_trajectory(motion, model).at(motion.stamps[:-1] + 100_000_000)
+    assert np.isfinite(belief.poses).all()
+    assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()
+
+
+def test_refuses_what_says_nothing() -> None:
+    motion = smooth(10)
+    with pytest.raises(InputError, match="1 pose, and with fewer than two"):
+        fit_trajectory(motion[:1])
+    with pytest.raises(SettingsError, match="no continuous model 'cubic'"):
+        fit_trajectory(motion, "cubic")
+    with pytest.raises(SettingsError, match="must be above zero"):
+        Noise(0.0, 0.1)
+    with pytest.raises(InputError, match="1 of 2 stamps are before or after"):
+        fit_trajectory(motion).at(motion.stamps[[0, -1]] + 1)
+    together = dataclasses.replace(motion, stamps=motion.stamps[0] + np.arange(10))
+    with pytest.raises(InputError, match="within 1e-06 s of each other"):
+        fit_trajectory(together)

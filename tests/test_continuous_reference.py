@@ -1,0 +1,117 @@
+"""Continuous-time models against continuous-time.json, computed once with other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros import se3
+from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, negative_log_likelihood
+from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.kernels import MATERN_52, SQUARED_EXPONENTIAL
+from trajeval_ros.continuous_time.manifolds import Positions, Rotations
+from trajeval_ros.continuous_time.markov import Process
+from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
+from trajeval_ros.continuous_time.samples import Noise, Samples
+
+KERNELS = {"se": SQUARED_EXPONENTIAL, "m52": MATERN_52}
+CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}
+
+
+@pytest.fixture(scope="module")
+def numbers(reference: Any) -> Any:
+    return reference("continuous-time")
+
+
+def test_lie_groups(numbers: Any) -> None:
+    lie = {name: np.array(value) for name, value in numbers["lie"].items()}
+    exact: Any = {"rtol": 1e-12, "atol": 1e-12}
+    np.testing.assert_allclose(se3.exp(lie["xi"]), lie["Exp"], **exact)
+    np.testing.assert_allclose(se3.log(lie["Exp"]), lie["xi"], **exact)
+    np.testing.assert_allclose(se3.adjoint(lie["Exp"]), lie["Ad"], **exact)
+    np.testing.assert_allclose(se3.left_jacobian(lie["xi"]), lie["Jl"], **exact)
+    np.testing.assert_allclose(se3.inverse_left_jacobian(lie["xi"]), lie["Jl_inv"], **exact)
+    determinants = 2.0 * se3.log_determinant(lie["xi"][:, 3:])
+    np.testing.assert_allclose(determinants, lie["logabsdet_Jl"], **exact)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_piecewise_gp_of_eq_30_to_32(numbers: Any, place: int) -> None:
+    given = numbers["piecewise_gp"]
+    case = given["cases"][place]
+    kernel = KERNELS[case["kernel"]]
+    hyperparameters = [Hyperparameters(*case[f"hyper_{name}"]) for name in ("trans", "rot")]
+    noise = Noise(hyperparameters[0].noise, hyperparameters[1].noise)
+    samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
+    process = PiecewiseGP.fit(
+        samples,
+        kernel,
+        joint=case["coords"] == "se3",
+        size=case["n"],
+        hyperparameters=hyperparameters,
+    )
+    for expected, belief in (
+        (case["pou"], process.at(np.array(given["tq"]))),
+        (
+            case["segment1"],
+            process.in_segment(np.ones(3, dtype=np.int64), np.array(case["segment1"]["tq"])),
+        ),
+    ):
+        np.testing.assert_allclose(belief.poses, expected["mean"], **CLOSE)
+        np.testing.assert_allclose(belief.covariances, expected["cov"], **CLOSE)
+    times = process.segments.times
+    lags = times[:, :, None] - times[:, None, :]
+    for block, name in enumerate(("trans", "rot")):
+        value, gradient = negative_log_likelihood(
+            kernel,
+            lags,
+            process.segments.coordinates[..., 3 * block : 3 * block + 3],
+            np.log(case[f"hyper_{name}"]),
+        )
+        assert -value == pytest.approx(case[f"logml_{name}"], rel=1e-11)
+        np.testing.assert_allclose(-gradient, case[f"dlogml_{name}_dlog"], rtol=1e-9)
+
+
+@pytest.mark.parametrize("group", ["r3", "so3"])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_markov_processes(numbers: Any, group: str, order: int) -> None:
+    given = numbers["state_space_gp"]
+    (case,) = (
+        each for each in given["cases"] if each["group"] == group and each["order"] == order
+    )
+    poses, times = np.array(given["T"]), np.array(given["t"])
+    measured = poses[:, :3, 3] if group == "r3" else poses[:, :3, :3]
+    manifold = Positions() if group == "r3" else Rotations()
+    process = Process.fit(manifold, order, times, measured, 0.01, density=0.5)
+    np.testing.assert_allclose(process.states, case["X"], atol=1e-9)
+    assert process.log_likelihood() == pytest.approx(case["logml"], abs=1e-10)
+
+    asked = np.array(given["tq"])
+    inside = asked <= times[-1]
+    interpolator = process.interpolator()
+    states, covariances = interpolator.at(asked[inside])
+    np.testing.assert_allclose(states, np.array(case["query_mean"])[inside], atol=1e-9)
+    np.testing.assert_allclose(interpolator.own[0], case["P0"], rtol=1e-8, atol=1e-12)
+    if "query_cov" in case:
+        expected = np.array(case["query_cov"])[inside]
+        np.testing.assert_allclose(covariances, expected, rtol=1e-9, atol=1e-13)
+    else:
+        expected = np.array(case["query_cov_first_order"])[inside]
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(covariances / scale, expected / scale, atol=1e-3)
+
+
+def test_joint_posterior(numbers: Any) -> None:
+    given = numbers["joint_posterior_r3_wnoj"]
+    process = Process.fit(
+        Positions(), 3, np.array(given["t"]), np.array(given["X"]), 0.01, given["Qc"]
+    )
+    asked = np.array(given["tq"])
+    joint = JointPosterior.of(process, asked)
+    np.testing.assert_allclose(joint.covariance(), given["P_qq"], rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(process.interpolator().at(asked)[0], given["mean"], rtol=1e-8)
+    tolerance = np.tile(given["tolerance_var"] * np.eye(3), (len(asked), 1, 1))
+    density = joint.log_density(np.array(given["residual"]), tolerance)
+    assert density == pytest.approx(given["loglik"], rel=1e-8)
