@@ -1,0 +1,115 @@
+"""Likelihoods against continuous-time.json, computed once with other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros import se3
+from trajeval_ros.continuous_time.samples import Belief
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.likelihood import first_order, relative
+from trajeval_ros.likelihood.alignments import as_similarity
+from trajeval_ros.likelihood.marginal import generalised_absolute_error, laplace, quadrature
+from trajeval_ros.likelihood.positions import position_error
+from trajeval_ros.likelihood.residuals import Residuals
+
+GAUGES = {"se3": Gauge.SE3, "yaw4": Gauge.YAW, "sim3": Gauge.SIM3}
+NODES = {"se3": 9, "yaw4": 15, "sim3": 7}
+TIGHT: Any = {"rtol": 1e-11, "atol": 1e-12}
+
+
+@pytest.fixture(scope="module")
+def numbers(reference: Any) -> Any:
+    return reference("continuous-time")
+
+
+def metric_case(numbers: Any, name: str) -> tuple[Belief, Any, Any]:
+    given = numbers["metrics"]
+    (case,) = (each for each in given["cases"] if each["gauge"] == name)
+    belief = Belief(np.array(given["T_gt"]), np.array(given["Sigma"]))
+    return belief, np.array(case["T_est"]), case
+
+
+def test_relative_error_of_eq_10_to_17(numbers: Any) -> None:
+    belief, estimate, case = metric_case(numbers, "se3")
+    carriers = relative.transports(belief.poses)
+    np.testing.assert_allclose(carriers, case["B"], **TIGHT)
+    errors = relative.relative_errors(belief.poses, estimate)
+    np.testing.assert_allclose(errors, case["e_r"], **TIGHT)
+    diagonal, lower = relative.relative_covariance(carriers, belief.covariances)
+    np.testing.assert_allclose(diagonal, case["Vr_diag"], **TIGHT)
+    np.testing.assert_allclose(se3.transposed(lower), case["Vr_upper"], **TIGHT)
+    found = relative.generalised_relative_error(belief, estimate)
+    np.testing.assert_allclose(found.whitened, case["whitened"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.edges, case["per_edge_prequential_logp"], rtol=1e-9)
+    assert found.log_likelihood == pytest.approx(case["log_P_RE_mp"], rel=1e-11)
+
+
+def test_first_order_absolute_error_of_eq_28(numbers: Any) -> None:
+    belief, estimate, case = metric_case(numbers, "se3")
+    found = first_order.first_order_absolute_error(belief, estimate)
+    assert found.log_likelihood == pytest.approx(case["log_S_AE_mp"], rel=1e-12)
+    np.testing.assert_allclose(found.mean, case["S_AE_gauge_mean_centroid_frame"], rtol=1e-9)
+    np.testing.assert_allclose(
+        found.information, case["S_AE_gauge_information_centroid_frame"], rtol=1e-11, atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("density", ["log", "haar"])
+@pytest.mark.parametrize("name", GAUGES)
+def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
+    belief, estimate, case = metric_case(numbers, name)
+    expected = case[density]
+    residuals = Residuals(belief, estimate, GAUGES[name], density=density)
+    found = generalised_absolute_error(residuals, "laplace")
+    mode = as_similarity(found.mode.element)
+    assert mode.scale == pytest.approx(expected["mode_scale"], abs=1e-9)
+    np.testing.assert_allclose(mode.rotation, expected["mode_R"], atol=1e-9)
+    np.testing.assert_allclose(mode.translation, expected["mode_t"], atol=1e-9)
+    assert found.mode.log_density == pytest.approx(expected["logf_mode"], abs=1e-9)
+    approximate = laplace(found.mode, found.mode.slope.information)
+    assert approximate == pytest.approx(expected["log_L_laplace_gn"], abs=1e-9)
+    np.testing.assert_allclose(found.information, expected["H_full"], rtol=1e-6, atol=1e-3)
+    assert found.log_likelihood == pytest.approx(expected["log_L_laplace_full"], abs=1e-9)
+    np.testing.assert_allclose(residuals.at(found.mode.element), expected["eps_mode"], atol=1e-9)
+    np.testing.assert_allclose(found.mahalanobis2, expected["mahalanobis2_per_pose"], rtol=1e-7)
+    assert found.mahalanobis2.sum() == pytest.approx(expected["nees_total"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "yaw4",
+        pytest.param("se3", marks=pytest.mark.slow),
+        pytest.param("sim3", marks=pytest.mark.slow),
+    ],
+)
+def test_quadrature_of_eq_19(numbers: Any, name: str) -> None:
+    belief, estimate, case = metric_case(numbers, name)
+    residuals = Residuals(belief, estimate, GAUGES[name])
+    found = generalised_absolute_error(residuals, "laplace")
+    value = quadrature(found, NODES[name])
+    assert value == pytest.approx(case["haar"]["log_L_quadrature"], abs=1e-9)
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_positions_alone(numbers: Any, place: int) -> None:
+    given = numbers["position_only"]
+    case = given["cases"][place]
+    gauge = GAUGES[case["gauge"]]
+    truth = np.array(given["P_gt"])
+    estimate = np.array(given[f"P_est_{case['gauge']}"])
+    found = position_error(truth, estimate, case["sigma"], gauge)
+    assert found == pytest.approx(case["log_L_exact"], rel=1e-11, abs=1e-9)
+    covariances = np.tile(np.diag([case["sigma"] ** 2] * 3 + [0.0] * 3), (len(truth), 1, 1))
+    residuals = Residuals(
+        Belief(se3.poses(np.eye(3), truth), covariances),
+        se3.poses(np.eye(3), estimate),
+        gauge,
+        oriented=False,
+    )
+    by_laplace = generalised_absolute_error(residuals, "laplace")
+    assert by_laplace.log_likelihood == pytest.approx(case["log_L_laplace"], abs=1e-7)

@@ -1,0 +1,117 @@
+"""The most likely alignment: Gauss-Newton from a weighted alignment of positions and rotations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.likelihood.residuals import Residuals, Slope
+
+Array = NDArray[np.float64]
+
+_MOST_ITERATIONS = 100
+# Stop where the next step is so small a share of the alignment's own uncertainty.
+_SMALL_STEP = 1e-10
+_MOST_DAMPING = 1e8
+# Of the information, scaled to a unit diagonal: below this a direction is not seen at all.
+_UNSEEN = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """The most likely alignment.
+
+    Attributes:
+        element: (4, 4).
+        log_density: Eq. (18) there.
+        slope: There.
+    """
+
+    element: Array
+    log_density: float
+    slope: Slope
+
+
+def find_mode(residuals: Residuals) -> Mode:
+    """Return the alignment that maximises eq. (18).
+
+    Raises:
+        DegenerateGeometryError: The poses leave a direction of the gauge open, or a groundtruth
+            pose is exactly known.
+    """
+    _ = residuals.root  # says so if there is none, before anything is divided by a variance
+    element = _first_alignment(residuals)
+    value = float(residuals.log_density(element[None])[0])
+    damping = 0.0
+    for _ in range(_MOST_ITERATIONS):
+        slope = residuals.slope(element)
+        if not residuals.chart.dimension:
+            break
+        scale = _scaled(slope.information)
+        while True:
+            damped = slope.information * scale * scale[:, None] + damping * np.eye(len(scale))
+            step = scale * np.linalg.solve(damped, scale * slope.gradient)
+            tried = residuals.chart.elements(step[None])[0] @ element
+            tried_value = float(residuals.log_density(tried[None])[0])
+            if tried_value >= value - 1e-12 * abs(value) or damping > _MOST_DAMPING:
+                break
+            damping = max(10.0 * damping, 1e-6)
+        small = step @ slope.information @ step < _SMALL_STEP**2 * max(1.0, abs(value) * 1e-6)
+        element, value = tried, tried_value
+        damping = damping / 10.0 if damping > 1e-7 else 0.0
+        if small:
+            break
+    return Mode(element, value, residuals.slope(element))
+
+
+def _scaled(information: Array) -> Array:
+    """Return what scales an information matrix to a unit diagonal.
+
+    Raises:
+        DegenerateGeometryError: It is singular.
+    """
+    diagonal = np.diag(information)
+    if (diagonal > 0.0).all():
+        scale: Array = 1.0 / np.sqrt(diagonal)
+        if np.linalg.eigvalsh(information * scale * scale[:, None])[0] > _UNSEEN:
+            return scale
+    raise DegenerateGeometryError(
+        "the poses leave a direction of the gauge open, over which no likelihood can be "
+        "integrated: a body at rest has no scale, and positions on a line no roll about it; "
+        "choose a gauge that leaves less open"
+    )
+
+
+def _first_alignment(residuals: Residuals) -> Array:
+    """Return an alignment to start from: rotations and positions, each by its mean variance."""
+    gauge, covariances = residuals.gauge, residuals.covariances
+    truth, other = residuals.belief.poses, residuals.estimate
+    p, q = truth[:, :3, 3], other[:, :3, 3]
+    weights = 3.0 / np.trace(covariances[:, :3, :3], axis1=1, axis2=2)
+    total = float(weights.sum())
+    p_mean, q_mean = weights @ p / total, weights @ q / total
+    if not gauge.has_translation:
+        return np.eye(4)
+    if not len(residuals.chart.axes):
+        return se3.poses(np.eye(3), p_mean - q_mean)
+    spread = (weights[:, None] * (p - p_mean)).T @ (q - q_mean)
+    turns = np.zeros((3, 3))
+    if residuals.oriented:
+        known = 3.0 / np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2)
+        turns = np.einsum("n,nij,nkj->ik", known, truth[:, :3, :3], other[:, :3, :3])
+    size = float(weights @ np.square(q - q_mean).sum(axis=1))
+    scale = 1.0
+    for _ in range(3 if gauge.has_scale else 1):
+        both = turns + scale * spread
+        if gauge.turns_freely:
+            u, _, vt = np.linalg.svd(both)
+            rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        else:
+            rotation = lie.exp(np.array([0.0, 0.0, lie.yaw_of_matrix(both)]))
+        if gauge.has_scale and size > 0.0:
+            scale = max(float(np.vdot(spread, rotation)) / size, 1e-6)
+    return se3.poses(scale * rotation, p_mean - scale * rotation @ q_mean)

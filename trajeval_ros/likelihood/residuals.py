@@ -1,0 +1,166 @@
+"""An estimate's density given an alignment: eq. (18) and (20) of the probabilistic paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie, se3
+from trajeval_ros.continuous_time.samples import Belief
+from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.likelihood.alignments import Chart, act
+from trajeval_ros.likelihood.relative import LOG_2_PI
+
+Array = NDArray[np.float64]
+
+DENSITIES = ("haar", "log")
+# Rows that stay in a core's cache, and poses times alignments that fit in memory.
+_ROWS, _MOST_AT_ONCE = 8192, 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """What the log density does about one alignment.
+
+    Attributes:
+        gradient: (d,), of the log density by the chart's coordinates.
+        information: (d, d), of Gauss and Newton.
+        whitened: (M, k), residuals of unit variance.
+    """
+
+    gradient: Array
+    information: Array
+    whitened: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Groundtruth, estimate and gauge: everything that a likelihood depends on.
+
+    Attributes:
+        belief: M groundtruth poses, independent of each other.
+        estimate: (M, 4, 4), in its own frame.
+        gauge: What the alignment may change.
+        oriented: False to compare positions alone; residuals then have 3 axes, otherwise 6.
+        density: `haar`, densities by the volume of the group, under which marginals are exact and
+            invariant; or `log`, the paper's, Gaussian in logarithms.
+    """
+
+    belief: Belief
+    estimate: Array
+    gauge: Gauge
+    oriented: bool = True
+    density: str = "haar"
+
+    def __post_init__(self) -> None:
+        """Refuse what has no density."""
+        if self.density not in DENSITIES:
+            raise SettingsError(
+                f"there is no density {self.density!r}; use one of {', '.join(DENSITIES)}"
+            )
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.estimate)
+
+    @property
+    def axes(self) -> int:
+        """Directions of a residual, 6 or 3."""
+        return 6 if self.oriented else 3
+
+    @cached_property
+    def chart(self) -> Chart:
+        """The chart about the middle of the groundtruth."""
+        return Chart(self.gauge, self.belief.poses[:, :3, 3].mean(axis=0))
+
+    @cached_property
+    def covariances(self) -> Array:
+        """Of the residuals, (M, k, k)."""
+        return self.belief.covariances[:, : self.axes, : self.axes]
+
+    @cached_property
+    def root(self) -> Array:
+        """W (M, k, k) with W S W^T = 1.
+
+        Raises:
+            DegenerateGeometryError: A groundtruth pose is exactly known.
+        """
+        try:
+            return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariances)))
+        except np.linalg.LinAlgError as error:
+            raise DegenerateGeometryError(
+                "a groundtruth pose is exactly known in some direction, and any error there is "
+                "infinitely unlikely; give the groundtruth some noise in all directions"
+            ) from error
+
+    @cached_property
+    def _constant(self) -> float:
+        roots = np.einsum("nii->ni", self.root)
+        return float(np.log(roots).sum()) - 0.5 * self.axes * len(self) * LOG_2_PI
+
+    @cached_property
+    def _inverse(self) -> Array:
+        return se3.inverse(self.belief.poses)
+
+    @cached_property
+    def _carried(self) -> Array:
+        return se3.adjoint(self._inverse)
+
+    def at(self, elements: Array) -> Array:
+        """Return eps_i (..., M, k), eq. (20), for alignments (..., 4, 4).
+
+        Positions alone are compared along the body's axes, as covariances are given.
+        """
+        missed = self._inverse @ act(elements[..., None, :, :], self.estimate)
+        return se3.log(missed) if self.oriented else missed[..., :3, 3]
+
+    def log_density(self, elements: Array) -> Array:
+        """Return log p(X | X_gt, g) (K,), eq. (18), for alignments (K, 4, 4)."""
+        values = np.empty(len(elements))
+        block = max(1, _MOST_AT_ONCE // len(self))
+        for begin in range(0, len(elements), block):
+            some = slice(begin, begin + block)
+            residuals = self.at(elements[some])
+            squared = np.square(se3.times(self.root, residuals)).sum(axis=(1, 2))
+            values[some] = self._constant - 0.5 * squared
+            if self._curved:
+                values[some] -= 2.0 * se3.log_determinant(residuals[..., 3:]).sum(axis=1)
+        return values
+
+    def slope(self, element: Array) -> Slope:
+        """Return gradient and information at one alignment (4, 4).
+
+        d eps_i / d delta = J_l^-1(eps_i) Ad(T_i)^-1 G_i, exactly.
+        """
+        gradient = np.zeros(self.chart.dimension)
+        information = np.zeros((len(gradient), len(gradient)))
+        whitened = np.empty((len(self), self.axes))
+        moved = act(element, self.estimate)
+        for begin in range(0, len(self), _ROWS):
+            some = slice(begin, begin + _ROWS)
+            missed = self._inverse[some] @ moved[some]
+            by_delta = self._carried[some] @ self.chart.twists(moved[some, :3, 3])
+            if self.oriented:
+                residuals = se3.log(missed)
+                by_delta = se3.inverse_left_jacobian(residuals) @ by_delta
+            else:
+                # Of a point, not of a body: what turns with the body moves it, too.
+                residuals = missed[..., :3, 3]
+                by_delta = by_delta[:, :3] - lie.skew(residuals) @ by_delta[:, 3:]
+            root = self.root[some]
+            whitened[some] = se3.times(root, residuals)
+            jacobian = (root @ by_delta).reshape(-1, len(gradient))
+            gradient -= jacobian.T @ whitened[some].ravel()
+            information += jacobian.T @ jacobian
+            if self._curved:
+                volume = se3.log_determinant_gradient(residuals[:, 3:])
+                gradient -= 2.0 * np.einsum("nid,ni->d", by_delta[:, 3:], volume)
+        return Slope(gradient, information, whitened)
+
+    @property
+    def _curved(self) -> bool:
+        return self.oriented and self.density == "haar"
