@@ -47,7 +47,7 @@ def test_piecewise_gp_of_eq_30_to_32(numbers: Any, place: int) -> None:
     samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
     process = PiecewiseGP.fit(
         samples,
-        kernel,
+        (kernel,),
         joint=case["coords"] == "se3",
         size=case["n"],
         hyperparameters=hyperparameters,
@@ -113,5 +113,5 @@ def test_joint_posterior(numbers: Any) -> None:
     np.testing.assert_allclose(joint.covariance(), given["P_qq"], rtol=1e-8, atol=1e-14)
     np.testing.assert_allclose(process.interpolator().at(asked)[0], given["mean"], rtol=1e-8)
     tolerance = np.tile(given["tolerance_var"] * np.eye(3), (len(asked), 1, 1))
-    density = joint.log_density(np.array(given["residual"]), tolerance)
+    density = joint.observed(tolerance).log_density(np.array(given["residual"]))
     assert density == pytest.approx(given["loglik"], rel=1e-8)

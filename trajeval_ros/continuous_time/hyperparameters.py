@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from trajeval_ros.continuous_time.kernels import Kernel
 
 Array = NDArray[np.float64]
 
-_MOST_SEGMENTS = 200
+_MOST_SEGMENTS = 100
 _IMPOSSIBLE = 1e25
 # Where to start: two lengths, in steps of the samples.
 _STARTS = (2.0, 6.0)
@@ -34,12 +35,12 @@ class Hyperparameters:
 
 
 def most_likely(
-    kernel: Kernel, times: Array, targets: Array, noise: float, usual_step_s: float
-) -> Hyperparameters:
-    """Return the hyperparameters that make the samples of all segments most likely.
+    kernels: Sequence[Kernel], times: Array, targets: Array, noise: float, usual_step_s: float
+) -> tuple[Kernel, Hyperparameters]:
+    """Return the kernel and hyperparameters that make the samples of all segments most likely.
 
     Args:
-        kernel: Its form.
+        kernels: Forms to choose from.
         times: (S, n), of the samples of each segment, seconds.
         targets: (S, n, 3), coordinates: three processes alike.
         noise: Standard deviation of samples, known.
@@ -57,25 +58,30 @@ def most_likely(
         (log_step + np.log(0.3), np.log(200.0 * usual_step_s + 10.0)),
     ]
 
-    def cost(parameters: Array) -> tuple[float, Array]:
-        value, gradient = negative_log_likelihood(
-            kernel, lags, targets, np.append(parameters, np.log(noise))
-        )
-        return value, gradient[:2]
+    def best_of(kernel: Kernel) -> OptimizeResult:
+        def cost(parameters: Array) -> tuple[float, Array]:
+            value, gradient = negative_log_likelihood(
+                kernel, lags, targets, np.append(parameters, np.log(noise))
+            )
+            return value, gradient[:2]
 
-    results = [
-        minimize(
-            cost,
-            [log_spread, log_step + np.log(start)],
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxfun": 60},
-        )
-        for start in _STARTS
-    ]
-    best = min(results, key=lambda result: float(result.fun))
-    return Hyperparameters(float(np.exp(best.x[0])), float(np.exp(best.x[1])), noise)
+        results = [
+            minimize(
+                cost,
+                [log_spread, log_step + np.log(start)],
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxfun": 60},
+            )
+            for start in _STARTS
+        ]
+        return min(results, key=lambda result: float(result.fun))
+
+    found = [(kernel, best_of(kernel)) for kernel in kernels]
+    kernel, best = min(found, key=lambda each: float(each[1].fun))
+    sigma, length = np.exp(best.x).tolist()
+    return kernel, Hyperparameters(sigma, length, noise)
 
 
 def negative_log_likelihood(

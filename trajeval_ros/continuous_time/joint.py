@@ -76,27 +76,58 @@ class JointPosterior:
         joint: Array = self.factor.solve(columns)[self.rows, :3].reshape(3 * count, 3 * count)
         return joint
 
+    def marginals(self) -> Array:
+        """Return the covariances (Q, 3, 3) of single queries."""
+        return self.factor.inverse_blocks()[0][self.rows, :3, :3]
+
     def draws(self, count: int, random: np.random.Generator) -> Array:
         """Return draws (count, Q, 3) of the error at the queries."""
         white = random.normal(size=(*self.factor.scale.shape, count))
         return np.moveaxis(self.factor.coloured(white)[self.rows, :3], -1, 0)
 
-    def log_density(self, errors: Array, tolerance: Array) -> float:
-        """Return log N(errors; 0, P + R) in O(N), by the matrix inversion lemma.
+    def times(self, vectors: Array) -> Array:
+        """Return P v for v (Q, 3, k), in O(Q) and without P."""
+        spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))
+        np.add.at(spread[:, :3], self.rows, vectors)
+        product: Array = self.factor.solve(spread)[self.rows, :3]
+        return product
 
-        Args:
-            errors: (Q, 3), at the queries.
-            tolerance: R, (Q, 3, 3), of errors that are independent of each other.
-        """
-        inverse = np.linalg.inv(tolerance)
+    def observed(self, tolerance: Array) -> ObservedPosterior:
+        """Add errors that are independent of each other, of covariances R (Q, 3, 3)."""
+        inverse = np.asarray(np.linalg.inv(tolerance))
         blocks = self.blocks.copy()
         np.add.at(blocks[:, :3, :3], self.rows, inverse)
         both = Factor.of(blocks, self.lower)
-        weighted = np.einsum("qij,qj->qi", inverse, errors)
-        spread = np.zeros_like(self.factor.scale)
-        np.add.at(spread[:, :3], self.rows, weighted)
-        explained = np.vdot(spread, both.solve(spread))
-        surprise = np.vdot(errors, weighted) - explained
         determinant = both.log_determinant - self.factor.log_determinant
         determinant += float(np.linalg.slogdet(tolerance)[1].sum())
-        return -0.5 * float(surprise + determinant + errors.size * np.log(2.0 * np.pi))
+        return ObservedPosterior(both, self.rows, inverse, determinant)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPosterior:
+    """The covariance P + R of what is seen at the queries, by the matrix inversion lemma.
+
+    Attributes:
+        factor: Of the process's information with that of the queries.
+        rows: (Q,), the knots of the queries.
+        inverse: R^-1, (Q, 3, 3).
+        log_determinant: Of P + R.
+    """
+
+    factor: Factor
+    rows: Indices
+    inverse: Array
+    log_determinant: float
+
+    def solve(self, errors: Array) -> Array:
+        """Return (P + R)^-1 x for x (Q, 3, k), in O(Q)."""
+        weighted = self.inverse @ errors
+        spread = np.zeros((*self.factor.scale.shape, errors.shape[-1]))
+        np.add.at(spread[:, :3], self.rows, weighted)
+        solved: Array = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :3]
+        return solved
+
+    def log_density(self, errors: Array) -> float:
+        """Return log N(errors; 0, P + R) of errors (Q, 3)."""
+        squared = float(np.vdot(errors, self.solve(errors[..., None])[..., 0]))
+        return -0.5 * (squared + self.log_determinant + errors.size * float(np.log(2.0 * np.pi)))

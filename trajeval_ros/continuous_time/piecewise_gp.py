@@ -31,14 +31,14 @@ class PiecewiseGP:
 
     Attributes:
         segments: With their samples.
-        kernel: Of all processes.
-        hyperparameters: Of the three translations, and of the three rotations where there are any.
+        kernels: Of the three translations, and of the three rotations where there are any.
+        hyperparameters: Likewise.
         roots: For each of these, L^-1 (S, n, n) of K = L L^T.
         weights: For each of these, K^-1 y (S, n, 3).
     """
 
     segments: Segments
-    kernel: Kernel
+    kernels: tuple[Kernel, ...]
     hyperparameters: tuple[Hyperparameters, ...]
     roots: tuple[Array, ...]
     weights: tuple[Array, ...]
@@ -47,7 +47,7 @@ class PiecewiseGP:
     def fit(
         cls,
         samples: Samples,
-        kernel: Kernel = MATERN_52,
+        kernels: Sequence[Kernel] = (MATERN_52,),
         *,
         joint: bool = False,
         size: int = SIZE,
@@ -57,31 +57,31 @@ class PiecewiseGP:
 
         Args:
             samples: Of the trajectory.
-            kernel: Its form.
+            kernels: Forms to choose from, by the likelihood of the samples.
             joint: Use coordinates of se(3), as the paper does.
             size: Samples in a segment.
-            hyperparameters: Those to use; by default the most likely ones.
+            hyperparameters: Those to use, with the first kernel; by default the most likely ones.
         """
         segments = Segments.of(samples, size, joint=joint)
         sigmas = samples.noise.per_axis(samples.oriented)
-        if hyperparameters is None:
-            hyperparameters = [
-                most_likely(
-                    kernel,
-                    segments.times,
-                    _axes(segments.coordinates, block),
-                    sigma,
-                    samples.usual_step_s,
-                )
-                for block, sigma in enumerate(sigmas)
-            ]
+        chosen = [(kernels[0], each) for each in hyperparameters or ()] or [
+            most_likely(
+                kernels,
+                segments.times,
+                _axes(segments.coordinates, block),
+                sigma,
+                samples.usual_step_s,
+            )
+            for block, sigma in enumerate(sigmas)
+        ]
         roots, weights = [], []
-        for block, each in enumerate(hyperparameters):
+        for block, (kernel, each) in enumerate(chosen):
             root = _inverse_roots(kernel, segments.times, each)
             roots.append(root)
             target = _axes(segments.coordinates, block)
             weights.append(se3.transposed(root) @ (root @ target))
-        return cls(segments, kernel, tuple(hyperparameters), tuple(roots), tuple(weights))
+        forms, numbers = zip(*chosen, strict=True)
+        return cls(segments, forms, numbers, tuple(roots), tuple(weights))
 
     def at(self, times: Array) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
@@ -99,7 +99,7 @@ class PiecewiseGP:
         for block, each in enumerate(self.hyperparameters):
             axes = slice(3 * block, 3 * block + 3)
             prior = each.sigma**2
-            near = prior * self.kernel.between(lags, each.length)
+            near = prior * self.kernels[block].between(lags, each.length)
             means[:, axes] = np.einsum("qn,qnc->qc", near, self.weights[block][segment])
             explained = np.square(se3.times(self.roots[block][segment], near)).sum(axis=1)
             # Rounding must not make a variance negative where samples explain all of it.

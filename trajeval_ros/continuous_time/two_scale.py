@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.blending import blended
-from trajeval_ros.continuous_time.kernels import MATERN_52, Kernel
+from trajeval_ros.continuous_time.kernels import Kernel
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Samples
 from trajeval_ros.continuous_time.segments import smooth_step
@@ -41,18 +42,16 @@ class TwoScaleGP:
     gaps: Indices
 
     @classmethod
-    def fit(
-        cls, samples: Samples, kernel: Kernel = MATERN_52, *, joint: bool = False
-    ) -> TwoScaleGP:
+    def fit(cls, samples: Samples, kernels: Sequence[Kernel]) -> TwoScaleGP:
         """Fit both; arguments as of `PiecewiseGP.fit`."""
-        fine = PiecewiseGP.fit(samples, kernel, joint=joint)
+        fine = PiecewiseGP.fit(samples, kernels)
         gaps, coarse = samples.gaps, None
         if len(gaps):
             usual = samples.usual_step_s
             wanted = float(np.median(np.diff(samples.times)[gaps])) / _STEPS_PER_GAP
             step = max(min(wanted, _COARSEST_S), usual)
             if step > _WORTHWHILE * usual:
-                coarse = PiecewiseGP.fit(samples[thinned(samples, step)], kernel, joint=joint)
+                coarse = PiecewiseGP.fit(samples[thinned(samples, step)], kernels)
         return cls(fine, coarse, samples.times, gaps)
 
     def at(self, times: Array) -> Belief:

@@ -51,7 +51,7 @@ def find_mode(residuals: Residuals) -> Mode:
         slope = residuals.slope(element)
         if not residuals.chart.dimension:
             break
-        scale = _scaled(slope.information)
+        scale = unit_diagonal(slope.information)
         while True:
             damped = slope.information * scale * scale[:, None] + damping * np.eye(len(scale))
             step = scale * np.linalg.solve(damped, scale * slope.gradient)
@@ -68,8 +68,8 @@ def find_mode(residuals: Residuals) -> Mode:
     return Mode(element, value, residuals.slope(element))
 
 
-def _scaled(information: Array) -> Array:
-    """Return what scales an information matrix to a unit diagonal.
+def unit_diagonal(information: Array) -> Array:
+    """Return what scales an information matrix (d, d) to a unit diagonal, (d,).
 
     Raises:
         DegenerateGeometryError: It is singular.

@@ -153,7 +153,7 @@ class Residuals:
                 by_delta = by_delta[:, :3] - lie.skew(residuals) @ by_delta[:, 3:]
             root = self.root[some]
             whitened[some] = se3.times(root, residuals)
-            jacobian = (root @ by_delta).reshape(-1, len(gradient))
+            jacobian = (root @ by_delta).reshape(self.axes * len(root), len(gradient))
             gradient -= jacobian.T @ whitened[some].ravel()
             information += jacobian.T @ jacobian
             if self._curved:
