@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.alignment import align
 from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.gauge import Gauge
 from trajeval_ros.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -35,9 +37,13 @@ class Flight:
     estimates: tuple[Trajectory, ...]
 
     def true_ate_m(self, place: int) -> float:
-        """Return the position rmse of an estimate, unaligned."""
-        missed = self.estimates[place].positions - self.truth.positions
-        return float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
+        """Return the position rmse of an estimate, aligned with the flight itself."""
+        return plain_ate_m(self.truth.positions, self.estimates[place].positions)
+
+
+def plain_ate_m(groundtruth: Array, estimate: Array) -> float:
+    aligned = align(Gauge.SE3, groundtruth, estimate).similarity.positions(estimate)
+    return float(np.sqrt(np.mean(np.sum((aligned - groundtruth) ** 2, axis=1))))
 
 
 def fly(

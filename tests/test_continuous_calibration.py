@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from decimated import Decimated, decimated, score
 
+from trajeval_ros.continuous_time.models import DEFAULT_MODEL
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.continuous_time.trajectory import DEFAULT_MODEL, fit_trajectory
+from trajeval_ros.continuous_time.trajectory import fit_trajectory
 from trajeval_ros.trajectory import Trajectory
 
 RECORDINGS = {

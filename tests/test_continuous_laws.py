@@ -24,9 +24,10 @@ from trajeval_ros.continuous_time.joint import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Process
+from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.continuous_time.trajectory import MODELS, MarkovPoses, fit_trajectory
+from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.trajectory import Trajectory
 

@@ -6,11 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flights import DRIFTS_M, Flight, fly
+from flights import DRIFTS_M, Flight, fly, plain_ate_m
 from numpy.typing import NDArray
 
 from trajeval_ros import se3
-from trajeval_ros.alignment import align
 from trajeval_ros.continuous_time.joint import JointPosterior
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
@@ -22,11 +21,6 @@ from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
 Array = NDArray[np.float64]
 _NOISE = Noise()
-
-
-def plain_ate(groundtruth: Array, estimate: Array) -> float:
-    aligned = align(Gauge.SE3, groundtruth, estimate).similarity.positions(estimate)
-    return float(np.sqrt(np.mean(np.sum((aligned - groundtruth) ** 2, axis=1))))
 
 
 @cache
@@ -42,8 +36,8 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
     nearest = fit_trajectory(flight.groundtruth, "nearest").at(stamps).poses[:, :3, 3]
     estimates = [each.positions for each in flight.estimates]
     return (
-        np.array([plain_ate(flight.truth.positions, each) for each in estimates]),
-        np.array([plain_ate(nearest, each) for each in estimates]),
+        np.array([plain_ate_m(flight.truth.positions, each) for each in estimates]),
+        np.array([plain_ate_m(nearest, each) for each in estimates]),
         [
             uncertain_ate(
                 belief.poses[:, :3, 3], covariances, each, Gauge.SE3, _NOISE.position_m, joint

@@ -1,31 +1,37 @@
 """Association: which groundtruth belongs to which estimated state.
 
 `linear` interpolates the groundtruth at the estimate's stamps, never across a gap and never
-beyond its ends. `nearest` pairs one to one, closest first. The other methods reproduce a
-tool or a benchmark: `rpg` and `evo` by name, and `index` pairs row by row.
+beyond its ends. `continuous` asks a model of the groundtruth's motion, also in gaps. `nearest`
+pairs one to one, closest first. The other methods reproduce a tool or a benchmark: `rpg` and
+`evo` by name, and `index` pairs row by row.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros import lie
+from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
+from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory, add_counts
+
+if TYPE_CHECKING:
+    from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
 
 Indices = NDArray[np.int64]
 _ROUNDS = 8
 _LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
 _LATEST_CLOCK_S = 5e9  # the year 2128
-METHODS = ("linear", "nearest", "rpg", "evo", "index")
+METHODS = ("linear", "continuous", "nearest", "rpg", "evo", "index")
 
 
 @dataclass(frozen=True)
@@ -37,12 +43,16 @@ class AssociationRule:
         max_time_difference_s: Largest difference of stamps in a pair, for the nearest kinds.
         max_gap_s: Longest step between two groundtruth states to interpolate across.
         time_offset_s: Added to the estimate's stamps before pairing.
+        model: For `continuous`: how the groundtruth moves between its samples.
+        noise: For `continuous`: of the groundtruth's samples.
     """
 
     method: str = "linear"
     max_time_difference_s: float = 0.02
     max_gap_s: float = 0.5
     time_offset_s: float = 0.0
+    model: str = DEFAULT_MODEL
+    noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
         """Refuse what no rule can mean."""
@@ -55,6 +65,10 @@ class AssociationRule:
                 raise SettingsError(
                     f"{name} must be above 0 and at most {_LONGEST_S:g}, not {getattr(self, name)}"
                 )
+        if self.model not in MODELS:
+            raise SettingsError(
+                f"there is no continuous model {self.model!r}; use one of {', '.join(MODELS)}"
+            )
         if not abs(self.time_offset_s) <= _LATEST_CLOCK_S:
             raise SettingsError(
                 f"the time offset must be within {_LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
@@ -72,6 +86,7 @@ class Association:
         estimate_coverage: Share of the estimate's usable states that are in a pair.
         groundtruth_coverage: Share of the groundtruth's time that pairs span, gaps left out.
         dropped: Number of estimated states that are in no pair, by reason.
+        continuous: The groundtruth's model, of method `continuous`.
     """
 
     rule: AssociationRule
@@ -80,6 +95,7 @@ class Association:
     estimate_coverage: float
     groundtruth_coverage: float
     dropped: dict[str, int]
+    continuous: ContinuousTrajectory | None = None
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -97,12 +113,18 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     estimate.require_usable()
     offset = round(rule.time_offset_s * NANOSECONDS)
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + offset)
+    continuous = None
     by_row = rule.method == "index" or not (groundtruth.stamped and estimate.stamped)
     if by_row:
         rule = dataclasses.replace(rule, method="index")
         truth, rows, dropped = _by_index(groundtruth, estimate)
     elif rule.method == "linear":
         truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
+    elif rule.method == "continuous":
+        from trajeval_ros.continuous_time.trajectory import fit_trajectory
+
+        continuous = fit_trajectory(groundtruth.in_order(), rule.model, rule.noise)
+        truth, rows, dropped = _modelled(groundtruth, shifted, continuous)
     else:
         truth_rows, rows = _NEAREST[rule.method](groundtruth, shifted, rule)
         truth = groundtruth[truth_rows]
@@ -125,7 +147,36 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
             rule.max_gap_s,
         ),
         dropped=add_counts(estimate.dropped, dropped),
+        continuous=continuous,
     )
+
+
+def _modelled(
+    groundtruth: Trajectory, estimate: Trajectory, continuous: ContinuousTrajectory
+) -> tuple[Trajectory, Indices, dict[str, int]]:
+    """Take the most likely groundtruth poses at the estimate's stamps, gaps or not."""
+    rows = np.flatnonzero(continuous.covers(estimate.stamps))
+    stamps = estimate.stamps[rows]
+    poses = continuous.at(stamps).poses
+    oriented = groundtruth.rotations is not None
+    truth = dataclasses.replace(
+        groundtruth,
+        stamps=stamps,
+        positions=np.ascontiguousarray(poses[:, :3, 3]),
+        rotations=Rotation.from_matrix(poses[:, :3, :3]) if oriented else None,
+        velocities=None,
+        gyroscope_biases=None,
+        accelerometer_biases=None,
+        covariances=None,
+    )
+    return truth, rows, _outside(groundtruth.stamps, estimate.stamps)
+
+
+def _outside(times: Indices, stamps: Indices) -> dict[str, int]:
+    return {
+        "before_groundtruth": int(np.count_nonzero(stamps < times.min())),
+        "after_groundtruth": int(np.count_nonzero(stamps > times.max())),
+    }
 
 
 def _interpolated(

@@ -33,8 +33,16 @@ class CovarianceSettings:
     groundtruth_noise: tuple[float, float] | None = None
 
     @classmethod
-    def parse(cls, source: str, frame: str, noise: str | None) -> CovarianceSettings:
+    def parse(
+        cls, source: str, frame: str, noise: str | None, *, continuous: bool = False
+    ) -> CovarianceSettings:
         """Read `--covariance`, `--rotation-covariance-frame` and `--groundtruth-noise`.
+
+        Args:
+            source: Of the covariances.
+            frame: Of the messages' rotation covariances.
+            noise: Of the groundtruth's samples.
+            continuous: Whether the association asks for the noise, too.
 
         Raises:
             SettingsError: They mean nothing, or nothing together.
@@ -44,10 +52,15 @@ class CovarianceSettings:
                 f"there is no rotation covariance frame {frame!r}; use world, or body for "
                 "OpenVINS and others that perturb rotations on the right"
             )
-        if noise is not None and source == NONE:
+        if noise is not None and source == NONE and not continuous:
             raise SettingsError(
-                "--groundtruth-noise is for the consistency of covariances; add --covariance "
-                "message or --covariance FILE.npz"
+                "--groundtruth-noise is for likelihoods and for the consistency of covariances; "
+                "add --covariance message, --covariance FILE.npz or --association continuous"
+            )
+        if continuous and source != NONE:
+            raise SettingsError(
+                "--covariance judges against samples of the groundtruth, and association "
+                "continuous also where there are none; use association linear or nearest"
             )
         if frame == "body" and source != MESSAGE:
             raise SettingsError(

@@ -12,7 +12,9 @@ from trajeval_ros.cli.consistency import CovarianceSettings
 from trajeval_ros.cli.names import names_of
 from trajeval_ros.cli.outcome import deliver
 from trajeval_ros.cli.pictures import Pictures
+from trajeval_ros.cli.probabilistic import CONTINUOUS, assessed, with_model
 from trajeval_ros.cli.progress import progress
+from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.gauge import MODALITIES, Gauge
@@ -98,7 +100,8 @@ def evaluate(
         str | None,
         typer.Option(
             help="linear, the default, interpolates the groundtruth at the estimate's stamps; "
-            "nearest pairs stamps one to one.",
+            "nearest pairs stamps one to one; continuous knows how uncertain the groundtruth is "
+            "between its samples, and says how likely the estimate is.",
             rich_help_panel=PAIR,
         ),
     ] = None,
@@ -118,6 +121,23 @@ def evaluate(
         float | None,
         typer.Option(
             metavar="S", help="Added to the estimate's stamps, seconds.", rich_help_panel=PAIR
+        ),
+    ] = None,
+    continuous_model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"For association continuous: {', '.join(MODELS)}. Default: {DEFAULT_MODEL}.",
+            rich_help_panel=PAIR,
+        ),
+    ] = None,
+    groundtruth_noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="P,R",
+            help="Standard deviations of the groundtruth's samples: position (m), rotation (deg). "
+            "For association continuous (0.002,0.1) and --covariance.",
+            rich_help_panel=PAIR,
         ),
     ] = None,
     lengths: Annotated[
@@ -162,14 +182,6 @@ def evaluate(
             rich_help_panel=CONSISTENCY,
         ),
     ] = "world",
-    groundtruth_noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="P,R",
-            help="Standard deviations of the groundtruth: position (m), rotation (deg).",
-            rich_help_panel=CONSISTENCY,
-        ),
-    ] = None,
     json: Annotated[
         str | None,
         typer.Option(
@@ -238,6 +250,10 @@ def evaluate(
     Whether the estimator is as sure as it should be, from the covariances in its messages:
 
         trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
+
+    Slow groundtruth with dropouts, such as RTK or a total station of 2 Hz and 1 cm:
+
+        trajeval evaluate -g rtk.txt -e vio.txt --association continuous --groundtruth-noise 0.01,1
     """
     settings = protocol_from(
         protocol,
@@ -253,17 +269,23 @@ def evaluate(
         re_form=re_form,
     )
     covariances = CovarianceSettings.parse(
-        covariance, rotation_covariance_frame, groundtruth_noise
+        covariance,
+        rotation_covariance_frame,
+        groundtruth_noise,
+        continuous=settings.association.method == CONTINUOUS,
     )
+    settings = with_model(settings, continuous_model, covariances.groundtruth_noise)
     requirements = [Requirement.parse(text) for text in require or []]
     pictures = Pictures(rrd=rrd, viewer=viewer, in_output=True)
     pictures.check()
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0], strict=strict)
-    runs = [
-        _run(source, name, truth, settings, covariances, strict=strict)
-        for source, name in zip(estimate, names[1:], strict=True)
-    ]
+    runs = assessed(
+        [
+            _run(source, name, truth, settings, covariances, strict=strict)
+            for source, name in zip(estimate, names[1:], strict=True)
+        ]
+    )
     result = results.result_of(
         results.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
     )

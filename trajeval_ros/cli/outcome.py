@@ -9,13 +9,16 @@ import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.io import results
 from trajeval_ros.requirement import Requirement
+
+if TYPE_CHECKING:
+    from trajeval_ros.likelihood.assessment import Assessment
 
 _NO_PICTURES = Pictures()
 _HAVE_FIGURES = find_spec("matplotlib") is not None
@@ -100,6 +103,11 @@ def _write_folder(
                     suffix = f"_{place}" if len(runs) > 1 else ""
                     name = run.estimate.name
                     write_consistency(run.evaluation, run.consistency, temporary, name, suffix)
+            likely = _assessments(runs)
+            if likely:
+                from trajeval_ros.report.probabilistic_figures import write_probabilistic
+
+                write_probabilistic(list(likely.values()), temporary, list(likely))
         pictures.write_into(temporary, runs)
         (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
@@ -107,6 +115,10 @@ def _write_folder(
             file.replace(folder / file.name)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _assessments(runs: Sequence[results.Run]) -> dict[str, Assessment]:
+    return {run.estimate.name: run.probabilistic for run in runs if run.probabilistic is not None}
 
 
 def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: bool) -> None:
@@ -123,6 +135,17 @@ def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: boo
             "that fits the sensors",
             soft_wrap=True,
         )
+    likely = _assessments(runs)
+    if likely:
+        from trajeval_ros.report.probabilistic_table import (
+            probabilistic_lines,
+            probabilistic_table,
+        )
+
+        terminal.print()
+        terminal.print(probabilistic_table(likely))
+        for line in probabilistic_lines(likely):
+            terminal.print(line, soft_wrap=True)
     terminal.print()
     terminal.print(tables.absolute_table(evaluations))
     relative = tables.relative_table(evaluations, terminal.width)

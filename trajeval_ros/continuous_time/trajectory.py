@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from trajeval_ros.continuous_time.interpolated import Linear, Nearest
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
+from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.segments import MOST_TURN_RAD
@@ -25,7 +27,8 @@ Array = NDArray[np.float64]
 
 _HOLD_OUT_EVERY = 4
 _MOST_HELD_OUT = 3000
-_CANDIDATES = ("matern", "wnoa", "wnoj")
+# Of the Markov prior where correlations are asked of a model that has none: WNOA.
+_ORDER = 2
 
 
 class Poses(Protocol):
@@ -50,16 +53,17 @@ class MarkovPoses:
     @classmethod
     def fit(cls, samples: Samples, order: int) -> MarkovPoses:
         """Fit both processes; `order` is 2 for white noise on acceleration, 3 on jerk."""
-        noise, poses = samples.noise, samples.poses
-        positions = Process.fit(
-            Positions(), order, samples.times, poses[:, :3, 3], noise.position_m
-        )
-        if not samples.oriented:
-            return cls(positions.interpolator(), None)
-        rotations = Process.fit(
-            Rotations(), order, samples.times, poses[:, :3, :3], noise.rotation_rad
-        )
-        return cls(positions.interpolator(), rotations.interpolator())
+        return cls.with_rotations(_positions(samples, order), samples, order)
+
+    @classmethod
+    def with_rotations(cls, positions: Process, samples: Samples, order: int) -> MarkovPoses:
+        """Add rotations to positions that are fitted already."""
+        rotations = None
+        if samples.oriented:
+            measured, noise = samples.poses[:, :3, :3], samples.noise.rotation_rad
+            process = Process.fit(Rotations(), order, samples.times, measured, noise)
+            rotations = process.interpolator()
+        return cls(positions.interpolator(), rotations)
 
     def at(self, times: Array) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
@@ -72,6 +76,11 @@ class MarkovPoses:
         return Belief(se3.poses(rotations, positions), covariances)
 
 
+def _positions(samples: Samples, order: int) -> Process:
+    measured, noise = samples.poses[:, :3, 3], samples.noise.position_m
+    return Process.fit(Positions(), order, samples.times, measured, noise)
+
+
 _FITS: dict[str, Callable[[Samples], Poses]] = {
     "matern": lambda samples: TwoScaleGP.fit(samples, (MATERN_32, MATERN_52)),
     "matern32": lambda samples: TwoScaleGP.fit(samples, (MATERN_32,)),
@@ -82,11 +91,6 @@ _FITS: dict[str, Callable[[Samples], Poses]] = {
     "linear": Linear,
     "nearest": Nearest,
 }
-MODELS = (*_FITS, "auto")
-# Some motion is rougher than Matern-5/2's; samples tell, for positions and rotations apart. With
-# 5/2 alone, 95 % regions cover 75 % of poses on recordings at a few hertz; with 3/2 alone, smooth
-# flight is believed to be so uncertain that hardly a pose supports an error of a centimetre.
-DEFAULT_MODEL = "matern"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,11 +131,26 @@ class ContinuousTrajectory:
             )
         return self.poses.at(self.samples.seconds(stamps))
 
+    @cached_property
+    def position_process(self) -> Process:
+        """Positions with all correlations: the model's own, or white noise on acceleration."""
+        if isinstance(self.poses, MarkovPoses):
+            return self.poses.positions.process
+        return _positions(self.samples, _ORDER)
 
+    @cached_property
+    def markov(self) -> MarkovPoses:
+        """Poses with all their correlations, likewise."""
+        if isinstance(self.poses, MarkovPoses):
+            return self.poses
+        return MarkovPoses.with_rotations(self.position_process, self.samples, _ORDER)
+
+
+@lru_cache(maxsize=1)
 def fit_trajectory(
     groundtruth: Trajectory, model: str = DEFAULT_MODEL, noise: Noise | None = None
 ) -> ContinuousTrajectory:
-    """Fit a model to a groundtruth.
+    """Fit a model to a groundtruth, once for all estimates that are compared with it.
 
     Args:
         groundtruth: Its samples; repeated stamps are dropped, nearly equal ones merged.
@@ -156,7 +175,7 @@ def fit_trajectory(
 def _most_predictive(samples: Samples) -> str:
     """Return the candidate under which samples that it has not seen are most likely."""
     if len(samples) < 2 * _HOLD_OUT_EVERY:
-        return _CANDIDATES[0]
+        return CANDIDATES[0]
     skip = max(0, (len(samples) - _MOST_HELD_OUT) // 2)
     some = samples[np.arange(skip, min(skip + _MOST_HELD_OUT, len(samples)))]
     # Neither the first nor the last one, between which the others must lie.
@@ -175,7 +194,7 @@ def _most_predictive(samples: Samples) -> str:
         )
         return float(np.sum(surprise + np.linalg.slogdet(spread)[1]))
 
-    return min(_CANDIDATES, key=cost)
+    return min(CANDIDATES, key=cost)
 
 
 def _statements(samples: Samples) -> tuple[str, ...]:

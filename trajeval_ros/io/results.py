@@ -21,11 +21,13 @@ import numpy as np
 from trajeval_ros import __version__
 from trajeval_ros.evaluation import Evaluation, Segments
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.probabilistic_json import probabilistic_columns, probabilistic_json
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.verdict import Consistency
+    from trajeval_ros.likelihood.assessment import Assessment
 
 SCHEMA = "trajeval/1"
 
@@ -81,12 +83,14 @@ class Run:
         evaluation: Its evaluation.
         live: What only a live run can tell; None of a recorded one.
         consistency: Whether the estimate is as sure as it should be; None if nobody asked.
+        probabilistic: How likely it is; None unless groundtruth was continuous.
     """
 
     estimate: Input
     evaluation: Evaluation
     live: dict[str, Any] | None = None
     consistency: Consistency | None = None
+    probabilistic: Assessment | None = None
 
 
 def result_of(
@@ -145,7 +149,11 @@ def _run(run: Run) -> dict[str, Any]:
             "notes": list(estimate.notes),
         },
         "association": {
-            **dataclasses.asdict(pairs.rule),
+            "method": pairs.rule.method,
+            "model": pairs.rule.model if pairs.rule.method == "continuous" else None,
+            "max_time_difference_s": pairs.rule.max_time_difference_s,
+            "max_gap_s": pairs.rule.max_gap_s,
+            "time_offset_s": pairs.rule.time_offset_s,
             "pairs": len(pairs),
             "estimate_coverage": pairs.estimate_coverage,
             "groundtruth_coverage": pairs.groundtruth_coverage,
@@ -173,7 +181,9 @@ def _run(run: Run) -> dict[str, Any]:
         },
         "calibration": None,
         "consistency": None if run.consistency is None else _consistency(run.consistency),
-        "probabilistic": None,
+        "probabilistic": None
+        if run.probabilistic is None
+        else probabilistic_json(run.probabilistic),
         "live": run.live,
         "warnings": list(evaluation.warnings),
     }
@@ -233,7 +243,8 @@ def write_errors(path: Path, runs: Sequence[Run]) -> None:
 
     Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
     `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
-    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees` (N,).
+    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees` (N,);
+    where groundtruth was continuous, `NAME.probabilistic.residuals` and others.
     """
     arrays: dict[str, Any] = {}
     for run in runs:
@@ -245,6 +256,11 @@ def write_errors(path: Path, runs: Sequence[Run]) -> None:
                 f"{name}.consistency.{column}": values
                 for column in ("errors", "sigmas", "nees")
                 if (values := getattr(run.consistency, column)) is not None
+            }
+        if run.probabilistic is not None:
+            arrays |= {
+                f"{name}.probabilistic.{column}": values
+                for column, values in probabilistic_columns(run.probabilistic).items()
             }
         for segment in evaluation.segments or ():
             arrays |= _columns(f"{name}.{segment.length}", segment.errors)

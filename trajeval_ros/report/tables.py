@@ -38,6 +38,7 @@ RELATIVE = {
 }
 METHODS = {
     "linear": "groundtruth interpolated, never across more than {0.max_gap_s:g} s",
+    "continuous": "groundtruth at the estimate's stamps by model {0.model}, gaps included",
     "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
     "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
     "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
@@ -105,7 +106,7 @@ def _dropped(evaluation: Evaluation) -> str:
 def absolute_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
     form = evaluations[0].protocol.ate_form
-    table = _table(f"Absolute trajectory error, {form} form")
+    table = new_table(f"Absolute trajectory error, {form} form")
     table.add_column("estimate")
     table.add_column("error")
     for statistic in STATISTICS:
@@ -136,7 +137,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         return None
     with_medians = width >= _WIDTH_FOR_MEDIANS
     what = "mean (median)" if with_medians else "mean"
-    table = _table(f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}")
+    table = new_table(f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}")
     for heading in ("estimate", "length"):
         table.add_column(heading)
     for metric in metrics:
@@ -162,7 +163,8 @@ def length_text(segment: Segments) -> str:
     return f"{segment.length_m:.4g} m"
 
 
-def _table(title: str) -> Table:
+def new_table(title: str) -> Table:
+    """Return an empty table: framed in a terminal, bare in a pipe."""
     from rich import box
     from rich.table import Table
 
@@ -176,17 +178,17 @@ def _table(title: str) -> Table:
 
 
 def _numbers(statistics: Statistics) -> list[str]:
-    return [_number(getattr(statistics, name)) for name in STATISTICS]
+    return [number(getattr(statistics, name)) for name in STATISTICS]
 
 
 def _mean(statistics: Statistics | None, with_median: bool) -> str:
     if statistics is None:
         return "-"
-    mean = _number(statistics.mean)
-    return f"{mean} ({_number(statistics.median)})" if with_median else mean
+    mean = number(statistics.mean)
+    return f"{mean} ({number(statistics.median)})" if with_median else mean
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """Return four significant digits, never an exponent for what people measure."""
     if value == 0.0 or abs(value) < 5e-7:
         return "0"

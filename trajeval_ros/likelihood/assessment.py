@@ -1,0 +1,221 @@
+"""What an evaluation against continuous groundtruth has to say beyond its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import se3
+from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
+from trajeval_ros.continuous_time.samples import Belief, Noise
+from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.likelihood import relative
+from trajeval_ros.likelihood.chain import Chain, gauge_chain
+from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.likelihood.residuals import Residuals
+from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
+
+if TYPE_CHECKING:
+    from trajeval_ros.association import Association
+    from trajeval_ros.evaluation import Evaluation
+
+Array = NDArray[np.float64]
+
+# How far stamps of two sensors, and the mounting between them, are off at the least. Added to what
+# the groundtruth's model says, it keeps likelihoods finite where that is very sure.
+TOLERANCE = Noise(0.005, math.radians(0.2))
+_FEWEST_COMMON = 10
+# From so many poses for each groundtruth sample on, they share its errors.
+_POSES_PER_SAMPLE = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """Of one estimate of N poses.
+
+    Attributes:
+        continuous: The groundtruth's model.
+        stamps: (N,), nanoseconds, of the pairs.
+        belief: The groundtruth at them, with the tolerance.
+        error: The generalised absolute error.
+        edges: Its parts, edge by edge, re-linearised at the most likely alignment; None where
+            positions alone are compared.
+        chain: Scores with scale and tilt; None where the gauge leaves rotations alone, or the
+            poses leave one open.
+        ate: Of positions.
+        log_bayes: By the name of each other estimate, nats, from the joint covariance.
+        statements: What a reader of the numbers must know, one sentence each.
+    """
+
+    continuous: ContinuousTrajectory
+    stamps: NDArray[np.int64]
+    belief: Belief
+    error: AbsoluteError
+    edges: relative.RelativeError | None
+    chain: Chain | None
+    ate: UncertainAte
+    log_bayes: dict[str, float]
+    statements: tuple[str, ...]
+
+
+def assess(evaluation: Evaluation) -> Assessment:
+    """Assess an estimate that was associated with a continuous groundtruth.
+
+    Raises:
+        InputError: It was associated otherwise.
+        SettingsError: The gauge is a plane's.
+        DegenerateGeometryError: The poses leave a direction of the gauge open.
+    """
+    pairs, protocol = evaluation.association, evaluation.protocol
+    continuous = pairs.continuous
+    if continuous is None:
+        raise InputError("likelihoods need association continuous")
+    stamps = pairs.groundtruth.stamps
+    known = continuous.at(stamps)
+    oriented = pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+    belief = _with_tolerance(known, oriented)
+    residuals = Residuals(belief, _poses_of(pairs, oriented), protocol.gauge, oriented)
+    error = generalised_absolute_error(residuals)
+    edges = None
+    if oriented:
+        steps = relative.transports(belief.poses)
+        missed = residuals.at(error.mode.element)
+        edges = relative.decomposed(belief, relative.stepwise(steps, missed))
+    joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
+    ate = uncertain_ate(
+        known.poses[:, :3, 3],
+        se3.world_covariances(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
+        pairs.estimate.positions
+        if protocol.align_states is None
+        else evaluation.aligned.positions,
+        protocol.gauge if protocol.align_states is None else None,
+        continuous.samples.noise.position_m,
+        joint,
+    )
+    assessment = Assessment(
+        continuous, stamps, belief, error, edges, _chain_of(residuals), ate, {}, ()
+    )
+    return dataclasses.replace(assessment, statements=_statements(assessment))
+
+
+def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[Assessment]:
+    """Add the log Bayes factors between estimates, at the stamps that all of them have.
+
+    Positive numbers speak for the estimate that they stand with. They are from the joint
+    covariance of the groundtruth, so that they don't grow with the estimates' rate.
+
+    Args:
+        names: Of the estimates.
+        assessments: Of each, against the same groundtruth in the same gauge.
+
+    Raises:
+        DegenerateGeometryError: The common poses leave a direction of the gauge open.
+    """
+    if len(assessments) < 2:
+        return list(assessments)
+    common: NDArray[np.int64] = reduce(
+        lambda first, second: np.intersect1d(first, second),
+        [each.stamps for each in assessments],
+    )
+    if len(common) < _FEWEST_COMMON:
+        why = (
+            f"the estimates have {len(common)} stamps in common, too few for a Bayes factor "
+            "between them"
+        )
+        return [
+            dataclasses.replace(each, statements=(*each.statements, why)) for each in assessments
+        ]
+    continuous = assessments[0].continuous
+    markov = continuous.markov
+    if not all(each.error.residuals.oriented for each in assessments):
+        markov = dataclasses.replace(markov, rotations=None)
+    times = continuous.samples.seconds(common)
+    groundtruth = JointGroundtruth.of(markov, times, TOLERANCE)
+    scores = []
+    for each in assessments:
+        rows = np.searchsorted(each.stamps, common)
+        residuals = each.error.residuals
+        scores.append(
+            joint_log_likelihood(
+                groundtruth,
+                residuals.estimate[rows],
+                residuals.gauge,
+                each.error.mode.element,
+            )
+        )
+    return [
+        dataclasses.replace(
+            each,
+            log_bayes={
+                name: own - other
+                for name, other, another in zip(names, scores, assessments, strict=True)
+                if another is not each
+            },
+        )
+        for each, own in zip(assessments, scores, strict=True)
+    ]
+
+
+def _poses_of(pairs: Association, oriented: bool) -> Array:
+    rotations = np.broadcast_to(np.eye(3), (len(pairs), 3, 3))
+    if oriented:
+        assert pairs.estimate.rotations is not None
+        rotations = pairs.estimate.rotations.as_matrix()
+    return se3.poses(rotations, pairs.estimate.positions)
+
+
+def _with_tolerance(known: Belief, oriented: bool) -> Belief:
+    tolerance = np.square([TOLERANCE.position_m] * 3 + [TOLERANCE.rotation_rad * oriented] * 3)
+    return Belief(known.poses, known.covariances + np.diag(tolerance))
+
+
+def _chain_of(residuals: Residuals) -> Chain | None:
+    if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
+        return None
+    try:
+        return gauge_chain(residuals)
+    except DegenerateGeometryError:
+        return None
+
+
+def _statements(assessment: Assessment) -> tuple[str, ...]:
+    continuous, ate = assessment.continuous, assessment.ate
+    statements = list(continuous.statements)
+    if continuous.model in WITHOUT_UNCERTAINTY:
+        statements.append(
+            f"model {continuous.model} takes the groundtruth between samples for as sure as at "
+            "them, so that its likelihoods blame the estimate for what it doesn't know"
+        )
+    if ate.supported_m is None:
+        statements.append(
+            "nowhere is the groundtruth known well enough for errors as small as these: no ATE "
+            "of supported poses can be had"
+        )
+    elif not ate.supported.all():
+        statements.append(
+            f"at {100.0 * (1.0 - ate.supported_share):.1f} % of the poses the groundtruth is too "
+            "uncertain for errors as small as these; the plain ATE counts it there as the "
+            "estimate's error"
+        )
+    times = continuous.samples.seconds(assessment.stamps)
+    own = continuous.samples.times
+    samples = np.count_nonzero((own >= times.min()) & (own <= times.max()))
+    per_sample = len(times) / max(int(samples), 1)
+    if per_sample > _POSES_PER_SAMPLE:
+        statements.append(
+            f"there are {per_sample:.1f} poses for each groundtruth sample, and neighbours share "
+            "its errors: taken as independent they overcount, so likelihoods rank estimates at "
+            "the same stamps but don't compare across rates"
+        )
+    return (*statements, *assessment.error.statements)
