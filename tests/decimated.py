@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
+from trajeval_ros.degradation import Degradation
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
@@ -40,24 +39,10 @@ def decimated(
     recording: Trajectory, rate_hz: float, seed: int, noise: Noise, *, gaps: int = 4
 ) -> Decimated:
     """Take samples at a rate, take some seconds away here and there, and add noise."""
+    noisy = Degradation(rate_hz, gaps, 1.0, 3.0, noise, seed).of(recording)
     random = np.random.default_rng(seed)
     recording = recording.in_order()
-    seconds = recording.seconds
-    wanted = np.arange(random.uniform(0.0, 1.0 / rate_hz), seconds[-1], 1.0 / rate_hz)
-    rows = np.unique(np.clip(np.searchsorted(seconds, wanted), 0, len(seconds) - 1))
-    slots = np.linspace(seconds[0], seconds[-1], gaps + 1)
-    for begin, end in itertools.pairwise(slots):
-        start = random.uniform(begin + 1.0, end - 4.0)
-        missing = (seconds[rows] > start) & (seconds[rows] < start + random.uniform(1.0, 3.0))
-        rows = rows[~missing]
-    samples = recording[rows]
-    assert samples.rotations is not None
-    turns = random.normal(scale=noise.rotation_rad, size=(len(rows), 3))
-    noisy = Trajectory(
-        samples.stamps,
-        samples.positions + random.normal(scale=noise.position_m, size=(len(rows), 3)),
-        samples.rotations * Rotation.from_rotvec(turns),
-    )
+    rows = np.searchsorted(recording.stamps, noisy.stamps)
     inside = np.arange(rows[0] + 1, rows[-1])
     truth = recording[np.sort(random.choice(inside, min(2500, len(inside)), replace=False))]
     place = np.searchsorted(noisy.stamps, truth.stamps, side="right") - 1

@@ -412,8 +412,8 @@ def _explain_no_match(
         "no pose of the estimate has a groundtruth: the groundtruth covers "
         f"{_clock(*truth)}, the estimate {_clock(*other)}"
     )
-    if dropped.get("in_groundtruth_gap") == len(estimate):
-        return f"{text}; all fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
+    if dropped.get("in_groundtruth_gap"):
+        return f"{text}; all within fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
     if truth[0] <= other[1] and other[0] <= truth[1]:
         return (
             f"{text}; they overlap, but no stamps are within {rule.max_time_difference_s:g} s: "

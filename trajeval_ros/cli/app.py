@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from trajeval_ros import __version__
+from trajeval_ros.cli.compare_association import compare_association
 from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.evaluator import HELP as EVALUATOR_HELP
 from trajeval_ros.cli.evaluator import evaluator
@@ -30,6 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(evaluate)
+app.command()(compare_association)
 app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)
 app.command()(finish)
 app.command()(gauge_study)

@@ -67,7 +67,7 @@ class CovarianceSettings:
                 "--rotation-covariance-frame body is about covariances in messages; add "
                 "--covariance message (a joint file says itself how rotations are perturbed)"
             )
-        return cls(source, frame == "body", None if noise is None else _parse_noise(noise))
+        return cls(source, frame == "body", None if noise is None else parse_noise(noise))
 
     @property
     def from_messages(self) -> bool:
@@ -139,7 +139,7 @@ class CovarianceSettings:
         )
 
 
-def _parse_noise(text: str) -> tuple[float, float]:
+def parse_noise(text: str) -> tuple[float, float]:
     """Read "0.002,0.1": metres and degrees."""
     try:
         position_m, rotation_deg = (float(part) for part in text.split(","))

@@ -1,0 +1,156 @@
+"""`trajeval compare-association`: what poor groundtruth does to each association."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from trajeval_ros.cli.consistency import parse_noise
+from trajeval_ros.cli.names import names_of
+from trajeval_ros.cli.probabilistic import CONTINUOUS, with_model
+from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
+from trajeval_ros.exceptions import SettingsError
+
+if TYPE_CHECKING:
+    from trajeval_ros.association_study import Comparison
+    from trajeval_ros.degradation import Degradation
+    from trajeval_ros.trajectory import Trajectory
+
+
+def compare_association(
+    groundtruth: Annotated[
+        str,
+        typer.Option(
+            "--groundtruth", "-g", metavar="SOURCE", help="Good and dense; as for evaluate."
+        ),
+    ],
+    estimate: Annotated[
+        list[str],
+        typer.Option("--estimate", "-e", metavar="SOURCE", help="Repeat it to compare several."),
+    ],
+    modality: Annotated[str | None, typer.Option(help="The sensors, as for evaluate.")] = None,
+    gauge: Annotated[str | None, typer.Option(help="As for evaluate (se3).")] = None,
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="Samples a second that are kept.")
+    ] = 2.0,
+    dropouts: Annotated[
+        int, typer.Option(metavar="N", help="How often the groundtruth is lost.")
+    ] = 3,
+    dropout_length: Annotated[
+        str, typer.Option(metavar="MIN,MAX", help="For how long, seconds.")
+    ] = "1,2.5",
+    groundtruth_noise: Annotated[
+        str,
+        typer.Option(
+            metavar="P,R",
+            help="Standard deviations added to the samples that are kept, and told to the model: "
+            "position (m), rotation (deg).",
+        ),
+    ] = "0.002,0.1",
+    continuous_model: Annotated[
+        str, typer.Option(metavar="NAME", help=", ".join(MODELS))
+    ] = DEFAULT_MODEL,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise and dropouts.")] = 0,
+    json: Annotated[
+        str | None,
+        typer.Option(metavar="FILE|-", help="Write it as JSON; - prints it alone on stdout."),
+    ] = None,
+) -> None:
+    """Show what each association would report if the groundtruth were slow and had dropouts.
+
+    Takes groundtruth that is good, such as motion capture's, keeps a few samples a second, loses
+    some seconds here and there, and evaluates against what is left. The good groundtruth tells
+    the truth beside it:
+
+        trajeval compare-association -g groundtruth.csv -e estimate.txt --rate 2
+    """
+    from trajeval_ros.association_study import compare_associations
+    from trajeval_ros.degradation import Degradation
+    from trajeval_ros.settings import protocol_from
+
+    protocol = protocol_from(
+        "default",
+        gauge=gauge,
+        modality=modality,
+        align_states=None,
+        association=CONTINUOUS,
+        max_time_difference=None,
+        max_gap=None,
+        time_offset=None,
+        lengths="none",
+        ate_form=None,
+        re_form=None,
+    )
+    shortest, longest = _durations(dropout_length)
+    protocol = with_model(protocol, continuous_model, parse_noise(groundtruth_noise))
+    noise = protocol.association.noise
+    degradation = Degradation(rate, dropouts, shortest, longest, noise, seed)
+    truth, *estimates = _read([groundtruth, *estimate])
+    poor = degradation.of(truth)
+    comparisons = [compare_associations(truth, poor, each, protocol) for each in estimates]
+    if json != "-":
+        _print(comparisons, degradation, poor)
+    if json is not None:
+        _write(json, comparisons, degradation, poor)
+
+
+def _durations(text: str) -> tuple[float, float]:
+    try:
+        shortest, longest = (float(part) for part in text.split(","))
+    except ValueError:
+        raise SettingsError(
+            f"can't read the dropouts' length {text!r}; write the shortest and the longest in "
+            "seconds, as in --dropout-length 1,2.5"
+        ) from None
+    return shortest, longest
+
+
+def _read(sources: list[str]) -> list[Trajectory]:
+    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.io.sources import read_trajectory
+
+    found = []
+    for source, name in zip(sources, names_of(sources), strict=True):
+        with progress(f"reading {name}") as advance:
+            read = read_trajectory(source, advance=advance)
+        found.append(dataclasses.replace(read, name=name))
+    return found
+
+
+def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajectory) -> None:
+    from trajeval_ros.report import tables
+    from trajeval_ros.report.association_table import association_table
+
+    terminal = tables.console()
+    terminal.print(
+        f"groundtruth left: {len(poor)} samples, {degradation.rate_hz:g} Hz with "
+        f"{degradation.dropouts} dropouts of {degradation.shortest_s:g} to "
+        f"{degradation.longest_s:g} s, noise {degradation.noise.position_m:g} m",
+        soft_wrap=True,
+    )
+    for comparison in comparisons:
+        terminal.print()
+        terminal.print(association_table(comparison))
+        for each in comparison.reported:
+            if each.reason:
+                terminal.print(f"  {each.association}: {each.reason}", soft_wrap=True)
+    terminal.file.flush()
+
+
+def _write(
+    target: str, comparisons: list[Comparison], degradation: Degradation, poor: Trajectory
+) -> None:
+    from trajeval_ros.io.results import to_json, write_text
+
+    content: dict[str, Any] = {
+        "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},
+        "estimates": [dataclasses.asdict(each) for each in comparisons],
+    }
+    if target == "-":
+        sys.stdout.write(to_json(content))
+    else:
+        write_text(Path(target), to_json(content))
