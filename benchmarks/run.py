@@ -1,9 +1,10 @@
-"""Compares `trajeval evaluate` with evo, process by process, and times the live evaluator alone.
+"""Compares `trajeval evaluate` with evo, process by process, and times what evo has no like of.
 
 Every round runs each command once, one after the other, so that what else the machine does
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
 Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
+(or evo, or continuous)
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ from benchmarks.process import Cost, environment, median_cost, run
 HERE = Path(__file__).parent
 BIN = Path(sys.executable).parent
 SMALL = 1_000
+PARTS = ("evo", "online", "continuous")
+CONTINUOUS = tuple(
+    (work, count)
+    for work in ("matern", "wnoa", "wnoj", "likelihood")
+    for count in (10_000, 100_000)
+)
 TRAJEVAL = "trajeval"
 EVO_POSITION = "evo_ape -a"
 EVO_BOTH = "evo_ape -a, and angle"
@@ -69,7 +76,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--evo", required=True, type=Path, help="the program evo_ape")
     parser.add_argument("--sizes", default="10000,100000,1000000", help="poses of the pairs")
     parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
-    parser.add_argument("--only", choices=("evo", "online"), help="one part; both by default")
+    parser.add_argument("--only", choices=PARTS, help="one part; all by default")
     parser.add_argument("--messages", default=1_000_000, type=int, help="of a live run")
     parser.add_argument("--data", default=HERE / "data", type=Path, help="for generated files")
     parser.add_argument("--results", default=HERE / "results.json", type=Path)
@@ -259,6 +266,28 @@ def online_part(options: argparse.Namespace, env: Environment, console: Console)
     return {"online": costs}
 
 
+def continuous_part(
+    options: argparse.Namespace, env: Environment, console: Console
+) -> dict[str, Any]:
+    """Time continuous groundtruth and likelihoods, each in a process of its own."""
+    jobs = {f"{work}, {count // 1000}k": _continuous(work, count) for work, count in CONTINUOUS}
+    costs = interleave(jobs, options.runs, {**env, "OPENBLAS_NUM_THREADS": "1"})
+    table = Table("work", "CPU s inside", "peak MiB", box=box.SIMPLE_HEAD)
+    found: dict[str, Any] = {}
+    for work, cost in costs.items():
+        inside = json.loads(cost.output)
+        found[work] = inside | {"peak_mib": cost.peak_mib}
+        seconds = ", ".join(f"{name[:-2]} {value:.2f}" for name, value in inside.items())
+        table.add_row(work, seconds, f"{cost.peak_mib:.0f}")
+    console.print(table)
+    return {"continuous": found}
+
+
+def _continuous(work: str, count: int) -> Job:
+    command = [sys.executable, "-m", "benchmarks.continuous", work, str(count)]
+    return lambda env: run(command, env)
+
+
 def main() -> None:
     """Measure everything, print it, keep it."""
     options = arguments()
@@ -277,10 +306,13 @@ def main() -> None:
     }
     with tempfile.TemporaryDirectory() as home:
         env = environment(Path(home))
-        if options.only != "online":
+        parts = PARTS if options.only is None else (options.only,)
+        if "evo" in parts:
             results |= evo_part(options, env, console)
-        if options.only != "evo":
+        if "online" in parts:
             results |= online_part(options, env, console)
+        if "continuous" in parts:
+            results |= continuous_part(options, env, console)
     console.print(", ".join(f"{name} {value}" for name, value in results["machine"].items()))
     options.results.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 

@@ -137,12 +137,45 @@ class Process:
     def _normal_equations(self) -> tuple[Array, Array, Array, float]:
         """Return the information's blocks, minus the cost's gradient (N, 3m), and the cost."""
         size = 3 * self.order
-        steps = np.diff(self.times)
-        local = self.manifold.local(
-            self.manifold.between(self.states[:-1], self.states[1:]), self.rates[1:]
+        this, following, lower, slope_this, slope_following, costs = lie.by_blocks(
+            self._between,
+            self.states[:-1],
+            self.states[1:],
+            self.rates[:-1],
+            self.rates[1:],
+            np.diff(self.times),
         )
+        diagonal = np.zeros((len(self.times), size, size))
+        diagonal[:-1] = this
+        diagonal[1:] += following
+        slope = np.zeros((len(self.times), size))
+        slope[:-1] = slope_this
+        slope[1:] += slope_following
+
+        missed = self.manifold.between(self.measured, self.states)
+        jacobian = self.manifold.inverse_right_jacobian(missed)
+        information = self.information[:, None]
+        diagonal[:, :3, :3] += information[..., None] * se3.transposed(jacobian) @ jacobian
+        slope[:, :3] -= information * se3.times(se3.transposed(jacobian), missed)
+        cost = float(costs.sum()) + 0.5 * float(np.sum(information * np.square(missed)))
+        return diagonal, lower, slope, cost
+
+    def _between(
+        self, first: Array, second: Array, rates: Array, next_rates: Array, steps: Array
+    ) -> tuple[Array, ...]:
+        """Return what K steps add: to both knots' blocks, between them, to both slopes, the cost.
+
+        Args:
+            first: States at the steps' beginnings.
+            second: States at their ends.
+            rates: (K, m - 1, 3), at the beginnings.
+            next_rates: (K, m - 1, 3), at the ends.
+            steps: (K,), seconds.
+        """
+        size = 3 * self.order
+        local = self.manifold.local(self.manifold.between(first, second), next_rates)
         phi = white_noise.transition(self.order, steps)
-        start = np.concatenate([np.zeros((len(steps), 1, 3)), self.rates[:-1]], axis=1)
+        start = np.concatenate([np.zeros((len(steps), 1, 3)), rates], axis=1)
         residual = (local.values - phi @ start).reshape(-1, size)
         by_next = local.jacobian.copy()
         by_step = local.jacobian[:, :, :, 0, :]
@@ -156,21 +189,14 @@ class Process:
             np.linalg.inv(white_noise.covariance(self.order, steps)) / self.density
         )
         weighted_this, weighted_next = weight @ by_this, weight @ by_next
-        diagonal = np.zeros((len(self.times), size, size))
-        diagonal[:-1] += se3.transposed(by_this) @ weighted_this
-        diagonal[1:] += se3.transposed(by_next) @ weighted_next
-        slope = np.zeros((len(self.times), size))
-        slope[:-1] -= se3.times(se3.transposed(weighted_this), residual)
-        slope[1:] -= se3.times(se3.transposed(weighted_next), residual)
-
-        missed = self.manifold.between(self.measured, self.states)
-        jacobian = self.manifold.inverse_right_jacobian(missed)
-        information = self.information[:, None]
-        diagonal[:, :3, :3] += information[..., None] * se3.transposed(jacobian) @ jacobian
-        slope[:, :3] -= information * se3.times(se3.transposed(jacobian), missed)
-        cost = 0.5 * np.vdot(residual, se3.times(weight, residual))
-        cost += 0.5 * float(np.sum(information * np.square(missed)))
-        return diagonal, se3.transposed(by_next) @ weighted_this, slope, float(cost)
+        return (
+            se3.transposed(by_this) @ weighted_this,
+            se3.transposed(by_next) @ weighted_next,
+            se3.transposed(by_next) @ weighted_this,
+            -se3.times(se3.transposed(weighted_this), residual),
+            -se3.times(se3.transposed(weighted_next), residual),
+            0.5 * np.sum(residual * se3.times(weight, residual), axis=1),
+        )
 
     def _most_likely_density(self, noise: float) -> float:
         """Return the density that makes the samples, the middle 1500 of them, most likely."""
