@@ -260,7 +260,7 @@ def test_right_perturbations_are_turned(honest: Path, tmp_path: Path) -> None:
         (["--rotation-covariance-frame", "body"], "add --covariance message"),
         (["--groundtruth-noise", "0.1,0.1"], "add --covariance"),
         (["--covariance", "message", "--groundtruth-noise", "0.1"], "can't read"),
-        (["--covariance", "message", "--groundtruth-noise", "0,1"], "can't read"),
+        (["--covariance", "message", "--groundtruth-noise", "0,1"], "must be above zero"),
     ],
 )
 def test_says_what_settings_mean_nothing(

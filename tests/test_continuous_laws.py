@@ -192,6 +192,56 @@ def test_same_hyperparameters_make_it_exactly_equivariant() -> None:
         np.testing.assert_allclose(there.covariances, here.covariances, atol=1e-9)
 
 
+@pytest.mark.parametrize("model", ["matern", "wnoa", "linear"])
+def test_no_clock_and_no_sign_of_a_quaternion_matters(model: str) -> None:
+    motion = smooth(40)
+    assert motion.quaternions is not None
+    signs = np.where(np.arange(40) % 3, 1.0, -1.0)[:, None]
+    other = dataclasses.replace(
+        motion,
+        stamps=motion.stamps - 1_600_000_000_123_456_789,
+        rotations=Rotation.from_quat(signs * motion.quaternions),
+    )
+    here = fit_trajectory(motion, model).at(motion.stamps[:-1] + 70_000_000)
+    there = fit_trajectory(other, model).at(other.stamps[:-1] + 70_000_000)
+    np.testing.assert_allclose(there.poses, here.poses, atol=1e-9)
+    np.testing.assert_allclose(there.covariances, here.covariances, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_markov_positions_are_a_dense_gaussian_process(order: int) -> None:
+    """White noise integrated m times, on a polynomial of degree m - 1 that nothing is known of."""
+    random = np.random.default_rng(order)
+    times = np.sort(random.uniform(0.0, 4.0, size=9))
+    asked = random.uniform(times[0], times[-1], size=12)
+    positions = random.normal(size=(9, 3))
+    noise, density = 0.1, 0.7
+
+    def covariance(first: Array, second: Array) -> Array:
+        """Integral of (s - u)^(m-1) (t - u)^(m-1) / (m-1)!^2 over u from 0 to the earlier time."""
+        nodes, weights = np.polynomial.legendre.leggauss(6)
+        until = np.minimum(first[:, None], second)[..., None]
+        u = 0.5 * until * (nodes + 1.0)
+        grown = ((first[:, None, None] - u) * (second[None, :, None] - u)) ** (order - 1)
+        scale = density / float(np.prod(np.arange(1, order))) ** 2
+        return np.asarray(scale * (0.5 * until[..., 0]) * (grown @ weights))
+
+    basis, asked_basis = (np.vander(each, order) for each in (times, asked))
+    inverse = np.linalg.inv(covariance(times, times) + noise**2 * np.eye(9))
+    known = np.linalg.inv(basis.T @ inverse @ basis)
+    trend = known @ basis.T @ inverse @ positions
+    cross = covariance(asked, times)
+    mean = asked_basis @ trend + cross @ inverse @ (positions - basis @ trend)
+    left = asked_basis - cross @ inverse @ basis
+    variance = np.diagonal(covariance(asked, asked) - cross @ inverse @ cross.T) + np.einsum(
+        "qi,ij,qj->q", left, known, left
+    )
+    process = Process.fit(Positions(), order, times, positions, noise, density)
+    found, spread = process.interpolator().at(asked)
+    np.testing.assert_allclose(found, mean, atol=1e-9)
+    np.testing.assert_allclose(spread[:, 0, 0], variance, atol=1e-9)
+
+
 def test_a_markov_process_knows_no_direction_of_time() -> None:
     random = np.random.default_rng(0)
     times = 0.3 * np.arange(30) + random.uniform(0.0, 0.2, size=30)

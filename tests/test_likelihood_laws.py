@@ -70,11 +70,12 @@ def test_both_errors_are_one_to_first_order_eq_29(seed: int, count: int, size: f
     poses = flight(count, seed)
     estimate = poses @ se3.exp(random.normal(scale=size, size=(count, 6)) / np.sqrt(6.0))
     belief = Belief(poses, spread(random, count, 0.02, 0.03))
-    one = relative.generalised_relative_error(belief, estimate).log_likelihood
+    one = relative.generalised_relative_error(belief, estimate)
+    # What rounds: a sum of squares, and as many logarithms as there are directions.
+    size = float(np.sum(one.whitened**2)) + 60.0 * count
     for frame in (None, poses[0], se3.exp(random.normal(size=6))):
-        other = first_order.first_order_absolute_error(belief, estimate, frame).log_likelihood
-        # Quadratic forms of some thousand nats cancel against each other.
-        assert other == pytest.approx(one, rel=1e-9, abs=1e-8)
+        other = first_order.first_order_absolute_error(belief, estimate, frame)
+        assert abs(other.log_likelihood - one.log_likelihood) < 3e-12 * size
 
 
 def test_the_papers_own_transport_breaks_the_identity() -> None:
@@ -218,7 +219,7 @@ def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, 
         steps = np.zeros((2, len(found)))
         steps[:, axis] = 1e-5, -1e-5
         up, down = residuals.log_density(residuals.chart.elements(steps) @ near)
-        assert value == pytest.approx((up - down) / 2e-5, rel=1e-6, abs=1e-6 * np.abs(found).max())
+        assert value == pytest.approx((up - down) / 2e-5, rel=1e-7, abs=1e-7 * np.abs(found).max())
     mode = generalised_absolute_error(residuals, "laplace").mode
     sigma = 1.0 / np.sqrt(np.diag(mode.slope.information))
     assert np.abs(mode.slope.gradient * sigma).max() < 1e-8
@@ -235,7 +236,7 @@ def test_laplace_is_close_to_quadrature_and_sampling(gauge: Gauge) -> None:
 
 
 def test_relinearised_edges_add_up_to_the_exact_error() -> None:
-    for sigma_deg, count in ((1.0, 300), (0.1, 1000)):
+    for sigma_deg, count in ((1.0, 1000), (0.1, 1000)):
         belief, estimate = drawn(count, 2, np.radians(sigma_deg))
         error = generalised_absolute_error(
             Residuals(belief, estimate, Gauge.SE3, density="log"), "laplace"

@@ -159,7 +159,7 @@ def test_estimates_without_common_stamps_have_no_bayes_factor(files: Path, fligh
         (["--continuous-model", "matern"], "is for --association continuous, not linear"),
         (["--association", "continuous", "--continuous-model", "spline"], "no continuous model"),
         (["--association", "continuous", "--gauge", "planar"], "gauge planar leaves a plane"),
-        (["--association", "continuous", "--groundtruth-noise", "0,0"], "can't read"),
+        (["--association", "continuous", "--groundtruth-noise", "0,0"], "must be above zero"),
         (["--groundtruth-noise", "0.1,0.1"], "--association continuous"),
         (["--association", "continuous", "--covariance", "message"], "use association linear"),
     ],

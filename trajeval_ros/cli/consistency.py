@@ -145,7 +145,12 @@ def parse_noise(text: str) -> tuple[float, float]:
         position_m, rotation_deg = (float(part) for part in text.split(","))
     except ValueError:
         position_m = rotation_deg = math.nan
-    if not (0.0 < position_m < math.inf and 0.0 < rotation_deg < math.inf):
+    if min(position_m, rotation_deg) <= 0.0:
+        raise SettingsError(
+            f"the groundtruth noise must be above zero, not {text}: against groundtruth that is "
+            "exactly right, every error is infinitely unlikely"
+        )
+    if not (position_m < math.inf and rotation_deg < math.inf):
         raise SettingsError(
             f"can't read the groundtruth noise {text!r}; write standard deviations in metres and "
             "degrees, as in --groundtruth-noise 0.002,0.1"

@@ -103,7 +103,7 @@ def centred(poses: Array) -> Array:
 def first_order_absolute_error(
     belief: Belief, estimate: Array, frame: Array | None = None
 ) -> FirstOrderAbsoluteError:
-    """Return S_AE: the integral (27) of the product of eq. (24), by eq. (28).
+    """Return the first order of the absolute error, the integral over the alignment: eq. (27).
 
     Args:
         belief: M groundtruth poses, independent of each other.
@@ -113,13 +113,28 @@ def first_order_absolute_error(
     """
     poses, covariances = belief.poses, belief.covariances
     frame = centred(poses) if frame is None else frame
-    means = gauge_means(poses, relative_errors(poses, estimate), frame)
-    informations = gauge_informations(poses, covariances, frame)
+    return gaussian_product(
+        gauge_means(poses, relative_errors(poses, estimate), frame),
+        gauge_informations(poses, covariances, frame),
+        float(np.linalg.slogdet(covariances)[1].sum()),
+    )
+
+
+def gaussian_product(
+    means: Array, informations: Array, log_determinants: float
+) -> FirstOrderAbsoluteError:
+    """Return the scale S_AE of a product of Gaussians, and the Gaussian that it scales: eq. (28).
+
+    Args:
+        means: mu_h, (M, 6).
+        informations: V_h^-1, (M, 6, 6).
+        log_determinants: Sum of log |V_h|, which is that of log |S_h|.
+    """
     total = informations.sum(axis=0)
     mean = np.linalg.solve(total, se3.times(informations, means).sum(axis=0))
+    # About the common mean nothing large cancels.
     apart = means - mean
     squared = float(np.vdot(apart, se3.times(informations, apart)))
-    determinants = float(np.linalg.slogdet(covariances)[1].sum())
-    determinants += float(np.linalg.slogdet(total)[1])
-    value = -0.5 * (squared + determinants) - 3.0 * (len(poses) - 1) * LOG_2_PI
+    determinants = log_determinants + float(np.linalg.slogdet(total)[1])
+    value = -0.5 * (squared + determinants) - 3.0 * (len(means) - 1) * LOG_2_PI
     return FirstOrderAbsoluteError(value, mean, total)

@@ -99,7 +99,7 @@ def relative_errors(poses: Array, estimate: Array) -> Array:
 
 
 def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeError:
-    """Return P_RE, eq. (17), in O(M).
+    """Return P_RE, eq. (17), in O(M); by eq. (29) it is the first-order absolute error, too.
 
     Its parts of second order add up along the way: at 1 deg and a thousand poses it is off by a
     thousand nats. `decomposed` residuals about the alignment's mode are not.
