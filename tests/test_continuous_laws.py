@@ -294,7 +294,7 @@ def test_joint_posterior_agrees_with_single_poses_and_with_its_draws() -> None:
 
 
 def test_positions_alone_are_enough() -> None:
-    motion = smooth(60)
+    motion = smooth(30)
     bare = dataclasses.replace(motion, rotations=None)
     stamps = motion.stamps[:-1] + 90_000_000
     for model in MODELS:

@@ -254,7 +254,7 @@ def test_first_order_is_off_by_the_square_of_the_noise() -> None:
     missed = []
     for size in sizes:
         gaps = []
-        for seed in range(12):
+        for seed in range(8):
             belief, estimate = drawn(30, 100 + seed, float(size))
             literal = relative.generalised_relative_error(belief, estimate).log_likelihood
             gaps.append(literal - score(belief, estimate, Gauge.SE3))

@@ -120,6 +120,7 @@ def test_noise_is_the_users(files: Path) -> None:
     assert unsure["chi2_per_dof"] < sure["chi2_per_dof"]
 
 
+@pytest.mark.slow
 def test_folder_has_figures_and_columns(
     files: Path, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -216,3 +217,27 @@ def test_a_recording_at_two_hertz(
         ates.append(json.loads(output.read_text())["runs"][0])
     true = ates[0]["ate"]["position_m"]["rmse"]
     assert ates[1]["probabilistic"]["ate"]["supported_m"] == pytest.approx(true, rel=0.2)
+
+
+def test_a_recording_with_a_hole_of_twelve_seconds(shared_data: Path, tmp_path: Path) -> None:
+    """TUM fr2_desk, whose motion capture also lost hundreds of single samples."""
+    folder = shared_data / "tum"
+    arguments = ["evaluate", "-g", str(folder / "fr2_desk_groundtruth.txt"), "--quiet"]
+    arguments += ["-e", str(folder / "fr2_desk_ORB.txt"), "--modality", "mono"]
+    results = {}
+    for name, options in {
+        "outside": [],
+        "bridged": ["--max-gap", "100"],
+        "modelled": ["--association", "continuous"],
+    }.items():
+        output = tmp_path / f"{name}.json"
+        assert main([*arguments, *options, "--lengths", "none", "--json", str(output)]) == 0
+        (results[name],) = json.loads(output.read_text())["runs"]
+    outside = results["outside"]["ate"]["position_m"]["rmse"]
+    assert results["bridged"]["ate"]["position_m"]["rmse"] > 10.0 * outside
+    ate = results["modelled"]["probabilistic"]["ate"]
+    assert ate["supported_m"] == pytest.approx(outside, rel=0.05)
+    assert ate["weighted_m"] == pytest.approx(outside, rel=0.2)
+    assert ate["supported_share"] == pytest.approx(
+        results["outside"]["association"]["estimate_coverage"], abs=0.02
+    )

@@ -33,26 +33,29 @@ class TwoScaleGP:
         fine: Of all samples.
         coarse: Of thinned ones; None without gaps, or where samples are sparse already.
         times: (N,), seconds, of the samples.
-        gaps: Indices of the samples that a gap follows.
+        gaps: Indices of the samples that a gap follows for which the coarse one is meant.
+        ramp_s: Longest time in which one takes over from the other.
     """
 
     fine: PiecewiseGP
     coarse: PiecewiseGP | None
     times: Array
     gaps: Indices
+    ramp_s: float
 
     @classmethod
     def fit(cls, samples: Samples, kernels: Sequence[Kernel]) -> TwoScaleGP:
         """Fit both; arguments as of `PiecewiseGP.fit`."""
         fine = PiecewiseGP.fit(samples, kernels)
-        gaps, coarse = samples.gaps, None
+        gaps, coarse, step = samples.gaps, None, 0.0
         if len(gaps):
-            usual = samples.usual_step_s
-            wanted = float(np.median(np.diff(samples.times)[gaps])) / _STEPS_PER_GAP
-            step = max(min(wanted, _COARSEST_S), usual)
+            usual, lengths = samples.usual_step_s, np.diff(samples.times)[gaps]
+            step = max(min(_middle(lengths) / _STEPS_PER_GAP, _COARSEST_S), usual)
+            # Across less than its own step a coarse process knows no more than the fine one.
+            gaps = gaps[lengths > step]
             if step > _WORTHWHILE * usual:
-                coarse = PiecewiseGP.fit(samples[thinned(samples, step)], kernels)
-        return cls(fine, coarse, samples.times, gaps)
+                coarse = PiecewiseGP.fit(samples[thinned(samples, gaps, step)], kernels)
+        return cls(fine, coarse, samples.times, gaps, step)
 
     def at(self, times: Array) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
@@ -62,18 +65,30 @@ class TwoScaleGP:
         before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, None)
         inside = np.flatnonzero(np.isin(before, self.gaps))
         start, end = self.times[before[inside]], self.times[before[inside] + 1]
-        share = (times[inside] - start) / (end - start)
-        weight = smooth_step(share / _RAMP) * smooth_step((1.0 - share) / _RAMP)
+        # At once: what the fine one believes beyond a segment's length is its prior.
+        ramp = np.minimum(_RAMP * (end - start), self.ramp_s)
+        weight = smooth_step((times[inside] - start) / ramp)
+        weight *= smooth_step((end - times[inside]) / ramp)
         own = Belief(belief.poses[inside], belief.covariances[inside])
         mixed = blended(own, self.coarse.at(times[inside]), weight)
         belief.poses[inside], belief.covariances[inside] = mixed.poses, mixed.covariances
         return belief
 
 
-def thinned(samples: Samples, step_s: float) -> Indices:
+def thinned(samples: Samples, gaps: Indices, step_s: float) -> Indices:
     """Return the rows to keep: the first of each step, and both edges of every gap."""
     cell = np.floor(samples.times / step_s)
     first = np.concatenate([[True], np.diff(cell) > 0.0])
-    first[samples.gaps] = first[samples.gaps + 1] = True
+    first[gaps] = first[gaps + 1] = True
     first[-1] = True
     return np.flatnonzero(first)
+
+
+def _middle(lengths: Array) -> float:
+    """Return the length of the gap that the middle of all missing time lies in.
+
+    Hundreds of lost packets don't make a dropout of ten seconds a small one.
+    """
+    ordered = np.sort(lengths)
+    missing = np.cumsum(ordered)
+    return float(ordered[np.searchsorted(missing, 0.5 * missing[-1])])

@@ -80,7 +80,8 @@ def assess(evaluation: Evaluation) -> Assessment:
     pairs, protocol = evaluation.association, evaluation.protocol
     continuous = pairs.continuous
     if continuous is None:
-        raise InputError("likelihoods need association continuous")
+        how = "row by row, for want of stamps" if pairs.rule.method == "index" else "otherwise"
+        raise InputError(f"likelihoods need association continuous, and poses were paired {how}")
     stamps = pairs.groundtruth.stamps
     known = continuous.at(stamps)
     oriented = pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from trajeval_ros.gauge import Gauge
 from trajeval_ros.report.tables import new_table, number
 
 if TYPE_CHECKING:
@@ -58,8 +59,11 @@ def _cells(assessment: Assessment) -> list[str]:
     if ate.interval_m is not None:
         interval = f"{number(ate.interval_m[0])} to {number(ate.interval_m[1])}"
     scale = tilt = "-"
-    if chain is not None:
-        scale = scale if chain.scale is None else f"{chain.scale.z[0]:+.1f}"
+    # What the sensors don't observe is no error: frames may be tilted, and a camera has no scale.
+    gauge = assessment.error.residuals.gauge
+    if chain is not None and chain.scale is not None and gauge is not Gauge.SIM3:
+        scale = f"{chain.scale.z[0]:+.1f}"
+    if chain is not None and gauge is Gauge.YAW:
         tilt = ", ".join(f"{z:+.1f}" for z in chain.tilt.z)
     return [
         "-" if ate.supported_m is None else number(ate.supported_m),
