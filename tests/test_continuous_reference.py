@@ -14,7 +14,7 @@ from trajeval_ros.continuous_time.kernels import MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
-from trajeval_ros.continuous_time.samples import Noise, Samples
+from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 
 KERNELS = {"se": SQUARED_EXPONENTIAL, "m52": MATERN_52}
 CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}
@@ -37,21 +37,25 @@ def test_lie_groups(numbers: Any) -> None:
     np.testing.assert_allclose(determinants, lie["logabsdet_Jl"], **exact)
 
 
+def piecewise_process(given: Any, case: Any) -> PiecewiseGP:
+    hyperparameters = [Hyperparameters(*case[f"hyper_{name}"]) for name in ("trans", "rot")]
+    noise = Noise(hyperparameters[0].noise, hyperparameters[1].noise)
+    samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
+    return PiecewiseGP.fit(
+        samples,
+        (KERNELS[case["kernel"]],),
+        joint=case["coords"] == "se3",
+        size=case["n"],
+        hyperparameters=hyperparameters,
+    )
+
+
 @pytest.mark.parametrize("place", range(4))
 def test_piecewise_gp_of_eq_30_to_32(numbers: Any, place: int) -> None:
     given = numbers["piecewise_gp"]
     case = given["cases"][place]
     kernel = KERNELS[case["kernel"]]
-    hyperparameters = [Hyperparameters(*case[f"hyper_{name}"]) for name in ("trans", "rot")]
-    noise = Noise(hyperparameters[0].noise, hyperparameters[1].noise)
-    samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
-    process = PiecewiseGP.fit(
-        samples,
-        (kernel,),
-        joint=case["coords"] == "se3",
-        size=case["n"],
-        hyperparameters=hyperparameters,
-    )
+    process = piecewise_process(given, case)
     for expected, belief in (
         (case["pou"], process.at(np.array(given["tq"]))),
         (
@@ -72,6 +76,30 @@ def test_piecewise_gp_of_eq_30_to_32(numbers: Any, place: int) -> None:
         )
         assert -value == pytest.approx(case[f"logml_{name}"], rel=1e-11)
         np.testing.assert_allclose(-gradient, case[f"dlogml_{name}_dlog"], rtol=1e-9)
+
+
+def averaged_precisions(process: PiecewiseGP, times: np.ndarray) -> Belief:
+    """Blend by generalised products of experts, which are too sure where experts disagree."""
+    first, second, weight = process.segments.around(times)
+    one, other = process.in_segment(first, times), process.in_segment(second, times)
+    apart = se3.log(se3.inverse(one.poses) @ other.poses)
+    carried = se3.congruent(se3.inverse_left_jacobian(-apart), other.covariances)
+    share = weight[:, None, None]
+    theirs = np.linalg.inv(carried)
+    covariances = np.linalg.inv((1.0 - share) * np.linalg.inv(one.covariances) + share * theirs)
+    mean = weight[:, None] * se3.times(covariances @ theirs, apart)
+    moved = se3.congruent(se3.left_jacobian(-mean), covariances)
+    return Belief(one.poses @ se3.exp(mean), moved)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_experts_and_their_weights_by_another_blending(numbers: Any, place: int) -> None:
+    given = numbers["piecewise_gp"]
+    case = given["cases"][place]
+    process = piecewise_process(given, case)
+    found = averaged_precisions(process, np.array(given["tq"]))
+    np.testing.assert_allclose(found.poses, case["gpoe"]["mean"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.covariances, case["gpoe"]["cov"], rtol=1e-8, atol=1e-11)
 
 
 @pytest.mark.parametrize("group", ["r3", "so3"])

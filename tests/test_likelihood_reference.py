@@ -87,12 +87,13 @@ def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
         pytest.param("sim3", marks=pytest.mark.slow),
     ],
 )
-def test_quadrature_of_eq_19(numbers: Any, name: str) -> None:
+@pytest.mark.parametrize("density", ["log", "haar"])
+def test_quadrature_of_eq_19(numbers: Any, name: str, density: str) -> None:
     belief, estimate, case = metric_case(numbers, name)
-    residuals = Residuals(belief, estimate, GAUGES[name])
+    residuals = Residuals(belief, estimate, GAUGES[name], density=density)
     found = generalised_absolute_error(residuals, "laplace")
     value = quadrature(found, NODES[name])
-    assert value == pytest.approx(case["haar"]["log_L_quadrature"], abs=1e-9)
+    assert value == pytest.approx(case[density]["log_L_quadrature"], abs=1e-9)
 
 
 @pytest.mark.parametrize("place", range(6))
