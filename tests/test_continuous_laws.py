@@ -351,7 +351,20 @@ def test_half_turns_in_a_gap_are_said(model: str) -> None:
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
 def test_few_samples(model: str, count: int) -> None:
     motion = smooth(count)
-    belief = fit_trajectory(motion, model).at(motion.stamps[:-1] + 100_000_000)
+    fitted = fit_trajectory(motion, model)
+    assert any(f"{count} groundtruth samples say little" in each for each in fitted.statements)
+    stamps = motion.stamps[:-1] + 100_000_000
+    joint = JointPosterior.of(fitted.position_process, fitted.samples.seconds(stamps))
+    assert (np.linalg.eigvalsh(joint.marginals()) > 0.0).all()
+    belief = fitted.at(stamps)
+    assert np.isfinite(belief.poses).all()
+    assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()
+
+
+@pytest.mark.parametrize("model", ["matern", "paper"])
+def test_hardly_any_noise_leaves_digits(model: str) -> None:
+    motion = smooth(80)
+    belief = fit_trajectory(motion, model, Noise(1e-6, 1e-6)).at(motion.stamps[:-1] + 90_000_000)
     assert np.isfinite(belief.poses).all()
     assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()
 

@@ -180,6 +180,13 @@ def test_bad_groundtruth_is_said(
     write(tmp_path / "one.txt", flight.groundtruth[:1])
     assert main(["evaluate", "-g", str(tmp_path / "one.txt"), "-e", estimate, *CONTINUOUS]) == 2
     assert "has 1 pose" in capsys.readouterr().err
+    write(tmp_path / "single.txt", flight.estimates[0][40:41])
+    write(tmp_path / "two.txt", flight.estimates[0][40:42])
+    first = ["-g", str(files / "groundtruth.txt"), *CONTINUOUS, "--align-states", "1"]
+    assert main(["evaluate", "-e", str(tmp_path / "single.txt"), *first]) == 2
+    assert "one pose alone" in capsys.readouterr().err
+    assert main(["evaluate", "-e", str(tmp_path / "two.txt"), *first]) == 0
+    assert "nan" not in capsys.readouterr().out.lower()
     still = Trajectory(
         flight.groundtruth.stamps,
         np.ones_like(flight.groundtruth.positions),

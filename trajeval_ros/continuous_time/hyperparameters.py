@@ -102,9 +102,9 @@ def negative_log_likelihood(
     covariance = prior * correlation + noise**2 * np.eye(count)
     try:
         root = np.linalg.cholesky(covariance)
+        inverse = np.linalg.inv(covariance)
     except np.linalg.LinAlgError:
         return _IMPOSSIBLE, np.zeros(3)
-    inverse = np.linalg.inv(covariance)
     weights = inverse @ targets
     log_root = np.log(np.diagonal(root, axis1=1, axis2=2)).sum()
     value = 0.5 * np.vdot(targets, weights) + axes * log_root

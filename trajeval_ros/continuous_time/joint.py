@@ -51,19 +51,17 @@ class JointPosterior:
         states, _ = process.interpolator().at(union)
         measured, information = states.copy(), np.zeros(len(union))
         measured[samples], information[samples] = process.measured, process.information
-        rates = np.stack(
-            [
-                [np.interp(union, own, axis) for axis in rate.T]
-                for rate in process.rates.swapaxes(0, 1)
-            ]
-        )
+        columns = process.rates.reshape(len(own), -1).T
+        rates = np.empty((len(union), len(columns)))
+        for axis, column in enumerate(columns):
+            rates[:, axis] = np.interp(union, own, column)
         dense = replace(
             process,
             times=union,
             measured=measured,
             information=information,
             states=states,
-            rates=rates.transpose(2, 0, 1),
+            rates=rates.reshape(len(union), *process.rates.shape[1:]),
         ).solved(15, 1e-10)
         blocks, lower, _, _ = dense._normal_equations()
         return cls(blocks, lower, Factor.of(blocks, lower), rows)

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _HOLD_OUT_EVERY = 4
 _MOST_HELD_OUT = 3000
+_FEW = 10
 # Of the Markov prior where correlations are asked of a model that has none: WNOA.
 _ORDER = 2
 
@@ -204,6 +205,11 @@ def _statements(samples: Samples) -> tuple[str, ...]:
         statements.append(
             f"{samples.merged} groundtruth poses were merged into others within 1 % of the usual "
             "step"
+        )
+    if len(samples) < _FEW:
+        statements.append(
+            f"{len(samples)} groundtruth samples say little of how fast the body moves between "
+            "them, so that all uncertainties are guesses"
         )
     spread = samples.poses[:, :3, 3].std(axis=0).max()
     turns = samples.step_turns()

@@ -82,6 +82,8 @@ def assess(evaluation: Evaluation) -> Assessment:
     if continuous is None:
         how = "row by row, for want of stamps" if pairs.rule.method == "index" else "otherwise"
         raise InputError(f"likelihoods need association continuous, and poses were paired {how}")
+    if len(pairs) < 2:
+        raise InputError("one pose alone is as likely as any other in the same gauge")
     stamps = pairs.groundtruth.stamps
     known = continuous.at(stamps)
     oriented = pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
