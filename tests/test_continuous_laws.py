@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
 from trajeval_ros import se3
 from trajeval_ros.block_tridiagonal import Factor
+from trajeval_ros.chain import Chain
 from trajeval_ros.continuous_time.hyperparameters import (
     Hyperparameters,
     most_likely,
@@ -74,6 +76,8 @@ def test_block_tridiagonal_is_its_dense_matrix(seed: int, count: int, size: int)
     inverse = np.linalg.inv(dense)
     own, beside = factor.inverse_blocks()
     scale = np.abs(inverse).max()
+    links = Chain(csr_matrix(dense)).marginals(size * np.arange(count), size)
+    np.testing.assert_allclose(own, links, atol=1e-9 * scale)
     for row in range(count):
         here = slice(row * size, (row + 1) * size)
         np.testing.assert_allclose(own[row], inverse[here, here], atol=1e-9 * scale)
