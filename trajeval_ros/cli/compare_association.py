@@ -134,7 +134,7 @@ def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajec
     )
     for comparison in comparisons:
         terminal.print()
-        terminal.print(association_table(comparison))
+        tables.show(terminal, association_table(comparison))
         for each in comparison.reported:
             if each.reason:
                 terminal.print(f"  {each.association}: {each.reason}", soft_wrap=True)

@@ -206,7 +206,7 @@ def _print(
     from trajeval_ros.report import gauge_tables, tables
 
     terminal = tables.console()
-    terminal.print(gauge_tables.accuracy_table(outcome))
+    tables.show(terminal, gauge_tables.accuracy_table(outcome))
     for name, each in matrices.items():
         terminal.print(
             f"{name}: the free gauge's covariance, transformed, differs by "

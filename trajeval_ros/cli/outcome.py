@@ -143,15 +143,15 @@ def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: boo
         )
 
         terminal.print()
-        terminal.print(probabilistic_table(likely))
+        tables.show(terminal, probabilistic_table(likely))
         for line in probabilistic_lines(likely):
             terminal.print(line, soft_wrap=True)
     terminal.print()
-    terminal.print(tables.absolute_table(evaluations))
+    tables.show(terminal, tables.absolute_table(evaluations, terminal.width))
     relative = tables.relative_table(evaluations, terminal.width)
     if relative is not None:
         terminal.print()
-        terminal.print(relative)
+        tables.show(terminal, relative)
     for run in runs:
         if run.consistency is not None:
             for line in tables.consistency_lines(run.estimate.name, run.consistency):

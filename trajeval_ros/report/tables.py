@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from trajeval_ros.consistency.verdict import Consistency
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
+# Terminals that are narrower do without some columns; the results on disk have them all.
 _WIDTH_FOR_MEDIANS = 140
+_WIDTH_FOR_ALL = 110
+_WITHOUT_IF_NARROW = {"std", "min", "p95", "rotation_deg_per_m", "tilt_deg"}
 ABSOLUTE = {
     "position_m": "position [m]",
     "rotation_deg": "rotation [deg]",
@@ -103,13 +106,24 @@ def _dropped(evaluation: Evaluation) -> str:
     return f"; dropped: {reasons(dropped)}" if dropped else ""
 
 
-def absolute_table(evaluations: Sequence[Evaluation]) -> Table:
+def show(terminal: Console, table: Table) -> None:
+    """Print a table without cutting a word or a number, if need be wider than the terminal."""
+    from rich.console import Console
+
+    width = terminal.width
+    terminal.width = max(width, Console(width=10_000, markup=False).measure(table).minimum)
+    terminal.print(table)
+    terminal.width = width
+
+
+def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
+    shown = [each for each in STATISTICS if _fits(each, width)]
     form = evaluations[0].protocol.ate_form
     table = new_table(f"Absolute trajectory error, {form} form")
-    table.add_column("estimate")
+    table.add_column("estimate", no_wrap=True)
     table.add_column("error")
-    for statistic in STATISTICS:
+    for statistic in shown:
         table.add_column(statistic, justify="right")
     table.add_column("pairs", justify="right")
     for evaluation in evaluations:
@@ -117,7 +131,8 @@ def absolute_table(evaluations: Sequence[Evaluation]) -> Table:
         for metric, label in ABSOLUTE.items():
             statistics = evaluation.ate[metric]
             if statistics is not None:
-                table.add_row(name, label, *_numbers(statistics), str(statistics.count))
+                numbers = [number(getattr(statistics, each)) for each in shown]
+                table.add_row(name, label, *numbers, str(statistics.count))
                 name = ""
     return table
 
@@ -131,7 +146,8 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     metrics = [
         metric
         for metric in RELATIVE
-        if any(each.statistics[metric] for e in evaluations for each in e.segments or ())
+        if _fits(metric, width)
+        and any(each.statistics[metric] for e in evaluations for each in e.segments or ())
     ]
     if not metrics:
         return None
@@ -139,7 +155,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     what = "mean (median)" if with_medians else "mean"
     table = new_table(f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}")
     for heading in ("estimate", "length"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     for metric in metrics:
         table.add_column(RELATIVE[metric], justify="right")
     table.add_column("count", justify="right")
@@ -177,8 +193,8 @@ def new_table(title: str) -> Table:
     )
 
 
-def _numbers(statistics: Statistics) -> list[str]:
-    return [number(getattr(statistics, name)) for name in STATISTICS]
+def _fits(column: str, width: int) -> bool:
+    return width >= _WIDTH_FOR_ALL or column not in _WITHOUT_IF_NARROW
 
 
 def _mean(statistics: Statistics | None, with_median: bool) -> str:
