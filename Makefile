@@ -22,7 +22,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench bench-bags \
+.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench \
 	bench-live fuzz lock colcon-environment ros-environment clean
 
 help: ## List the targets.
@@ -55,14 +55,11 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
 
-bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, time live runs; BENCH="--only online".
+bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo and readers of bags, time the rest; BENCH="--only bags".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
 
 bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.
 	$(ROS)/bin/python -m benchmarks.live_node $(BENCH)
-
-bench-bags: $(EVO)/.installed ## Compare readers of bags; BENCH="--scale 0.1 --runs 3".
-	$(EVO)/bin/python -m benchmarks.bags $(BENCH)
 
 FUZZ_S ?= 300
 

@@ -3,7 +3,7 @@
 Every round runs each reader once, one after the other. Medians and their ratios go to the
 terminal, and to bags.json beside the generated bags, which take 5.5 GB at scale 1.
 
-Usage: make bench-bags BENCH="--scale 0.1 --runs 3"
+Usage: make bench BENCH="--only bags --scale 0.1 --runs 3"
 """
 
 from __future__ import annotations

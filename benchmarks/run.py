@@ -4,7 +4,7 @@ Every round runs each command once, one after the other, so that what else the m
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
 Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
-(or evo, or continuous)
+(or evo, continuous, or bags, of which --scale 0.1 makes a tenth of 5.5 GB)
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from benchmarks.process import Cost, environment, median_cost, run
 HERE = Path(__file__).parent
 BIN = Path(sys.executable).parent
 SMALL = 1_000
-PARTS = ("evo", "online", "continuous")
+PARTS = ("evo", "online", "continuous", "bags")
 CONTINUOUS = tuple(
     (work, count)
     for work in ("matern", "wnoa", "wnoj", "likelihood")
@@ -77,6 +77,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--sizes", default="10000,100000,1000000", help="poses of the pairs")
     parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
     parser.add_argument("--only", choices=PARTS, help="one part; all by default")
+    parser.add_argument("--scale", default=1.0, type=float, help="size of the bags")
     parser.add_argument("--messages", default=1_000_000, type=int, help="of a live run")
     parser.add_argument("--data", default=HERE / "data", type=Path, help="for generated files")
     parser.add_argument("--results", default=HERE / "results.json", type=Path)
@@ -288,6 +289,15 @@ def _continuous(work: str, count: int) -> Job:
     return lambda env: run(command, env)
 
 
+def bags_part(options: argparse.Namespace) -> dict[str, Any]:
+    """Compare readers of bags, in the peers' environment."""
+    folder = options.data / "bags"
+    sizes = ["--scale", str(options.scale), "--runs", str(options.runs), "--data", str(folder)]
+    subprocess.run([options.evo.parent / "python", "-m", "benchmarks.bags", *sizes], check=True)
+    kept = folder / f"{options.scale:g}" / "bags.json"
+    return {"bags": json.loads(kept.read_text(encoding="utf-8"))}
+
+
 def main() -> None:
     """Measure everything, print it, keep it."""
     options = arguments()
@@ -313,6 +323,8 @@ def main() -> None:
             results |= online_part(options, env, console)
         if "continuous" in parts:
             results |= continuous_part(options, env, console)
+        if "bags" in parts:
+            results |= bags_part(options)
     console.print(", ".join(f"{name} {value}" for name, value in results["machine"].items()))
     options.results.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 

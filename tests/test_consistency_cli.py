@@ -131,6 +131,7 @@ def test_output_holds_the_bands(honest: Path, tmp_path: Path) -> None:
     assert nees.shape == (61,)
 
 
+@pytest.mark.slow
 def test_runs_differ_in_noise_and_share_the_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

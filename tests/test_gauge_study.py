@@ -21,6 +21,7 @@ def _nothing() -> None:
     pass
 
 
+@pytest.mark.slow
 def test_writes_tables_numbers_and_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,6 +72,7 @@ def test_writes_every_figure_and_none_is_blank(tmp_path: Path) -> None:
         assert _colour_share(pixels, canvas.COLOURS[0]) > 5e-4
 
 
+@pytest.mark.slow
 def test_same_evaluation_gives_the_same_bytes(tmp_path: Path) -> None:
     evaluation = _evaluation()
     first = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
@@ -89,6 +90,7 @@ def test_settings_of_the_user_are_neither_followed_nor_changed(tmp_path: Path) -
     assert styled == plain
 
 
+@pytest.mark.slow
 def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> None:
     evaluations = [_evaluation(0), _evaluation(0), _evaluation(0)]
     names = ["first", "second", "third"]
@@ -99,6 +101,7 @@ def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> N
     assert _colour_share(pixels, canvas.tint(canvas.COLOURS[3])) == 0.0
 
 
+@pytest.mark.slow
 def test_more_estimates_than_colours(tmp_path: Path) -> None:
     assert len(write_figures([_evaluation()] * 8, tmp_path, [f"trial {k}" for k in range(8)])) == 4
     assert len({canvas.line_style(place) for place in range(20)}) == 20
