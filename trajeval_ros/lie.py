@@ -147,6 +147,17 @@ def angle(quaternion: Array) -> Array:
     return 2.0 * half
 
 
+def rotation_vector(quaternion: Array) -> Array:
+    """Return the rotation vectors (..., 3), at most pi long, of unit quaternions (..., 4)."""
+    vector, w = quaternion[..., :3], quaternion[..., 3:]
+    length = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
+    small = length < 1e-9
+    # Of q and -q the one with w >= 0; there the angle is 2 sin(angle / 2) to first order.
+    turned = 2.0 * np.arctan2(length, np.abs(w)) / np.where(small, 1.0, length)
+    vectors: Array = np.where(small, 2.0, turned) * np.where(w < 0.0, -vector, vector)
+    return vectors
+
+
 def yaw(quaternion: Array) -> Array:
     """Return the signed twist about gravity, the z axis (...), in [-pi, pi] rad."""
     z, w = quaternion[..., 2], quaternion[..., 3]

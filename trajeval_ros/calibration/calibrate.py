@@ -1,0 +1,278 @@
+"""The calibration of an estimate against groundtruth: clock offset, body rotation, lever arm.
+
+An estimate of what the two disagree on by construction, never by what makes the error small:
+the ATE has no part in it, so that the ATE before and after is an honest check.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import lie
+from trajeval_ros.calibration.clock import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.calibration.fit import Fit, fit
+from trajeval_ros.calibration.increments import HORIZON_S, POSITION, ROTATION, Increments
+from trajeval_ros.calibration.observability import observability
+from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
+from trajeval_ros.calibration.track import nanoseconds
+from trajeval_ros.calibration.verdict import (
+    CHANCE,
+    CHANCE_OF_SKEW,
+    Parameter,
+    judge,
+    unobservable,
+)
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+
+# What an interval of 95 % must lie within to be of use: s, s/s, rad, m.
+WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
+_SHORT_RUN_S = 60.0
+_SHORT_FOR_SKEW_S = 120.0
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """What parts of one real run differ by, beyond what any of them can know; 0 when simulated.
+
+    Attributes:
+        offset_s: Standard deviation of the offset, doubled for runs under a minute.
+        turn_rad: Standard deviation of the body's rotation.
+    """
+
+    offset_s: float = 1.5e-3
+    turn_rad: float = float(np.radians(0.1))
+
+
+# Below these, inputs without noise would be sure of the last digit. s, s/s, rad, m.
+_FLOORS = {"offset": 1e-5, "skew": 1e-7, "turn": 1e-5, "lever": 1e-5}
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What is known of clocks and bodies.
+
+    Attributes:
+        offset: Seconds to be added to the estimate's stamps, at the middle of the run.
+        skew: Seconds per second; None if it wasn't asked for.
+        turn: R_X, the marker's axes in the body's, as a rotation vector.
+        lever: p_B_M, the marker in the body, metres.
+        scale: Groundtruth metres in a unit of the estimate; 1 unless the gauge has a scale.
+        guess: The offset by correlation, where the fit began.
+        rows: Offset and its standard deviation by rotations alone and by positions alone, if
+            either shows it.
+        fitted: Number of parameters that were fitted.
+        blocks: Number of blocks of time that standard deviations are from.
+        pairs: Number of increments.
+        horizon_s: Their length.
+        warnings: One sentence each.
+    """
+
+    offset: Parameter
+    skew: Parameter | None
+    turn: Parameter
+    lever: Parameter
+    scale: float
+    guess: OffsetGuess
+    rows: dict[str, tuple[float, float]]
+    fitted: int
+    blocks: int
+    pairs: int
+    horizon_s: float
+    warnings: tuple[str, ...] = ()
+
+
+def calibrate(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    gauge: Gauge = Gauge.SE3,
+    *,
+    around_s: float = 0.0,
+    search_s: float | None = SEARCH_S,
+    with_skew: bool = False,
+    systematic: Systematic | None = None,
+    horizon_s: float = HORIZON_S,
+) -> Calibration:
+    """Estimate clock offset, body rotation and lever arm from increments.
+
+    All are fitted together, whichever is wanted: an offset without the lever arm that is there
+    would be wrong by up to 16 ms.
+
+    Args:
+        groundtruth: T_G_M, poses or positions of the marker.
+        estimate: T_W_B, poses or positions of the body.
+        gauge: Whether there is a scale between the two, and whether their worlds share gravity;
+            it changes nothing else.
+        around_s: Where to search the offset, seconds to be added to the estimate's stamps.
+        search_s: How far from there; None for everywhere. Where the two don't meet within the
+            range it is everywhere, too: clocks of different epochs.
+        with_skew: Fit the clocks' skew, too.
+        systematic: What real runs hide from standard deviations; None for the usual.
+        horizon_s: Length of the increments.
+
+    Raises:
+        InputError: States without stamps, or too few of them.
+    """
+    for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
+        if not side.stamped:
+            raise InputError(
+                f"the {side.name or name} has no stamps, so there is no clock to compare"
+            )
+        if len(side.in_order()) < 2:
+            raise InputError(f"the {side.name or name} has fewer than two poses")
+    reach = np.inf if search_s is None else search_s
+    if _apart(groundtruth, estimate, around_s) > reach:
+        search_s = None
+    guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
+    # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.
+    base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
+    shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
+    increments = Increments(groundtruth, shifted, horizon_s)
+    solution = solve(increments, gauge, with_skew)
+    if solution is None:
+        return _without(guess, increments, with_skew)
+    return _judged(solution, increments, guess, base, systematic or Systematic(), with_skew)
+
+
+def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
+    """Return by how many seconds the two miss each other, negative if they meet."""
+    shift = int(nanoseconds(around_s))
+    first, last = int(estimate.stamps.min()) + shift, int(estimate.stamps.max()) + shift
+    before = first - int(groundtruth.stamps.max())
+    after = int(groundtruth.stamps.min()) - last
+    return max(before, after) / NANOSECONDS
+
+
+def _judged(
+    solution: Solution,
+    increments: Increments,
+    guess: OffsetGuess,
+    base: int,
+    systematic: Systematic,
+    with_skew: bool,
+) -> Calibration:
+    """Return the verdicts on a solution."""
+    fitted, found = solution.fit, solution.found
+    duration_s = float(np.ptp(fitted.linearised.seconds))
+    warnings = [solution.left_out] if solution.left_out else []
+    if not fitted.settled and any(each.seen.any() for each in found.values()):
+        warnings.append("the fit of the calibration did not settle: its numbers are rough")
+    rows = _by_rows(increments, fitted, base)
+    apart_s = _disagreement(rows, fitted.blocks)
+    if apart_s:
+        warnings.append(
+            "positions and orientations don't share a clock: by rotations alone the offset is "
+            f"{1e3 * rows['rotation'][0]:+.1f} ms, by positions alone "
+            f"{1e3 * rows['position'][0]:+.1f} ms; half of that is added to its uncertainty"
+        )
+    if with_skew and duration_s < _SHORT_FOR_SKEW_S:
+        warnings.append(
+            f"a skew from {duration_s:.0f} s is not to be trusted: {_SHORT_FOR_SKEW_S:g} s are "
+            "needed"
+        )
+    hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
+    extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "turn": systematic.turn_rad}
+    values = {
+        "offset": np.array([base / NANOSECONDS + fitted.unknowns.offset_s]),
+        "skew": np.array([fitted.unknowns.skew]),
+        "turn": lie.log(fitted.unknowns.turn[None])[0],
+        "lever": fitted.unknowns.lever_m,
+    }
+
+    def verdict(name: str, unit: str) -> Parameter:
+        columns = COLUMNS_OF[name]
+        covariance = fitted.covariance[columns, columns]
+        if name not in found or (found[name].seen.any() and not np.diag(covariance).any()):
+            return unobservable(_TOO_SHORT)
+        return judge(
+            values[name],
+            covariance + _FLOORS[name] ** 2 * np.eye(len(covariance)),
+            extra.get(name, 0.0),
+            found[name],
+            fitted.blocks,
+            widest=WIDEST[name],
+            unit=unit,
+            chance=CHANCE_OF_SKEW if name == "skew" else CHANCE,
+            whole=name == "turn",
+        )
+
+    offset = verdict("offset", "s")
+    if not guess.is_usable:
+        offset = unobservable(guess.problem, offset.reliability)
+    return Calibration(
+        offset=offset,
+        skew=verdict("skew", "s/s") if with_skew else None,
+        turn=verdict("turn", "rad") if increments.has_turns else unobservable(_NO_TURN),
+        lever=unobservable(_NO_LEVER) if increments.turned is None else verdict("lever", "m"),
+        scale=fitted.unknowns.scale,
+        guess=guess,
+        rows=rows,
+        fitted=fitted.free,
+        blocks=fitted.blocks,
+        pairs=len(fitted.linearised.rows),
+        horizon_s=increments.horizon_s,
+        warnings=tuple(warnings),
+    )
+
+
+_TOO_SHORT = "the two overlap for too short a time for a standard deviation"
+_NO_TURN = "positions alone, on either side, don't show how a body is turned"
+_NO_LEVER = "without the estimate's orientations a lever arm can't be seen"
+
+
+def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Calibration:
+    """Return the verdict on a run of which nothing can be known."""
+    nothing = unobservable(guess.problem or _TOO_SHORT)
+    return Calibration(
+        offset=nothing,
+        skew=nothing if with_skew else None,
+        turn=unobservable(_TOO_SHORT) if increments.has_turns else unobservable(_NO_TURN),
+        lever=unobservable(_NO_LEVER if increments.turned is None else _TOO_SHORT),
+        scale=1.0,
+        guess=guess,
+        rows={},
+        fitted=0,
+        blocks=0,
+        pairs=len(increments),
+        horizon_s=increments.horizon_s,
+    )
+
+
+def _by_rows(increments: Increments, fitted: Fit, base: int) -> dict[str, tuple[float, float]]:
+    """Return the offset by rotations alone and by positions alone, where they show it."""
+    if not increments.has_turns or not fitted.covariance[0, 0] > 0.0:
+        return {}
+    free = {"offset": np.eye(1), "turn": np.eye(3)}
+    rows = {}
+    for name, kind, basis in (
+        ("rotation", ROTATION, basis_of(free)),
+        ("position", POSITION, basis_of({**free, "lever": np.eye(3)})),
+    ):
+        alone = fit(increments, fitted.unknowns, basis, (kind,))
+        if alone is None or not alone.settled:
+            continue
+        if observability(increments, alone)["offset"].seen.all():
+            sigma = float(np.sqrt(alone.covariance[0, 0]))
+            rows[name] = (base / NANOSECONDS + alone.unknowns.offset_s, sigma)
+    return rows
+
+
+def _disagreement(rows: dict[str, tuple[float, float]], blocks: int) -> float:
+    """Return by how many seconds the two kinds of rows differ, zero if that can be chance."""
+    from scipy.special import stdtrit
+
+    if len(rows) < 2:
+        return 0.0
+    (rotation, of_rotation), (position, of_position) = rows["rotation"], rows["position"]
+    apart = position - rotation
+    # Noise-free rows agree to the last digit that there is.
+    sigma = np.hypot(np.hypot(of_rotation, of_position), _FLOORS["offset"])
+    limit = float(stdtrit(blocks - 1, 1.0 - CHANCE / 2.0)) * sigma
+    return abs(apart) if abs(apart) > limit else 0.0

@@ -1,0 +1,70 @@
+"""Closed forms for a body that moves with another one: rotation and lever arm between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_PASSES = 3
+
+
+def closest_rotation(
+    targets: Array, vectors: Array, weights: Array | None = None, *, about_z: bool = False
+) -> Array:
+    """Return the R (3, 3) that minimises sum w |target - R vector|^2 (Wahba's problem).
+
+    Args:
+        targets: (N, 3).
+        vectors: (N, 3).
+        weights: (N,), or None for all alike.
+        about_z: Only rotations about z come into question.
+    """
+    weighted = targets if weights is None else targets * weights[:, None]
+    scatter = weighted.T @ vectors
+    if about_z:
+        angle = np.arctan2(scatter[1, 0] - scatter[0, 1], scatter[0, 0] + scatter[1, 1])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    left, _, right = np.linalg.svd(scatter)
+    proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation: Array = left @ proper @ right
+    return rotation
+
+
+def robust_rotation(targets: Array, vectors: Array, *, about_z: bool = False) -> Array:
+    """Return the closest rotation (3, 3) with Cauchy weights, in three passes.
+
+    Args:
+        targets: (N, 3); of body rotations, the rotation vectors of the estimate's increments.
+        vectors: (N, 3); those of the groundtruth's, in the marker's own axes.
+        about_z: Only rotations about z come into question.
+    """
+    weights = np.ones(len(targets))
+    rotation = np.eye(3)
+    for _ in range(_PASSES):
+        rotation = closest_rotation(targets, vectors, weights, about_z=about_z)
+        misfit = np.linalg.norm(targets - vectors @ rotation.T, axis=1)
+        weights = 1.0 / (1.0 + np.square(misfit / (2.0 * np.median(misfit) + 1e-9)))
+    return rotation
+
+
+def lever_arm(
+    turned: Array, steps: Array, marker_steps: Array, *, with_scale: bool
+) -> tuple[Array, float]:
+    """Return the lever arm (3,), metres, and the scale: R_X dq = c dp + (dR - I) l.
+
+    Args:
+        turned: (N, 3, 3), dR - I of the body's increments.
+        steps: (N, 3), dp in the body's axes at the start.
+        marker_steps: (N, 3), R_X dq in the same axes, metres.
+        with_scale: Whether c is sought, too; otherwise it is 1.
+    """
+    design = turned.reshape(-1, 3)
+    wanted = marker_steps.reshape(-1)
+    if not with_scale:
+        wanted = wanted - steps.reshape(-1)
+    else:
+        design = np.column_stack([design, steps.reshape(-1)])
+    solution = np.linalg.lstsq(design, wanted, rcond=1e-6)[0].tolist()
+    return np.array(solution[:3]), solution[3] if with_scale else 1.0

@@ -1,0 +1,307 @@
+"""Increments: relative motions over about a second, in which gauge and drift have no part.
+
+Clocks and bodies are estimated from these alone. Absolute positions would do for a fit, but then
+drift poses as calibration: on EuRoC MH_01, whose clocks are one, it gives 27 to 65 ms.
+
+The clock is tau(s) = s + offset + skew (s - mid), s a stamp of the estimate, tau that of the
+groundtruth. With T_B_M = (R_X, l) the pose of the marker in the body, increments obey
+
+    r_p = R_X dq - c dp - (dR - I) l        r_R = Log(R_X dQ R_X^T dR^T)
+
+in the body's axes at the start. Without orientations on both sides there is, instead of R_X, the
+rotation R_S between the two worlds: r_p = dq - R_S (c dp + (R_j - R_i) l).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros import lie
+from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
+from trajeval_ros.calibration.track import Stamps, Track, nanoseconds, nearest_rows
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Columns of a Jacobian.
+OFFSET, SKEW, TURN, LEVER, SCALE = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8), slice(8, 9)
+COLUMNS = 9
+# Rows of a residual.
+POSITION, ROTATION = slice(0, 3), slice(3, 6)
+
+HORIZON_S = 1.0
+# A derivative over 20 ms to either side: over one step of the groundtruth it would be noise.
+_REACH_S = 0.02
+_TOLERANCE = 0.25  # of the horizon
+_MOST_PAIRS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """What is estimated.
+
+    Attributes:
+        offset_s: At the middle of the run, seconds to be added to the estimate's stamps.
+        skew: Seconds per second.
+        turn: (3, 3), R_X; or R_S where increments have no orientation.
+        lever_m: (3,), the marker's origin in the body.
+        scale: c, groundtruth metres in a unit of the estimate.
+    """
+
+    offset_s: float
+    skew: float
+    turn: Array
+    lever_m: Array
+    scale: float
+
+    def moved(self, step: Array) -> Unknowns:
+        """Return them after a step (9,): rotations turn on the left."""
+        return Unknowns(
+            self.offset_s + float(step[0]),
+            self.skew + float(step[1]),
+            lie.exp(step[TURN]) @ self.turn,
+            self.lever_m + step[LEVER],
+            self.scale + float(step[8]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals at a point and how they change.
+
+    Attributes:
+        residual: (N, 3) positions, or (N, 6) with rotations behind; metres, radians.
+        jacobian: (N, 3 or 6, 9).
+        seconds: (N,) stamps of the first states, since the run's first.
+        rows: (N,) which of all increments these are.
+    """
+
+    residual: Array
+    jacobian: Array
+    seconds: Array
+    rows: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Increments of one side: the body's own axes, or its world's if there are no orientations.
+
+    Attributes:
+        turns: (N, 4), xyzw, or None.
+        steps: (N, 3), metres.
+        usable: (N,).
+    """
+
+    turns: Array | None
+    steps: Array
+    usable: Mask
+
+
+class Increments:
+    """Pairs of estimated states about a horizon apart, and the groundtruth's motion meanwhile."""
+
+    def __init__(
+        self, groundtruth: Trajectory, estimate: Trajectory, horizon_s: float = HORIZON_S
+    ) -> None:
+        """Choose the pairs: no gap within one, and no more than 20 000 in all.
+
+        Args:
+            groundtruth: At least two states.
+            estimate: At least two states.
+            horizon_s: Length of an increment; that of sparse keyframes is three steps or more.
+        """
+        self.has_turns = groundtruth.rotations is not None and estimate.rotations is not None
+        self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
+        # A lever arm turns with the estimate's orientations, also if the marker has none.
+        self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
+        self.horizon_s = max(horizon_s, 3.0 * track.step_s)
+        stamps = track.stamps
+        first = np.arange(0, len(stamps), -(-len(stamps) // _MOST_PAIRS))
+        last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))
+        stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > nanoseconds(track.gap_s))])
+        length_s = (stamps[last] - stamps[first]) / NANOSECONDS
+        whole = (np.abs(length_s - self.horizon_s) <= _TOLERANCE * self.horizon_s) & (
+            stretch[first] == stretch[last]
+        )
+        self._first, self._last = first[whole], last[whole]
+        self._since = (stamps[self._first] - stamps[0]) / NANOSECONDS
+        self._till = (stamps[self._last] - stamps[0]) / NANOSECONDS
+        self._mid_s = (int(stamps[-1]) - int(stamps[0])) / NANOSECONDS / 2.0
+        self._body = self._motion(track, stamps[self._first], stamps[self._last])
+        self.turned = self._turned(self._body)
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self._first)
+
+    def start(self, offset_s: float, *, with_scale: bool, about_z: bool) -> Unknowns:
+        """Return a start for the fit: closed forms at a known offset."""
+        marker = self._marker(offset_s, 0.0)
+        known = marker.usable
+        steps, marker_steps = self._body.steps[known], marker.steps[known]
+        start = Unknowns(offset_s, 0.0, np.eye(3), np.zeros(3), 1.0)
+        if not known.any():
+            return start
+        if marker.turns is None:
+            turn = robust_rotation(marker_steps, steps, about_z=about_z)
+            moved = float(np.linalg.norm(steps))
+            scale = float(np.linalg.norm(marker_steps)) / moved if with_scale and moved else 1.0
+            return replace(start, turn=turn, scale=scale)
+        assert self._body.turns is not None
+        assert self.turned is not None
+        turn = robust_rotation(
+            lie.rotation_vector(self._body.turns[known]), lie.rotation_vector(marker.turns[known])
+        )
+        lever_m, scale = lever_arm(
+            self.turned[known], steps, marker_steps @ turn.T, with_scale=with_scale
+        )
+        return replace(start, turn=turn, lever_m=lever_m, scale=scale)
+
+    def linearise(self, at: Unknowns) -> Linearised:
+        """Return residuals and Jacobian of all increments that the groundtruth knows."""
+        marker = self._marker(at.offset_s, at.skew)
+        before = self._marker(at.offset_s - _REACH_S, at.skew)
+        after = self._marker(at.offset_s + _REACH_S, at.skew)
+        rows = np.flatnonzero(marker.usable & before.usable & after.usable)
+        residual = self._residual(at, marker, rows)
+        jacobian = np.zeros((*residual.shape, COLUMNS))
+        slope = self._residual(at, after, rows) - self._residual(at, before, rows)
+        jacobian[..., 0] = slope / (2.0 * _REACH_S)
+        jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
+        self._turn_columns(at, marker, rows, jacobian)
+        steps = self._body.steps[rows]
+        if marker.turns is None:
+            jacobian[:, POSITION, LEVER] = (
+                0.0 if self.turned is None else -at.turn @ self.turned[rows]
+            )
+            jacobian[:, POSITION, 8] = -steps @ at.turn.T
+        else:
+            assert self.turned is not None
+            jacobian[:, POSITION, LEVER] = -self.turned[rows]
+            jacobian[:, POSITION, 8] = -steps
+        return Linearised(residual, jacobian, self._since[rows], rows)
+
+    def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Array, Mask]:
+        """Return the Jacobian (N, 3 or 6, 9) with the roles of the sides exchanged.
+
+        At the solution, either side tells the other's motion; what both Jacobians agree on is no
+        noise. For increments without orientation, columns of offset, skew and scale alone.
+
+        Args:
+            at: The solution.
+            rows: (N,) of the increments.
+
+        Returns:
+            The Jacobian, and (N,) where it is known.
+        """
+        track, stamps = self._track, self._track.stamps
+        reach_s = max(_REACH_S, track.step_s)
+        reach = nanoseconds(reach_s)
+        first, last = stamps[self._first[rows]], stamps[self._last[rows]]
+        before = self._motion(track, first - reach, last - reach)
+        after = self._motion(track, first + reach, last + reach)
+        jacobian = np.zeros((len(rows), 6 if self.has_turns else 3, COLUMNS))
+        slope = self._carried(at, after) - self._carried(at, before)
+        jacobian[:, POSITION, 0] = slope / (2.0 * reach_s)
+        marker = self._marker(at.offset_s, at.skew)
+        if marker.turns is not None:
+            assert before.turns is not None
+            assert after.turns is not None
+            assert self._body.turns is not None
+            assert self.turned is not None
+            inverse = lie.conjugate(self._body.turns[rows])
+            turned = lie.rotation_vector(lie.multiply(after.turns, inverse))
+            turned -= lie.rotation_vector(lie.multiply(before.turns, inverse))
+            jacobian[:, ROTATION, 0] = turned / (2.0 * reach_s)
+            carried = at.scale * self._body.steps[rows] + self.turned[rows] @ at.lever_m
+            jacobian[:, POSITION, TURN] = -lie.skew(carried)
+            jacobian[:, ROTATION, TURN] = -self.turned[rows]
+            marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
+            jacobian[:, POSITION, LEVER] = -marker_turned
+            steps = marker.steps[rows] @ at.turn.T - marker_turned @ at.lever_m
+            jacobian[:, POSITION, 8] = -steps / at.scale
+        else:
+            jacobian[:, POSITION, 8] = -marker.steps[rows] / at.scale
+        jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
+        return jacobian, before.usable & after.usable
+
+    def _marker(self, offset_s: float, skew: float) -> Motion:
+        """Return the groundtruth's increments by a clock."""
+        stamps, truth = self._track.stamps, self._truth
+        first_s = offset_s + skew * (self._since - self._mid_s)
+        last_s = offset_s + skew * (self._till - self._mid_s)
+        return self._motion(
+            truth,
+            stamps[self._first] + np.rint(first_s * NANOSECONDS).astype(np.int64),
+            stamps[self._last] + np.rint(last_s * NANOSECONDS).astype(np.int64),
+        )
+
+    def _motion(self, track: Track, first: Stamps, last: Stamps) -> Motion:
+        start, end = track.at(first), track.at(last)
+        steps = end.positions - start.positions
+        usable = start.usable & end.usable
+        if not self.has_turns:
+            return Motion(None, steps, usable)
+        assert start.quaternions is not None
+        assert end.quaternions is not None
+        back = lie.conjugate(start.quaternions)
+        return Motion(lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable)
+
+    def _turned(self, body: Motion) -> Array | None:
+        """Return dR - I, or R_j - R_i where increments have no orientation, (N, 3, 3)."""
+        if body.turns is not None:
+            return _matrices(body.turns) - np.eye(3)
+        quaternions = self._track.quaternions
+        if quaternions is None:
+            return None
+        return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
+
+    def _residual(self, at: Unknowns, marker: Motion, rows: NDArray[np.int64]) -> Array:
+        turned = None if self.turned is None else self.turned[rows]
+        carried = at.scale * self._body.steps[rows]
+        if turned is not None:
+            carried = carried + turned @ at.lever_m
+        if marker.turns is None:
+            return marker.steps[rows] - carried @ at.turn.T
+        assert self._body.turns is not None
+        turn = lie.from_matrix(at.turn)
+        residual = np.empty((len(rows), 6))
+        residual[:, POSITION] = marker.steps[rows] @ at.turn.T - carried
+        in_body = lie.multiply(lie.multiply(turn, marker.turns[rows]), lie.conjugate(turn))
+        residual[:, ROTATION] = lie.rotation_vector(
+            lie.multiply(in_body, lie.conjugate(self._body.turns[rows]))
+        )
+        return residual
+
+    def _turn_columns(
+        self, at: Unknowns, marker: Motion, rows: NDArray[np.int64], jacobian: Array
+    ) -> None:
+        if marker.turns is None:
+            turned = None if self.turned is None else self.turned[rows] @ at.lever_m
+            carried = at.scale * self._body.steps[rows] + (0.0 if turned is None else turned)
+            jacobian[:, POSITION, TURN] = lie.skew(carried @ at.turn.T)
+            return
+        jacobian[:, POSITION, TURN] = -lie.skew(marker.steps[rows] @ at.turn.T)
+        in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
+        jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
+
+    def _carried(self, at: Unknowns, body: Motion) -> Array:
+        """Return the marker's step that goes with a motion of the body, the offset's column."""
+        if body.turns is None:
+            # The lever arm's part is left out: of what an offset changes it is small.
+            return at.scale * body.steps @ at.turn.T
+        turned = _matrices(body.turns) - np.eye(3)
+        return at.scale * body.steps + turned @ at.lever_m
+
+    def _from_mid(self, rows: NDArray[np.int64]) -> Array:
+        middle: Array = (self._since[rows] + self._till[rows]) / 2.0 - self._mid_s
+        return middle
+
+
+def _matrices(quaternions: Array) -> Array:
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())

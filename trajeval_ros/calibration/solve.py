@@ -1,0 +1,107 @@
+"""Which directions are fitted: all that can be seen and have standard deviations."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.calibration.fit import Fit, fit
+from trajeval_ros.calibration.increments import (
+    COLUMNS,
+    LEVER,
+    OFFSET,
+    SCALE,
+    SKEW,
+    TURN,
+    Increments,
+    Unknowns,
+)
+from trajeval_ros.calibration.observability import Directions, observability
+from trajeval_ros.gauge import Gauge
+
+Array = NDArray[np.float64]
+
+_FEWEST_PAIRS = 30
+COLUMNS_OF = {"offset": OFFSET, "skew": SKEW, "turn": TURN, "lever": LEVER, "scale": SCALE}
+_NO_SKEW = "the run is too short for a standard deviation of a skew, which was left out"
+_NO_BODY = (
+    "the run is too short for standard deviations of rotation and lever arm, which were held: a "
+    "lever arm that is there puts the offset off by some milliseconds"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A fit, what its directions are worth, and what was left out to have standard deviations."""
+
+    fit: Fit
+    found: dict[str, Directions]
+    left_out: str
+
+
+def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> Solution | None:
+    """Fit all that can be seen; None where not even the offset has a standard deviation."""
+    if len(increments) < _FEWEST_PAIRS:
+        return None
+    about_z = not gauge.turns_freely
+    begin = increments.start(0.0, with_scale=gauge.has_scale, about_z=about_z)
+    free = {"offset": np.eye(1), "turn": np.eye(3)}
+    if about_z and not increments.has_turns:
+        free["turn"] = np.eye(3)[2:]
+    if increments.turned is not None:
+        free["lever"] = np.eye(3)
+    if gauge.has_scale:
+        free["scale"] = np.eye(1)
+    # The worlds' rotation is none of the body's, and is needed as long as there is a run at all.
+    body = {"turn", "lever"} if increments.has_turns else {"lever"}
+    held = {name: each for name, each in free.items() if name not in body}
+    attempts = [(free, ""), (held, _NO_BODY)]
+    if with_skew:
+        attempts = [({**free, "skew": np.eye(1)}, ""), (free, _NO_SKEW), (held, _NO_BODY)]
+    for each, left_out in attempts:
+        solution = _settle(increments, begin, each)
+        if solution is not None:
+            return dataclasses.replace(solution, left_out=left_out)
+    return None
+
+
+def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> Solution | None:
+    """Fit, hold the directions that can't be seen, and fit again from the start."""
+    hidden: dict[str, Directions] = {}
+    solution = None
+    while free:
+        lever = free.get("lever", np.zeros((0, 3)))
+        start = dataclasses.replace(begin, lever_m=lever.T @ (lever @ begin.lever_m))
+        fitted = fit(increments, start, basis_of(free))
+        if fitted is None:
+            return solution
+        found = observability(increments, fitted)
+        solution = Solution(fitted, {**found, **hidden}, "")
+        worse = {
+            name: each
+            for name, each in found.items()
+            if name in free and name not in hidden and not each.seen.all()
+        }
+        if not worse:
+            return solution
+        hidden |= worse
+        solution = Solution(fitted, {**found, **hidden}, "")
+        free = {
+            name: worse[name].directions[worse[name].seen] if name in worse else axes
+            for name, axes in free.items()
+        }
+        free = {name: axes for name, axes in free.items() if len(axes)}
+    return solution
+
+
+def basis_of(free: dict[str, Array]) -> Array:
+    """Return the free directions as columns (9, P)."""
+    basis = np.zeros((COLUMNS, sum(len(axes) for axes in free.values())))
+    column = 0
+    for name, axes in free.items():
+        basis[COLUMNS_OF[name], column : column + len(axes)] = axes.T
+        column += len(axes)
+    return basis
