@@ -147,7 +147,7 @@ def guess_offset(
     if guess.is_usable or search_s is None:
         return guess
     anywhere = _highest(lags_s, correlation, common, around_s, None, signal)
-    if anywhere.is_usable and abs(anywhere.offset_s - around_s) > search_s:
+    if anywhere.peak >= _LEAST_PEAK[signal] and abs(anywhere.offset_s - around_s) > search_s:
         far = (
             f"the clocks seem to be {anywhere.offset_s:+.2f} s apart, beyond the search range of "
             f"{search_s:g} s about {around_s:g} s: give that as the time offset"
