@@ -43,6 +43,7 @@ FLOORS = {
     "diagnosis": 5,
     "jumps": 4,
     "evaluation": 6,
+    "calibrated": 7,
     "requirement": 6,
     "settings": 6,
     "simulation": 5,
@@ -85,6 +86,7 @@ HEAVY = {
     "rclpy",
     "rerun",
     "rosbags",
+    "ruamel",
     "upath",
 }
 

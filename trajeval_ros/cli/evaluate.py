@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from trajeval_ros.calibrated import Wanted, evaluate_calibrated
+from trajeval_ros.cli.calibration import parse_offset, parse_wanted
 from trajeval_ros.cli.consistency import CovarianceSettings
 from trajeval_ros.cli.names import names_of
 from trajeval_ros.cli.outcome import deliver
@@ -25,6 +27,7 @@ from trajeval_ros.requirement import Requirement
 from trajeval_ros.settings import protocol_from
 
 if TYPE_CHECKING:
+    from trajeval_ros.calibrated import Calibrated
     from trajeval_ros.protocol import Protocol
     from trajeval_ros.trajectory import Trajectory
 
@@ -118,11 +121,23 @@ def evaluate(
         ),
     ] = None,
     time_offset: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            metavar="S", help="Added to the estimate's stamps, seconds.", rich_help_panel=PAIR
+            metavar="S|auto",
+            help="Added to the estimate's stamps, seconds. auto estimates it, and applies it if "
+            "the recording shows it beyond doubt.",
+            rich_help_panel=PAIR,
         ),
     ] = None,
+    hand_eye: Annotated[
+        str,
+        typer.Option(
+            metavar="none|auto|FILE",
+            help="The pose of the groundtruth's marker in the estimate's body: estimated, and "
+            "applied if beyond doubt, or a TransformStamped in YAML.",
+            rich_help_panel=PAIR,
+        ),
+    ] = "none",
     continuous_model: Annotated[
         str | None,
         typer.Option(
@@ -245,6 +260,10 @@ def evaluate(
 
         trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
 
+    Groundtruth of a marker body with a clock of its own (docs/calibration.md):
+
+        trajeval evaluate -g mocap.txt -e vio.txt --time-offset auto --hand-eye auto
+
     Numbers as evo or the authors' toolbox compute them: --protocol evo, --protocol rpg.
 
     Whether the estimator is as sure as it should be, from the covariances in its messages:
@@ -255,6 +274,7 @@ def evaluate(
 
         trajeval evaluate -g rtk.txt -e vio.txt --association continuous --groundtruth-noise 0.01,1
     """
+    wanted = parse_wanted(time_offset, hand_eye)
     settings = protocol_from(
         protocol,
         gauge=gauge,
@@ -263,7 +283,7 @@ def evaluate(
         association=association,
         max_time_difference=max_time_difference,
         max_gap=max_gap,
-        time_offset=time_offset,
+        time_offset=parse_offset(time_offset),
         lengths=lengths,
         ate_form=ate_form,
         re_form=re_form,
@@ -280,12 +300,14 @@ def evaluate(
     pictures.check()
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0], strict=strict)
-    runs = assessed(
-        [
-            _run(source, name, truth, settings, covariances, strict=strict)
-            for source, name in zip(estimate, names[1:], strict=True)
-        ]
-    )
+    runs: list[results.Run] = []
+    for source, name in zip(estimate, names[1:], strict=True):
+        # One calibration for all: estimates with parameters of their own can't be ranked.
+        same_as = runs[0].calibrated if runs else None
+        runs.append(
+            _run(source, name, truth, settings, covariances, wanted, same_as, strict=strict)
+        )
+    runs = assessed(runs)
     result = results.result_of(
         results.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
     )
@@ -318,16 +340,26 @@ def _run(
     groundtruth: Trajectory,
     settings: Protocol,
     covariances: CovarianceSettings,
+    wanted: Wanted,
+    same_as: Calibrated | None,
     *,
     strict: bool,
 ) -> results.Run:
-    wanted = covariances.from_messages or settings.align_weights == "covariance"
-    read = _read(source, name, covariances=wanted, strict=strict)
+    weighted = covariances.from_messages or settings.align_weights == "covariance"
+    read = _read(source, name, covariances=weighted, strict=strict)
+    calibrated = None
     try:
-        evaluation = evaluate_pair(groundtruth, read, settings)
+        if wanted.anything:
+            calibrated = evaluate_calibrated(groundtruth, read, settings, wanted, same_as=same_as)
+            evaluation = calibrated.evaluation
+        else:
+            evaluation = evaluate_pair(groundtruth, read, settings)
         consistency = covariances.judge(evaluation)
     except TrajevalError as error:
         raise InputError(f"{source}: {error}") from error
     return results.Run(
-        results.Input.of(source, read, evaluation.estimate), evaluation, consistency=consistency
+        results.Input.of(source, read, evaluation.estimate),
+        evaluation,
+        consistency=consistency,
+        calibrated=calibrated,
     )

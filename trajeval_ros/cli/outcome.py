@@ -123,6 +123,7 @@ def _assessments(runs: Sequence[results.Run]) -> dict[str, Assessment]:
 
 def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: bool) -> None:
     from trajeval_ros.report import tables
+    from trajeval_ros.report.calibration_lines import calibration_lines
 
     evaluations = [run.evaluation for run in runs]
     terminal = tables.console()
@@ -153,6 +154,9 @@ def _print(runs: Sequence[results.Run], output: Path | None, *, gauge_given: boo
         terminal.print()
         tables.show(terminal, relative)
     for run in runs:
+        if run.calibrated is not None:
+            for line in calibration_lines(run.estimate.name, run.calibrated):
+                terminal.print(line, soft_wrap=True)
         if run.consistency is not None:
             for line in tables.consistency_lines(run.estimate.name, run.consistency):
                 terminal.print(line, soft_wrap=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import shlex
 import shutil
 from enum import Enum
@@ -18,6 +20,10 @@ if TYPE_CHECKING:
 GROUNDTRUTH_TOPIC = "/groundtruth/pose"
 ESTIMATE_TOPIC = "/vio/odometry"
 _DRIFT = "drift"
+# What a marker differs by from the body that it is on: m, rad, s.
+_LEVER_M = (0.1, -0.05, 0.2)
+_TURN = (0.6, -1.0, 1.5)
+_AHEAD_S = 0.1
 
 
 class Storage(str, Enum):
@@ -62,6 +68,14 @@ def simulate(
             help="Bags of the same flight with other noise, BAG_0, BAG_1, ...; not for drift.",
         ),
     ] = 1,
+    marker: Annotated[
+        bool,
+        typer.Option(
+            "--marker",
+            help="Groundtruth of a marker on the body instead of the body, by a clock that is "
+            "100 ms ahead: as a motion capture system gives it. For drift alone.",
+        ),
+    ] = False,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -89,8 +103,10 @@ def simulate(
     if profile == _DRIFT:
         if runs != 1:
             raise SettingsError("--runs is for estimators: choose one by --profile euroc")
-        _write_drift(output, seed, duration, storage, overwrite=overwrite)
+        _write_drift(output, seed, duration, storage, marker=marker, overwrite=overwrite)
     else:
+        if marker:
+            raise SettingsError("--marker is for the drift model: leave out --profile")
         _write_runs(output, seed, duration, storage, profile, runs, overwrite=overwrite)
 
 
@@ -162,7 +178,7 @@ def _topics(groundtruth: Trajectory, estimate: Trajectory) -> dict[str, tuple[Tr
 
 
 def _write_drift(
-    output: Path, seed: int, duration: float, storage: Storage, *, overwrite: bool
+    output: Path, seed: int, duration: float, storage: Storage, *, marker: bool, overwrite: bool
 ) -> None:
     """Write a flight with the kinematic drift model."""
     from trajeval_ros import simulation
@@ -171,9 +187,28 @@ def _write_drift(
     simulated = simulation.simulate(seed, duration)
     _make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
-    topics = _topics(simulated.groundtruth, simulated.estimate)
-    write_bag(output, topics, storage=storage.value)
-    _say([output], simulated.groundtruth, simulated.estimate)
+    groundtruth, more, options = simulated.groundtruth, "", ""
+    if marker:
+        groundtruth = _marked(groundtruth)
+        lever = " ".join(f"{each:g}" for each in _LEVER_M)
+        angle_deg = math.degrees(math.hypot(*_TURN))
+        more = (
+            f"; the groundtruth is of a marker, {lever} m away from the body and turned by "
+            f"{angle_deg:.1f} deg, and {1e3 * _AHEAD_S:g} ms ahead"
+        )
+        options = " --time-offset auto --hand-eye auto"
+    write_bag(output, _topics(groundtruth, simulated.estimate), storage=storage.value)
+    _say([output], groundtruth, simulated.estimate, more, options)
+
+
+def _marked(groundtruth: Trajectory) -> Trajectory:
+    """Return groundtruth of the body as a motion capture system sees it."""
+    import numpy as np
+
+    from trajeval_ros.calibration.body import HandEye
+
+    of_marker = HandEye.of(np.array(_TURN), np.array(_LEVER_M)).inverse().of_body(groundtruth)
+    return dataclasses.replace(of_marker, stamps=of_marker.stamps + round(_AHEAD_S * 1e9))
 
 
 def _say(

@@ -21,11 +21,13 @@ import numpy as np
 from trajeval_ros import __version__
 from trajeval_ros.evaluation import Evaluation, Segments
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.calibration_json import calibration_json
 from trajeval_ros.io.probabilistic_json import probabilistic_columns, probabilistic_json
 from trajeval_ros.statistics import Statistics
 from trajeval_ros.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from trajeval_ros.calibrated import Calibrated
     from trajeval_ros.consistency.verdict import Consistency
     from trajeval_ros.likelihood.assessment import Assessment
 
@@ -84,6 +86,7 @@ class Run:
         live: What only a live run can tell; None of a recorded one.
         consistency: Whether the estimate is as sure as it should be; None if nobody asked.
         probabilistic: How likely it is; None unless groundtruth was continuous.
+        calibrated: What of clocks and bodies was calibrated; None if nobody asked.
     """
 
     estimate: Input
@@ -91,6 +94,7 @@ class Run:
     live: dict[str, Any] | None = None
     consistency: Consistency | None = None
     probabilistic: Assessment | None = None
+    calibrated: Calibrated | None = None
 
 
 def result_of(
@@ -179,7 +183,7 @@ def _run(run: Run) -> dict[str, Any]:
             "segments": [_segment(each) for each in evaluation.segments],
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
-        "calibration": None,
+        "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
         "consistency": None if run.consistency is None else _consistency(run.consistency),
         "probabilistic": None
         if run.probabilistic is None

@@ -1,0 +1,86 @@
+"""The pose of a marker in a body, in a file: a `geometry_msgs/TransformStamped` in YAML.
+
+    header: {frame_id: base_link}
+    child_frame_id: marker
+    transform:
+      translation: {x: 0.1, y: -0.05, z: 0.2}
+      rotation: {x: 0.0, y: 0.0, z: 0.0, w: 1.0}
+
+The frames' names may be left out. What `ros2 topic echo --once` prints of such a topic will do.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.calibration.body import HandEye
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.yaml_file import read_mapping, require_known
+
+_WHAT = "transform"
+_UNIT = 0.01  # of a quaternion's length; rounded digits are no other rotation
+
+
+def read_hand_eye(path: Path) -> HandEye:
+    """Read T_B_M: header.frame_id is the estimate's body, child_frame_id the marker.
+
+    Raises:
+        InputError: The file can't be read, or is no transform.
+    """
+    message = read_mapping(path, _WHAT)
+    require_known(message, ("header", "child_frame_id", "transform"), str(path))
+    header = _mapping(message.get("header", {}), f"{path}: header")
+    require_known(header, ("stamp", "frame_id", "seq"), f"{path}: header")
+    transform = _mapping(message.get("transform"), f"{path}: transform")
+    require_known(transform, ("translation", "rotation"), f"{path}: transform")
+    lever_m = _numbers(transform.get("translation"), "xyz", f"{path}: transform.translation")
+    quaternion = _numbers(transform.get("rotation"), "xyzw", f"{path}: transform.rotation")
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1.0) > _UNIT:
+        raise InputError(
+            f"{path}: transform.rotation has length {length:.3g}, so it is no unit quaternion; "
+            "give x, y, z, w"
+        )
+    return HandEye(
+        quaternion / length,
+        lever_m,
+        str(header.get("frame_id") or ""),
+        str(message.get("child_frame_id") or ""),
+    )
+
+
+def hand_eye_json(hand_eye: HandEye) -> dict[str, Any]:
+    """Return it as such a file holds it."""
+    return {
+        "header": {"frame_id": hand_eye.body},
+        "child_frame_id": hand_eye.marker,
+        "transform": {
+            "translation": dict(zip("xyz", hand_eye.lever_m.tolist(), strict=True)),
+            "rotation": dict(zip("xyzw", hand_eye.rotation_xyzw.tolist(), strict=True)),
+        },
+    }
+
+
+def _mapping(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(
+            f"{where} is missing or no mapping; write it as in a geometry_msgs/TransformStamped"
+        )
+    return value
+
+
+def _numbers(value: Any, names: str, where: str) -> Any:
+    found = _mapping(value, where)
+    require_known(found, names, where)
+    numbers: list[float] = []
+    for name in names:
+        number = found.get(name)
+        if isinstance(number, (int, float)) and math.isfinite(number):
+            numbers.append(float(number))
+        else:
+            raise InputError(f"{where}.{name} must be a number, not {number!r}")
+    return np.array(numbers)

@@ -1,0 +1,58 @@
+"""Small YAML files that a user writes, loaded without running anything in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.exceptions import InputError
+
+_LARGEST = 1_000_000
+
+
+def read_mapping(path: Path, what: str) -> dict[str, Any]:
+    """Return the mapping in a file, the first of several documents.
+
+    Args:
+        path: The file.
+        what: What it should hold, for messages.
+
+    Raises:
+        InputError: It can't be read, is no YAML, or holds something else.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path} is far too large for {what}; is it the right file?")
+        text = path.read_text(encoding="utf-8")
+        # Aliases could make a few lines into gigabytes, and nobody needs them here.
+        first = next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path} can't be read: {reason}") from error
+    except (YAMLError, UnicodeDecodeError, ValueError) as error:
+        line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{path} is no YAML{where}: {line}") from error
+    if not isinstance(first, dict) or not all(isinstance(key, str) for key in first):
+        raise InputError(f"{path} holds no {what}: it must be a mapping of names to values")
+    return first
+
+
+def require_known(found: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Check that all names are known ones.
+
+    Raises:
+        InputError: One isn't; says which might be meant.
+    """
+    known = list(known)
+    for name in found:
+        if name not in known:
+            near = get_close_matches(str(name), known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(known)}"
+            raise InputError(f"{where} has no {name!r}; {hint}")

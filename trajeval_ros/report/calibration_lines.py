@@ -1,0 +1,84 @@
+"""What was calibrated, in lines for a terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from trajeval_ros.calibrated import Ate, Calibrated
+    from trajeval_ros.calibration.verdict import Parameter
+
+
+def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
+    """Return what was found and applied, why or why not, and the errors before and after."""
+    calibration, wanted = calibrated.calibration, calibrated.wanted
+    lines = ["", f"{name}: calibration" + _source(name, calibrated)]
+    if calibration is not None and wanted.offset:
+        offset = calibration.offset
+        text = _quantity(offset, 1e3, "ms", "{:+.1f}")
+        rows = [
+            f"{kind}s alone {1e3 * calibration.rows[kind][0]:+.1f} ms"
+            for kind in ("rotation", "position")
+            if kind in calibration.rows
+        ]
+        text += f" ({', '.join(rows)})" if rows and offset.value is not None else ""
+        lines.append(_line("clock offset", text, offset, calibrated.offset_applied))
+    if calibration is not None and wanted.hand_eye:
+        turn, lever = calibration.turn, calibration.lever
+        text = "unknown"
+        if turn.value is not None and turn.half_width_95 is not None:
+            width = float(np.degrees(turn.half_width_95.max()))
+            text = f"{np.degrees(np.linalg.norm(turn.value)):.2f} deg +- {width:.2g} (95 %)"
+        lines.append(_line("body rotation", text, turn, calibrated.rotation_applied))
+        text = _quantity(lever, 1.0, "m", "{:.3f}")
+        lines.append(_line("lever arm", text, lever, calibrated.lever_applied))
+    if wanted.known is not None:
+        arm = " ".join(f"{each:.4g}" for each in wanted.known.lever_m)
+        lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied as given")
+    lines.append("  " + _ate(calibrated))
+    return lines
+
+
+def _source(name: str, calibrated: Calibrated) -> str:
+    if calibrated.calibration is None or calibrated.estimated_from == name:
+        return ""
+    return f" of {calibrated.estimated_from}, for all alike"
+
+
+def _line(label: str, text: str, found: Parameter, applied: bool) -> str:
+    verdict = "applied" if applied else "not applied"
+    if found.value is None:
+        return f"  {label:<14} {verdict}: {found.reason}"
+    return f"  {label:<14} {text}: {found.status}, {verdict}; {found.reason}"
+
+
+def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
+    if found.value is None or found.half_width_95 is None:
+        return "unknown"
+    value = " ".join(form.format(factor * each) for each in found.value)
+    return f"{value} {unit} +- {factor * float(found.half_width_95.max()):.2g} (95 %)"
+
+
+def _ate(calibrated: Calibrated) -> str:
+    before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
+    of_whom = "marker" if calibrated.of_marker else "body"
+    text = f"ATE of the {of_whom}: {_both(after)}"
+    if before is None:
+        text += "; before, no stamps matched"
+    elif calibrated.offset_applied or calibrated.hand_eye is not None:
+        text += f"; before, {_both(before)}"
+    if anyway is not None:
+        text += f"; with all of it applied it would be {_both(anyway)}"
+    if calibrated.calibration is not None:
+        text += (
+            f"; {calibrated.parameters_applied} of {calibrated.calibration.fitted} fitted "
+            f"parameters are in it, on {calibrated.calibration.blocks} blocks"
+        )
+    return text
+
+
+def _both(ate: Ate) -> str:
+    turned = "" if ate.rotation_deg is None else f" {ate.rotation_deg:.4g} deg"
+    return f"{ate.position_m:.4g} m{turned}"
