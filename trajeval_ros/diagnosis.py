@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros import lie
 from trajeval_ros.gauge import Gauge
@@ -13,9 +14,18 @@ from trajeval_ros.jumps import Steps
 
 if TYPE_CHECKING:
     from trajeval_ros.evaluation import Evaluation
+    from trajeval_ros.trajectory import Trajectory
 
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
+LARGE_BODY_DEG = 5.0
+_ENOUGH = 20_000  # states, to recognise something by
+# Of steps in time: their spread that is worth a look, how many are needed, and the share of it
+# that steps in space follow where stamps are honest (1) or of arrivals (0).
+_JITTER = 0.15
+_FEWEST_STEPS = 100
+_FOLLOWS = 0.2
+_SPARSE_S = 0.12
 _REASONS = {
     "no_groundtruth_within_max_time_difference": "no groundtruth close enough in time",
     "before_groundtruth": "before the groundtruth",
@@ -124,6 +134,9 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
             f"the {' and the '.join(without)} has positions only: rotation errors and relative "
             "errors are withheld"
         )
+    body = _about_bodies(evaluation)
+    if body:
+        return [*warnings, *body]
     tilt = evaluation.absolute.tilt_deg
     if evaluation.protocol.gauge is Gauge.YAW and tilt is not None:
         typical = float(np.median(tilt))
@@ -134,6 +147,35 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
                 "the same body?"
             )
     return warnings
+
+
+def _about_bodies(evaluation: Evaluation) -> list[str]:
+    """Recognise groundtruth of another body: one rotation in its axes explains all errors."""
+    if evaluation.absolute.rotation_deg is None:
+        return []
+    some = slice(None, None, -(-len(evaluation.aligned) // _ENOUGH))
+    truth = evaluation.association.groundtruth[some].quaternions
+    aligned = evaluation.aligned[some].quaternions
+    assert truth is not None
+    assert aligned is not None
+    turned_deg, left_deg = _constant_rotation(lie.multiply(lie.conjugate(aligned), truth))
+    if turned_deg <= LARGE_BODY_DEG or 3.0 * left_deg >= turned_deg:
+        return []
+    # Worlds that are turned against each other look alike, unless the body itself turns.
+    if left_deg > 0.5 * _constant_rotation(lie.multiply(truth, lie.conjugate(aligned)))[1]:
+        return []
+    return [
+        f"one constant rotation of {turned_deg:.0f} deg in the body's axes explains the rotation "
+        f"error but for {left_deg:.1f} deg: the groundtruth seems to be of another body, such as "
+        "a marker; --hand-eye auto tests it, --hand-eye FILE takes what is known"
+    ]
+
+
+def _constant_rotation(quaternions: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the angle of the mean of N rotations, and the rms angle to it, degrees."""
+    mean = np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1]
+    apart = lie.angle(lie.multiply(lie.conjugate(mean), quaternions))
+    return float(np.degrees(lie.angle(mean))), float(np.degrees(np.sqrt(np.mean(apart**2))))
 
 
 def _about_coverage(evaluation: Evaluation) -> list[str]:
@@ -170,6 +212,39 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
             f"{estimate.child_frame!r}: if these are not the same point of the same body, their "
             "lever arm and rotation are in the errors"
         )
+    for name, side in (("groundtruth", truth), ("estimate", estimate)):
+        if _stamped_at_arrival(side):
+            warnings.append(
+                f"the {name}'s stamps jitter and its motion doesn't: they look like times of "
+                "arrival; stamp at the sensor, or expect an error of speed times jitter, and a "
+                "constant delay that --time-offset auto can find"
+            )
     if truth.dropped:
         warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")
     return warnings
+
+
+def _stamped_at_arrival(side: Trajectory) -> bool:
+    """Return whether steps in time vary and steps in space don't follow them.
+
+    A body that moves smoothly goes twice as far in twice the time. Where it goes as far whatever
+    the stamps say, they are not when it was there.
+    """
+    some = slice(_ENOUGH)
+    step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
+    distance = np.linalg.norm(moved, axis=1)
+    usual_s = float(np.median(step_s)) if len(step_s) else 0.0
+    # Between neighbours on both sides, none of them a lost message; a body that is hardly moving
+    # shows its noise.
+    whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
+    nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
+    smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
+    counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
+    # Sparse keyframes are taken when the body has moved so far.
+    if not side.stamped or usual_s > _SPARSE_S or np.count_nonzero(counts) < _FEWEST_STEPS:
+        return False
+    longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0
+    farther = distance[1:-1][counts] / nearby[counts] - 1.0
+    jitter = float(np.sqrt(np.mean(longer**2)))
+    follows = float(longer @ farther) / max(float(longer @ longer), 1e-12)
+    return jitter > _JITTER and follows < _FOLLOWS

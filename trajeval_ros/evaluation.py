@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros import lie
 from trajeval_ros.alignment import Alignment, align, align_first, position_weights
 from trajeval_ros.association import Association, associate
+from trajeval_ros.calibration.hints import clock_hint
 from trajeval_ros.diagnosis import warnings_of
 from trajeval_ros.errors import (
     AbsoluteErrors,
@@ -100,7 +101,9 @@ def evaluate(
         groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
 
     pairs = associate(groundtruth, estimate, protocol.association)
-    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+    evaluation = evaluate_pairs(pairs, groundtruth, estimate, protocol)
+    clocks = clock_hint(groundtruth, estimate, pairs, evaluation.aligned)
+    return dataclasses.replace(evaluation, warnings=(*clocks, *evaluation.warnings))
 
 
 def evaluate_pairs(

@@ -1,0 +1,112 @@
+"""Warnings that name a likely cause and the option that tests it, and change no number."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from calibration_flights import Fault, fly
+from test_calibration_recovery import RECORDINGS
+
+from trajeval_ros.association import AssociationRule
+from trajeval_ros.evaluation import Evaluation, evaluate
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.protocol import PROTOCOLS, Protocol
+from trajeval_ros.trajectory import Trajectory
+
+YAW = Protocol(gauge=Gauge.YAW, lengths=())
+CLOCKS, BODIES, ARRIVAL = (
+    "--time-offset auto tests it",
+    "--hand-eye auto tests it",
+    "times of arrival",
+)
+HINTS = (CLOCKS, BODIES, ARRIVAL)
+Recording = Callable[[str], Trajectory]
+
+
+def hints(evaluation: Evaluation) -> list[str]:
+    return [each for each in evaluation.warnings if any(hint in each for hint in HINTS)]
+
+
+def without_rotations(trajectory: Trajectory) -> Trajectory:
+    return dataclasses.replace(trajectory, rotations=None)
+
+
+@pytest.mark.parametrize("kind", ["drone", "car", "straight", "translating"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_right_pair_gets_no_hint(seed: int, kind: str) -> None:
+    truth, estimate = fly(seed, 40.0, kind)
+    assert not hints(evaluate(truth, estimate, YAW))
+    assert not hints(evaluate(without_rotations(truth), estimate, YAW))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_recordings_get_no_hint(recording: Recording, name: str) -> None:
+    truth, estimate = (recording(each) for each in RECORDINGS[name])
+    for gauge in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
+        assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, gauge=gauge)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", range(10))
+@pytest.mark.parametrize("run", ["MH_01", "MH_05", "V2_03"])
+def test_keyframes_get_no_hint(recording: Recording, run: str, trial: int) -> None:
+    truth = recording(f"euroc/groundtruth/{run}.txt")
+    estimate = recording(f"euroc/vislam_ba/{run}_trial{trial}.txt")
+    assert not hints(evaluate(truth, estimate, YAW))
+
+
+def test_clocks_apart_are_noticed_by_turning() -> None:
+    truth, estimate = fly(1, 40.0, fault=Fault(0.1))
+    (hint,) = hints(evaluate(truth, estimate, YAW))
+    assert CLOCKS in hint
+    assert "angular rates" in hint
+    assert "+100 ms" in hint
+    rule = AssociationRule(time_offset_s=0.1)
+    assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, association=rule)))
+
+
+def test_clocks_apart_are_noticed_by_errors_along_the_speed() -> None:
+    # Too short for a correlation.
+    truth, estimate = fly(1, 9.0, fault=Fault(0.1), drift=0.1)
+    (hint,) = hints(evaluate(truth, estimate, YAW))
+    assert CLOCKS in hint
+    assert "the position error goes with the speed" in hint
+
+
+@pytest.mark.parametrize("name", ["default", "rpg", "evo"])
+def test_another_body_is_noticed(name: str) -> None:
+    truth, estimate = fly(1, 40.0, fault=Fault(0.0, 0.0, (0.6, -1.0, 1.5)))
+    protocol = dataclasses.replace(PROTOCOLS[name], gauge=Gauge.YAW, lengths=())
+    (hint,) = hints(evaluate(truth, estimate, protocol))
+    assert BODIES in hint
+    assert "rotation of 109 deg" in hint
+
+
+def test_a_world_that_is_turned_is_no_other_body() -> None:
+    truth, estimate = fly(1, 40.0)
+    assert estimate.rotations is not None
+    tilted = dataclasses.replace(estimate, positions=estimate.positions[:, [1, 0, 2]])
+    assert not [each for each in hints(evaluate(truth, tilted, YAW)) if BODIES in each]
+
+
+@pytest.mark.parametrize("side", ["groundtruth", "estimate"])
+def test_stamps_of_arrival_are_noticed(side: str) -> None:
+    random = np.random.default_rng(0)
+    truth, estimate = fly(1, 40.0)
+    late = {"groundtruth": truth, "estimate": estimate}[side]
+    step_s = float(np.median(np.diff(late.stamps))) * 1e-9
+    delays = np.rint(1e9 * random.exponential(0.3 * step_s, len(late))).astype(np.int64)
+    late = dataclasses.replace(late, stamps=np.sort(late.stamps + delays))
+    pair = (late, estimate) if side == "groundtruth" else (truth, late)
+    found = [each for each in hints(evaluate(*pair, YAW)) if ARRIVAL in each]
+    assert len(found) == 1
+    assert f"the {side}'s stamps jitter" in found[0]
+
+
+def test_irregular_but_honest_stamps_are_no_arrivals() -> None:
+    truth, estimate = fly(1, 60.0)
+    kept = np.random.default_rng(1).random(len(truth)) < 0.2
+    assert not hints(evaluate(truth[kept], estimate, YAW))

@@ -1,0 +1,88 @@
+"""Whether clocks seem to differ: a remark for whoever reads the numbers, which changes none."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.association import Association
+from trajeval_ros.calibration.clock import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+
+# A correlation's peak is this wide on data whose clocks agree. A lever arm moves that of speeds.
+_LEAST_S = {"angular rate": 0.010, "speed": 0.150}
+_LONGEST_S = 600.0
+_FEWEST_STATES = 50
+# By the speed alone: the share of the squared error that a late stamp explains, and how late.
+_EXPLAINED = 0.5
+_LATE_S = 0.020
+
+
+def clock_hint(
+    groundtruth: Trajectory, estimate: Trajectory, pairs: Association, aligned: Trajectory
+) -> list[str]:
+    """Return a warning if clocks seem to differ, by rates of motion or by errors along the speed.
+
+    Args:
+        groundtruth: All states, in any order.
+        estimate: All states, in their own frame.
+        pairs: Those that were paired.
+        aligned: The paired estimated states, aligned.
+    """
+    rule = pairs.rule
+    if rule.method == "index" or min(len(groundtruth), len(estimate)) < _FEWEST_STATES:
+        return []
+    guess = _guess(groundtruth, estimate, rule.time_offset_s)
+    if guess.is_usable:
+        apart_s = guess.offset_s - rule.time_offset_s
+        step_s = float(np.median(np.diff(np.sort(estimate.stamps)))) / NANOSECONDS
+        if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0):
+            return []
+        how = f"the {guess.signal}s of the two match best"
+    else:
+        late_s = _late(pairs, aligned)
+        if late_s is None:
+            return []
+        apart_s, how = late_s, "the position error goes with the speed, as"
+    return [
+        f"the clocks of groundtruth and estimate seem to differ: {how} with {1e3 * apart_s:+.0f} "
+        "ms added to the estimate's stamps; --time-offset auto tests it"
+    ]
+
+
+def _guess(groundtruth: Trajectory, estimate: Trajectory, offset_s: float) -> OffsetGuess:
+    """Correlate ten minutes from the middle of the run: enough, and no more on long runs."""
+    middle = (int(estimate.stamps.min()) + int(estimate.stamps.max())) // 2
+    shift, half = round(offset_s * NANOSECONDS), round(_LONGEST_S / 2.0 * NANOSECONDS)
+    wider = half + round(SEARCH_S * NANOSECONDS)
+    near = np.abs(estimate.stamps - middle) <= half
+    around = np.abs(groundtruth.stamps - (middle + shift)) <= wider
+    if min(np.count_nonzero(near), np.count_nonzero(around)) < _FEWEST_STATES:
+        return OffsetGuess(offset_s, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
+    return guess_offset(groundtruth[around], estimate[near], around_s=offset_s)
+
+
+def _late(pairs: Association, aligned: Trajectory) -> float | None:
+    """Return by how much the stamps seem late if that explains the error, seconds, else None."""
+    truth = pairs.groundtruth
+    steps = np.diff(truth.stamps) / NANOSECONDS
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    whole = (steps > 0.0) & (steps <= 2.0 * usual)
+    both = whole[1:] & whole[:-1]
+    if np.count_nonzero(both) < _FEWEST_STATES:
+        return None
+    moved = truth.positions[2:] - truth.positions[:-2]
+    velocity = moved[both] / (steps[1:] + steps[:-1])[both, None]
+    error = (aligned.positions - truth.positions)[1:-1][both]
+    # What is constant has gone into the alignment.
+    velocity = velocity - velocity.mean(axis=0)
+    error = error - error.mean(axis=0)
+    squared = float(np.square(velocity).sum())
+    product = float((velocity * error).sum())
+    total = float(np.square(error).sum())
+    if squared == 0.0 or product**2 < _EXPLAINED * squared * total:
+        return None
+    late_s = product / squared
+    return late_s if abs(late_s) > _LATE_S else None
