@@ -32,6 +32,8 @@ FLOORS = {
     "continuous_time": 2,
     "degradation": 3,
     "association": 3,
+    "span_alignment": 3,
+    "score": 2,
     "moments": 3,
     "alignment": 4,
     "errors": 4,

@@ -13,7 +13,7 @@ from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
 from trajeval_ros.calibration.verdict import Parameter
 from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.exceptions import InputError, NoMatchError
+from trajeval_ros.exceptions import NoMatchError, SettingsError
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.trajectory import Trajectory
 
@@ -125,6 +125,11 @@ def evaluate_calibrated(
     Raises:
         InputError: See `evaluate` and `calibrate`; a hand-eye transform that can't be applied.
     """
+    if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
+        raise SettingsError(
+            f"protocol {protocol.name} has a lever arm of its own; leave out --hand-eye, or write "
+            "a protocol file with another lever_m"
+        )
     if wanted.known is not None:
         wanted.known.require_frames(groundtruth, estimate)
     calibration, source = None, estimate.name
@@ -232,10 +237,6 @@ def _with(
     if groundtruth.rotations is not None:
         body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
         return evaluate(body, estimate, protocol), False
-    if estimate.rotations is None:
-        raise InputError(
-            "neither groundtruth nor estimate has orientations, so no lever arm can be applied"
-        )
     scale = 1.0
     # The lever arm is in metres and the estimate, under Sim(3), is not.
     for _ in range(_ROUNDS_OF_SCALE if protocol.gauge.has_scale else 1):

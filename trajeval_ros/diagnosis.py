@@ -181,6 +181,9 @@ def _constant_rotation(quaternions: NDArray[np.float64]) -> tuple[float, float]:
 def _about_coverage(evaluation: Evaluation) -> list[str]:
     pairs = evaluation.association
     warnings = []
+    if evaluation.score is not None:
+        missing = evaluation.score.missing
+        return [f"{missing} points have no estimate, and are worth nothing"] if missing else []
     if min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
         why = reasons(pairs.dropped)
         warnings.append(

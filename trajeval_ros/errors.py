@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros import lie
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.span_alignment import align_spans
 from trajeval_ros.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -140,7 +141,8 @@ def relative_errors(
             SE(3) whatever the gauge, which is the error of relative poses (KITTI, rpg).
             `tutorial`: aligned by the gauge, eq. (26) to the letter. `euler`: as `se3`, with
             yaw and tilt as Euler angles of the error in the estimate's own world, as
-            rpg_trajectory_evaluation has them.
+            rpg_trajectory_evaluation has them. `fitted`: aligned by yaw and position over all
+            its states, eq. (18), plain difference at the end.
 
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
@@ -149,9 +151,12 @@ def relative_errors(
 
     def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
         rows = np.stack([s, e])
-        difference, between, first = differences_at_ends(
-            truth.at(rows), other.at(rows), gauge, scale, form
-        )
+        if form == "fitted":
+            difference, between, first = _fitted(truth, other, s, e)
+        else:
+            difference, between, first = differences_at_ends(
+                truth.at(rows), other.at(rows), gauge, scale, form
+            )
         angle, yaw, tilt = _rotation_errors(between)
         if form == "euler":
             yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
@@ -216,6 +221,17 @@ def differences_at_ends(
         aligned = truth.positions[0] + step
         return truth.positions[1] - lie.rotate(between, aligned), between, alignment
     return truth.positions[1] - truth.positions[0] - step, between, alignment
+
+
+def _fitted(
+    truth: Poses, other: Poses, starts: Indices, ends: Indices
+) -> tuple[Array, Array, Array]:
+    """Align K sub-trajectories by all their states; return what `differences_at_ends` does."""
+    alignment, mean_p, mean_q = align_spans(truth.positions, other.positions, starts, ends)
+    aligned = mean_p + lie.rotate(alignment, other.positions[ends] - mean_q)
+    turned = lie.multiply(alignment, other.quaternions[ends])
+    between = lie.multiply(truth.quaternions[ends], lie.conjugate(turned))
+    return truth.positions[ends] - aligned, between, alignment
 
 
 def _twist(quaternions: Array) -> Array:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros import lie
 from trajeval_ros.alignment import Alignment, align, align_first, position_weights
 from trajeval_ros.association import Association, associate
+from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.calibration.hints import clock_hint
 from trajeval_ros.diagnosis import warnings_of
 from trajeval_ros.errors import (
@@ -23,6 +24,7 @@ from trajeval_ros.errors import (
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.protocol import Protocol
+from trajeval_ros.score import Score
 from trajeval_ros.statistics import Statistics, statistics_of
 from trajeval_ros.sub_trajectories import Length, select
 from trajeval_ros.trajectory import Trajectory, travelled_distance
@@ -70,6 +72,7 @@ class Evaluation:
         pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
             sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
         warnings: What a reader of the numbers must know, one sentence each.
+        score: By the protocol's points; None if it has none.
     """
 
     protocol: Protocol
@@ -83,6 +86,7 @@ class Evaluation:
     segments: tuple[Segments, ...] | None
     pooled: dict[str, Statistics | None]
     warnings: tuple[str, ...]
+    score: Score | None = None
 
 
 def evaluate(
@@ -99,6 +103,10 @@ def evaluate(
         groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
     if protocol.gauge is Gauge.PLANAR:
         groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
+    if protocol.lever_m is not None:
+        # Surveyed points have no orientation, whatever their file says.
+        groundtruth = dataclasses.replace(groundtruth, rotations=None)
+        estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
 
     pairs = associate(groundtruth, estimate, protocol.association)
     evaluation = evaluate_pairs(pairs, groundtruth, estimate, protocol)
@@ -149,6 +157,9 @@ def evaluate_pairs(
         segments=segments,
         pooled=_pooled(segments or ()),
         warnings=(),
+        score=None
+        if protocol.score is None
+        else protocol.score.score(absolute.position_m, len(groundtruth)),
     )
     return dataclasses.replace(evaluation, warnings=warnings_of(evaluation))
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from trajeval_ros.association import AssociationRule
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.score import PointTable
 from trajeval_ros.sub_trajectories import Length, Selection
 
 ATE_FORMS = ("plain", "tutorial")
-RE_FORMS = ("gauge", "se3", "tutorial", "euler")
+RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted")
 
 
 def metres(*values: float) -> tuple[Length, ...]:
@@ -34,6 +35,9 @@ class Protocol:
         re_form: See `errors.relative_errors`.
         lengths: Of sub-trajectories; empty for no relative error.
         selection: How a sub-trajectory's end is chosen.
+        lever_m: Where in the estimate's body the point is whose position the groundtruth has;
+            None for poses of the body itself.
+        score: Points for positions that are right; None for no score.
     """
 
     name: str = "default"
@@ -47,6 +51,8 @@ class Protocol:
     re_form: str = "gauge"
     lengths: tuple[Length, ...] = metres(8, 16, 24, 32, 40)
     selection: Selection = field(default_factory=Selection)
+    lever_m: tuple[float, float, float] | None = None
+    score: PointTable | None = None
 
     def __post_init__(self) -> None:
         """Refuse settings that mean nothing."""
@@ -59,6 +65,15 @@ class Protocol:
         ):
             if value not in known:
                 raise SettingsError(f"there is no {name} {value!r}; use one of {', '.join(known)}")
+        if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
+            raise SettingsError(
+                "RE form fitted aligns by yaw and position, and gauge "
+                f"{self.gauge.value} doesn't: use gauge yaw, or RE form gauge"
+            )
+        if self.lever_m is not None and self.gauge.has_scale:
+            raise SettingsError(
+                "the protocol's lever arm is in metres and gauge sim3 has none; use se3 or yaw"
+            )
 
 
 PROTOCOLS: dict[str, Protocol] = {
@@ -89,5 +104,23 @@ PROTOCOLS: dict[str, Protocol] = {
         re_form="se3",
         lengths=metres(100, 200, 300, 400, 500, 600, 700, 800),
         selection=Selection("first-past", every=10),
+    ),
+    # The UZH-FPV competitions: the organisers' answer in issue 3 of
+    # uzh-rpg/IROS2020-FPV-VIO-Competition. Ranked by the means of position and rotation.
+    "uzh-fpv": Protocol(
+        name="uzh-fpv",
+        gauge=Gauge.YAW,
+        re_form="fitted",
+        lengths=metres(40, 60, 80, 100, 120),
+    ),
+    # Hilti-Research/hilti-slam-challenge-2023 at 9af5e39, evaluation-2023: surveyed points under
+    # the tip of the handheld's pole. Those of site 3 count twice: best 200.
+    "hilti-2023": Protocol(
+        name="hilti-2023",
+        association=AssociationRule("evo", max_time_difference_s=2.0),
+        in_order=False,
+        lengths=(),
+        lever_m=(0.059, -0.00855, 0.1964),
+        score=PointTable((0.005, 0.01, 0.03, 0.06, 0.1, 0.4), (20.0, 10.0, 6.0, 5.0, 3.0, 1.0)),
     ),
 }

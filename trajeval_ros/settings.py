@@ -26,7 +26,7 @@ def protocol_named(name: str) -> Protocol:
 
 
 def protocol_from(
-    name: str,
+    base: str | Protocol,
     *,
     gauge: str | None,
     modality: str | None,
@@ -39,8 +39,8 @@ def protocol_from(
     ate_form: str | None,
     re_form: str | None,
 ) -> Protocol:
-    """Return the named protocol with whatever else was said; None leaves it as it is."""
-    base = protocol_named(name)
+    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is."""
+    base = protocol_named(base) if isinstance(base, str) else base
     rule = _replaced(
         base.association,
         method=association,

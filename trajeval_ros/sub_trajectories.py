@@ -16,6 +16,7 @@ from trajeval_ros.exceptions import SettingsError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+RULES = ("nearest", "toolbox", "first-past")
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,15 @@ class Selection:
 
     rule: str = "nearest"
     every: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse rules that there are not."""
+        if self.rule not in RULES:
+            raise SettingsError(
+                f"there is no selection rule {self.rule!r}; use one of {', '.join(RULES)}"
+            )
+        if self.every < 1:
+            raise SettingsError(f"every n-th state is a start from n = 1 on, not {self.every}")
 
 
 LARGEST_DEVIATION = 0.2

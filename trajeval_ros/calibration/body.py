@@ -97,9 +97,16 @@ class HandEye:
             estimate: Poses of the body, with rotations.
             scale: Groundtruth metres in a unit of the estimate.
             marker: Name of the marker's frame.
+
+        Raises:
+            InputError: The estimate has positions only.
         """
         quaternions = estimate.quaternions
-        assert quaternions is not None
+        if quaternions is None:
+            raise InputError(
+                f"{estimate.name or 'the estimate'} has no orientations, so no lever arm can be "
+                "applied to it"
+            )
         arm = lie.rotate(quaternions, self.lever_m / scale)
         velocities, notes = estimate.velocities, estimate.notes
         if velocities is not None and self.lever_m.any():

@@ -21,6 +21,7 @@ from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.gauge import MODALITIES, Gauge
 from trajeval_ros.io import results
+from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.protocol import ATE_FORMS, PROTOCOLS
 from trajeval_ros.requirement import Requirement
@@ -71,7 +72,9 @@ def evaluate(
     protocol: Annotated[
         str,
         typer.Option(
-            help=f"A named bundle of settings: {', '.join(PROTOCOLS)}. Options below override it.",
+            metavar="NAME|FILE.yaml",
+            help=f"A bundle of settings: {', '.join(PROTOCOLS)}, or a file of your own "
+            "(docs/definitions.md). Options below override it.",
             rich_help_panel=INPUT,
         ),
     ] = "default",
@@ -276,7 +279,7 @@ def evaluate(
     """
     wanted = parse_wanted(time_offset, hand_eye)
     settings = protocol_from(
-        protocol,
+        read_protocol(Path(protocol)) if is_protocol_file(protocol) else protocol,
         gauge=gauge,
         modality=modality,
         align_states=align_states,

@@ -132,6 +132,7 @@ def result_of(
                 "in_order": protocol.in_order,
                 "lengths": [str(length) for length in protocol.lengths],
                 "selection": dataclasses.asdict(protocol.selection),
+                "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
             },
             "inputs": inputs,
         },
@@ -183,6 +184,7 @@ def _run(run: Run) -> dict[str, Any]:
             "segments": [_segment(each) for each in evaluation.segments],
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
+        "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
         "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
         "consistency": None if run.consistency is None else _consistency(run.consistency),
         "probabilistic": None

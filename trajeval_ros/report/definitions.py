@@ -36,6 +36,8 @@ def absolute_form_of(evaluations: Sequence[Evaluation]) -> str:
 def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
     """Say how sub-trajectories are aligned at their first states."""
     protocol = evaluations[0].protocol
+    if protocol.re_form == "fitted":
+        return "each aligned by yaw and position over all its states"
     by_gauge = protocol.re_form in ("gauge", "tutorial")
     what = "yaw and translation" if by_gauge and protocol.gauge is Gauge.YAW else "SE(3)"
     if by_gauge and protocol.gauge is Gauge.PLANAR:

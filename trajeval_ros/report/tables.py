@@ -51,6 +51,7 @@ RE_FORMS = {
     "gauge": "first state aligned by the gauge, plain difference at the end",
     "se3": "relative poses, SE(3) at the first state",
     "tutorial": "eq. (26) to the letter",
+    "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }
 
@@ -89,6 +90,23 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f"  {len(pairs)} pairs cover {100 * pairs.estimate_coverage:.1f} % of the estimate's "
         f"poses and {100 * pairs.groundtruth_coverage:.1f} % of the groundtruth's time "
         f"({pairs.groundtruth.path_length_m:.1f} m)" + _dropped(evaluation),
+        *_score(evaluation),
+    ]
+
+
+def _score(evaluation: Evaluation) -> list[str]:
+    score = evaluation.score
+    if score is None:
+        return []
+    found = [
+        f"{count} under {bound:g} m"
+        for bound, count in zip(score.bounds_m, score.found, strict=False)
+        if count
+    ]
+    found.append(f"{score.found[-1]} beyond, {score.missing} missing")
+    return [
+        f"  score {score.value:.4g} of {score.best:g} for {score.references} points: "
+        + ", ".join(found)
     ]
 
 
