@@ -53,7 +53,9 @@ class QueueSide:
 class Live:
     """A live run that is fed by hand."""
 
-    def __init__(self, folder: Path, kind: str, **words: Any) -> None:
+    def __init__(
+        self, folder: Path, kind: str, *, find_offset: bool = False, **words: Any
+    ) -> None:
         folder.mkdir(parents=True)
         self.folder = folder
         self.truth, self.estimate = QueueSide(TRUTH, POSE), QueueSide(ESTIMATE, kind)
@@ -64,6 +66,7 @@ class Live:
             OnlineSettings(protocol=protocol_from("default", **words)),
             words,
             folder,
+            find_offset=find_offset,
         )
         self._now_ns = 0
 

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from trajeval_ros import lie
 from trajeval_ros.calibration.clock import SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.fit import Fit, fit
-from trajeval_ros.calibration.increments import HORIZON_S, POSITION, ROTATION, Increments
+from trajeval_ros.calibration.increments import (
+    HORIZON_S,
+    MOST_INCREMENTS,
+    POSITION,
+    ROTATION,
+    Increments,
+)
 from trajeval_ros.calibration.observability import observability
 from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
 from trajeval_ros.calibration.track import nanoseconds
@@ -99,6 +105,7 @@ def calibrate(
     with_skew: bool = False,
     systematic: Systematic | None = None,
     horizon_s: float = HORIZON_S,
+    most_increments: int = MOST_INCREMENTS,
 ) -> Calibration:
     """Estimate clock offset, body rotation and lever arm from increments.
 
@@ -116,6 +123,7 @@ def calibrate(
         with_skew: Fit the clocks' skew, too.
         systematic: What real runs hide from standard deviations; None for the usual.
         horizon_s: Length of the increments.
+        most_increments: How many of them to use.
 
     Raises:
         InputError: States without stamps, or too few of them.
@@ -134,7 +142,7 @@ def calibrate(
     # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.
     base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
-    increments = Increments(groundtruth, shifted, horizon_s)
+    increments = Increments(groundtruth, shifted, horizon_s, most_increments)
     solution = solve(increments, gauge, with_skew)
     if solution is None:
         return _without(guess, increments, with_skew)

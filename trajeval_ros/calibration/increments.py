@@ -38,7 +38,7 @@ HORIZON_S = 1.0
 # A derivative over 20 ms to either side: over one step of the groundtruth it would be noise.
 _REACH_S = 0.02
 _TOLERANCE = 0.25  # of the horizon
-_MOST_PAIRS = 20_000
+MOST_INCREMENTS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +106,19 @@ class Increments:
     """Pairs of estimated states about a horizon apart, and the groundtruth's motion meanwhile."""
 
     def __init__(
-        self, groundtruth: Trajectory, estimate: Trajectory, horizon_s: float = HORIZON_S
+        self,
+        groundtruth: Trajectory,
+        estimate: Trajectory,
+        horizon_s: float = HORIZON_S,
+        most: int = MOST_INCREMENTS,
     ) -> None:
-        """Choose the pairs: no gap within one, and no more than 20 000 in all.
+        """Choose the pairs, no gap within one.
 
         Args:
             groundtruth: At least two states.
             estimate: At least two states.
             horizon_s: Length of an increment; that of sparse keyframes is three steps or more.
+            most: How many to use; of more, every n-th.
         """
         self.has_turns = groundtruth.rotations is not None and estimate.rotations is not None
         self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
@@ -121,7 +126,7 @@ class Increments:
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
         self.horizon_s = max(horizon_s, 3.0 * track.step_s)
         stamps = track.stamps
-        first = np.arange(0, len(stamps), -(-len(stamps) // _MOST_PAIRS))
+        first = np.arange(0, len(stamps), -(-len(stamps) // most))
         last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))
         stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > nanoseconds(track.gap_s))])
         length_s = (stamps[last] - stamps[first]) / NANOSECONDS

@@ -125,6 +125,11 @@ class OnlineEvaluator:
         )
 
     @property
+    def offset_s(self) -> float:
+        """What is added to the estimate's stamps, seconds."""
+        return self.settings.protocol.association.time_offset_s
+
+    @property
     def pairs(self) -> int:
         """Number of pairs so far."""
         return self._count

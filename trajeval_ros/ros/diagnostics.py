@@ -92,6 +92,20 @@ def _about_error(position_m: float | None, limits: Mapping[str, Any]) -> list[Co
 
 def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> list[Complaint]:
     complaints = []
+    clock, applied_s = estimate.clock.report, estimate.evaluator.offset_s
+    if run.holds:
+        complaints.append((OK, "nothing is evaluated until the clocks' offset is known"))
+    elif clock.is_significant and clock.offset_s is not None and clock.half_width_95_s is not None:
+        apart_s = clock.offset_s - applied_s
+        if abs(apart_s) > clock.half_width_95_s:
+            complaints.append(
+                (
+                    WARN,
+                    f"the clocks differ by {1e3 * apart_s:+.0f} ms "
+                    f"+- {1e3 * clock.half_width_95_s:.2g} ms, which is not applied: "
+                    "time_offset:=auto",
+                )
+            )
     if snapshot.warming_up:
         complaints.append((OK, f"warming up: {snapshot.warming_up}"))
     if estimate.jumps.count:
@@ -135,6 +149,10 @@ def _values(
         "groundtruth messages lost": run.groundtruth.lost,
         "arrival after stamp [s]": estimate.stream.arrivals.offset_s,
         "groundtruth arrival after stamp [s]": run.groundtruth.stream.arrivals.offset_s,
+        "clock offset [s]": estimate.clock.report.offset_s,
+        "clock offset, sigma [s]": estimate.clock.report.sigma_s,
+        "clock offset, status": estimate.clock.report.status,
+        "time offset applied [s]": None if run.holds else estimate.evaluator.offset_s,
         "sync risk [m]": sync_risk_m(run.groundtruth, estimate.side, estimate.evaluator.buffer),
         "latency p95 [s]": estimate.latency.p95_s,
         "results": run.finisher.folder,

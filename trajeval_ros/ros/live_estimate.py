@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.results import write_whole
+from trajeval_ros.online.clock import OnlineClock
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jumps import Jump, JumpDetector
 from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
@@ -41,13 +43,21 @@ class LiveEstimate:
         evaluator: Its evaluation.
         latency: How long its errors take to be published.
         jumps: Restarts and corrections so far.
+        clock: What is known of its clock; nothing if the topic carries paths.
         trail: The run in few poses.
         revised: The newest path, if the topic carries paths.
         watch: Is given all new pairs, to draw them.
     """
 
     def __init__(
-        self, side: Side, settings: OnlineSettings, folder: Path, groundtruth: str, place: int
+        self,
+        side: Side,
+        settings: OnlineSettings,
+        folder: Path,
+        groundtruth: str,
+        place: int,
+        *,
+        hold: bool,
     ) -> None:
         """Begin, with an empty pair file.
 
@@ -57,6 +67,7 @@ class LiveEstimate:
             folder: For its files.
             groundtruth: The groundtruth's source.
             place: Its place among the estimates, from 0.
+            hold: Evaluate nothing until `release` says by which clock.
 
         Raises:
             InputError: The file can't be made.
@@ -67,6 +78,8 @@ class LiveEstimate:
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
+        self.clock = OnlineClock(settings.protocol.gauge)
+        self._held: list[Callable[[], None]] | None = [] if hold else None
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._newest: tuple[str, bytes] | None = None
         self._folder = folder
@@ -74,6 +87,23 @@ class LiveEstimate:
         self._state: Mapping[str, Any] = {}
         description = {"groundtruth": groundtruth, "estimate": side.source, "place": place}
         self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
+
+    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
+        """Take groundtruth states: stamps (N,) and rows (N, 10)."""
+        self.clock.add_groundtruth(stamps, rows)
+        self._now_or_later(lambda: self.evaluator.add_groundtruth(stamps, rows))
+
+    def release(self, offset_s: float) -> None:
+        """Evaluate what was held, by a clock that is known now, and go on with it."""
+        assert self._held is not None
+        settings = self.evaluator.settings
+        rule = replace(settings.protocol.association, time_offset_s=offset_s)
+        protocol = replace(settings.protocol, association=rule)
+        self.evaluator = OnlineEvaluator(replace(settings, protocol=protocol), self._record)
+        self._offset_ns = round(offset_s * NANOSECONDS)
+        held, self._held = self._held, None
+        for each in held:
+            each()
 
     def take(self, now_ns: int | None) -> None:
         """Take the messages that have arrived; `now_ns` is the simulated time."""
@@ -176,18 +206,32 @@ class LiveEstimate:
         self._newest = message_type, taken.payloads[-1]
         poses = self.stream.poses(message_type, taken.payloads, arrived)
         received = np.array(taken.received, dtype=np.int64)[poses.rows]
-        self.latency.arrive(poses.stamps + self._offset_ns, received)
-        self.evaluator.add_estimate(poses.stamps, poses.states)
+        self.clock.add_estimate(poses.stamps, poses.states)
+        self._now_or_later(lambda: self._evaluate(poses, received))
 
     def _take_path(self, payload: bytes, arrived_ns: int) -> None:
         """Take a path: evaluate the poses that are new, and remember how it sees the others."""
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge)
         path = self.stream.path(payload)
+        self._now_or_later(lambda: self._evaluate_path(path, arrived_ns))
+
+    def _evaluate(self, poses: States, received: Stamps) -> None:
+        self.latency.arrive(poses.stamps + self._offset_ns, received)
+        self.evaluator.add_estimate(poses.stamps, poses.states)
+
+    def _evaluate_path(self, path: States, arrived_ns: int) -> None:
+        assert self.revised is not None
         rows = self.revised.renew(path.stamps + self._offset_ns, path.states)
         new = States(path.stamps[rows], path.states[rows], path.rows[rows])
         self.stream.count_new(new, arrived_ns)
         self.evaluator.add_estimate(new.stamps, new.states)
+
+    def _now_or_later(self, evaluate: Callable[[], None]) -> None:
+        if self._held is None:
+            evaluate()
+        else:
+            self._held.append(evaluate)
 
 
 def joined(several: list[Pairs]) -> list[Pairs]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from trajeval_ros.trajectory import NANOSECONDS, add_counts
 _QUIET_S = 0.1
 _LAST_MESSAGES_S = 2.0
 _SAME_CLOCK_S = 60.0
+_DECISION_S = 60.0
 
 
 class LiveRun:
@@ -29,6 +31,7 @@ class LiveRun:
         estimates: One for each estimate topic.
         finisher: Writes result.json, in a process of its own.
         watch: Is given stamps and states of the groundtruth, to draw them.
+        holds: Whether nothing is evaluated yet, since the clocks' offset is to be found first.
     """
 
     def __init__(
@@ -38,6 +41,8 @@ class LiveRun:
         settings: OnlineSettings,
         words: dict[str, Any],
         folder: Path,
+        *,
+        find_offset: bool = False,
     ) -> None:
         """Begin.
 
@@ -47,6 +52,8 @@ class LiveRun:
             settings: What to do.
             words: The same, as `settings.protocol_from` takes them.
             folder: For the files; it exists.
+            find_offset: Estimate the clocks' offset from the first minute, and apply it if it is
+                significant.
 
         Raises:
             InputError: The files can't be made.
@@ -55,9 +62,10 @@ class LiveRun:
         self.words = words
         self.watch: Callable[[Stamps, Floats], object] | None = None
         self.estimates = [
-            LiveEstimate(side, settings, folder, groundtruth.source, place)
+            LiveEstimate(side, settings, folder, groundtruth.source, place, hold=find_offset)
             for place, side in enumerate(sides)
         ]
+        self.holds, self._about_clocks = find_offset, ""
         for each in self.estimates:
             each.write_state(self._state(each))
 
@@ -66,11 +74,13 @@ class LiveRun:
         for message_type, taken, arrived in self.groundtruth.take(now_ns):
             poses = self.groundtruth.stream.poses(message_type, taken.payloads, arrived)
             for each in self.estimates:
-                each.evaluator.add_groundtruth(poses.stamps, poses.states)
+                each.add_groundtruth(poses.stamps, poses.states)
             if self.watch is not None:
                 self.watch(poses.stamps, poses.states)
         for each in self.estimates:
             each.take(now_ns)
+            each.clock.update()
+        self._decide()
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
         """Evaluate what has been taken, estimate by estimate."""
@@ -79,7 +89,7 @@ class LiveRun:
 
     def change(self, settings: OnlineSettings, words: dict[str, Any]) -> None:
         """Go on with other lengths and another window."""
-        self.words = words
+        self.words = {**words, "time_offset": self.words["time_offset"]}
         for each in self.estimates:
             each.evaluator.change(settings)
 
@@ -118,6 +128,9 @@ class LiveRun:
         """Take and evaluate what has arrived, and what waits for groundtruth that won't come."""
         self.take(now_ns)
         for each in self.estimates:
+            each.clock.update(at_end=True)
+        self._decide(at_end=True)
+        for each in self.estimates:
             each.update(at_end=True)
             each.digest()
 
@@ -137,6 +150,30 @@ class LiveRun:
     def has_pairs(self) -> bool:
         """Whether there is anything to evaluate."""
         return any(each.evaluator.pairs for each in self.estimates)
+
+    def _decide(self, *, at_end: bool = False) -> None:
+        """Go on by one clock for all estimates, once that of the first is known, or a minute on.
+
+        Estimates with clocks of their own couldn't be ranked.
+        """
+        known = self.estimates[0].clock.report
+        spent = max(each.clock.span_s for each in self.estimates) >= _DECISION_S
+        if not self.holds or not (known.is_significant or spent or at_end):
+            return
+        self.holds = False
+        offset_s = 0.0
+        name = self.estimates[0].name
+        if known.is_significant and known.offset_s is not None:
+            offset_s = known.offset_s
+            self._about_clocks = (
+                f"a time offset of {offset_s:.4f} s is applied, estimated from the first "
+                f"{known.span_s:.0f} s of {name} (+- {known.half_width_95_s:.2g} s, 95 %)"
+            )
+        else:
+            self._about_clocks = f"no time offset is applied: that of {name} {known.reason}"
+        self.words = {**self.words, "time_offset": offset_s}
+        for each in self.estimates:
+            each.release(offset_s)
 
     @property
     def _received(self) -> int:
@@ -167,6 +204,7 @@ class LiveRun:
                 "sync_risk_m": sync_risk_m(self.groundtruth, estimate.side, buffer),
                 "latency_p95_s": estimate.latency.p95_s,
                 "jumps": estimate.jumps.count,
+                "clock": asdict(estimate.clock.report),
             },
             "warnings": self._warnings(estimate),
         }
@@ -177,6 +215,8 @@ class LiveRun:
             for side in (self.groundtruth, estimate.side)
             if side.lost
         ]
+        if self._about_clocks:
+            warnings.append(self._about_clocks)
         if estimate.writer.lost:
             warnings.append(
                 f"{estimate.writer.lost} pairs are missing, since the disk took no more: "

@@ -79,6 +79,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._settings,
             parameters.words_of(self._values),
             make_folder(self._values["output"]),
+            find_offset=parameters.finds_offset(self._values),
         )
 
     def _new_picture(self, before: RerunOutput | None = None) -> RerunOutput:

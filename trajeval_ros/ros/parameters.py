@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import MODALITIES, Gauge
 from trajeval_ros.online.settings import OnlineSettings
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 FROZEN = "frozen"
+AUTO = "auto"
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,12 @@ PARAMETERS = (
         "Never interpolate across a longer groundtruth gap, seconds.",
         (0.0, 3600.0),
     ),
-    Parameter("time_offset", 0.0, "Added to the estimates' stamps, seconds.", (-1e9, 1e9)),
+    Parameter(
+        "time_offset",
+        "0",
+        f"Added to the estimates' stamps, seconds; or {AUTO}: estimated from the first minute, "
+        "and applied to all of them if it is significant.",
+    ),
     Parameter(
         "publish_rate",
         20.0,
@@ -197,7 +205,9 @@ def converted(parameter: Parameter, value: Any) -> Any:
     if isinstance(wanted, list) and isinstance(value, str | list):
         return [str(each) for each in ([value] if isinstance(value, str) else value) if each]
     if isinstance(wanted, str) and isinstance(value, str | int | float):
-        return f"{value:g}" if isinstance(value, float) else str(value)
+        return (
+            np.format_float_positional(value, trim="-") if isinstance(value, float) else str(value)
+        )
     if isinstance(wanted, float) and is_number:
         low, high = parameter.range or (float(value), float(value))
         if low <= value <= high:
@@ -219,11 +229,25 @@ def words_of(values: dict[str, Any]) -> dict[str, Any]:
         "association": values["association"],
         "max_time_difference": None,
         "max_gap": values["max_gap"],
-        "time_offset": values["time_offset"],
+        "time_offset": _time_offset(values["time_offset"]),
         "lengths": values["lengths"],
         "ate_form": None,
         "re_form": None,
     }
+
+
+def finds_offset(values: dict[str, Any]) -> bool:
+    """Return whether the clocks' offset is to be estimated and applied."""
+    return bool(values["time_offset"] == AUTO)
+
+
+def _time_offset(text: str) -> float:
+    try:
+        return 0.0 if text == AUTO else float(text)
+    except ValueError:
+        raise SettingsError(
+            f"parameter time_offset must be a number of seconds or {AUTO}, not {text!r}"
+        ) from None
 
 
 def settings_of(values: dict[str, Any]) -> OnlineSettings:

@@ -1,0 +1,160 @@
+"""The clocks' offset while a run goes on: published, and applied if it was asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_flights import Fault, fly
+from ros_bags import ODOM, POSE, Message, messages_of, write_messages
+from ros_processes import assert_same, offline
+from test_live_run import ESTIMATE, TRUTH, Live
+
+from trajeval_ros.calibration.calibrate import calibrate
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.online.clock import ClockReport, OnlineClock
+from trajeval_ros.online.pairing import states
+from trajeval_ros.trajectory import Trajectory
+
+
+def fed(clock: OnlineClock, truth: Trajectory, estimate: Trajectory, batch_s: float = 1.0) -> None:
+    """Feed both sides in batches, and let the clock estimate when it wants to."""
+    first, batch = int(truth.stamps[0]), round(batch_s * 1e9)
+    last = max(int(truth.stamps[-1]), int(estimate.stamps[-1]))
+    for begin in range(first, last + 1, batch):
+        for side, add in ((truth, clock.add_groundtruth), (estimate, clock.add_estimate)):
+            now = side[(side.stamps >= begin) & (side.stamps < begin + batch)]
+            if len(now):
+                add(now.stamps, states(now.positions, now.quaternions))
+        clock.update()
+
+
+def test_the_offset_is_that_of_the_recording() -> None:
+    truth, estimate = fly(1, 70.0, fault=Fault(0.1, 0.0, (0.3, 0.2, 1.0), (0.1, 0.0, 0.1)))
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, truth, estimate)
+    report = clock.report
+    assert report.is_significant
+    assert report.span_s > 60.0
+    assert report.offset_s == pytest.approx(0.1, abs=2e-3)
+    offline_offset = calibrate(truth, estimate, Gauge.YAW).offset
+    assert offline_offset.value is not None
+    assert report.offset_s == pytest.approx(offline_offset.value[0], abs=1e-3)
+
+
+def test_clocks_that_are_one_are_left_alone() -> None:
+    for seed in range(3):
+        clock = OnlineClock(Gauge.YAW)
+        fed(clock, *fly(seed, 60.0))
+        assert clock.report.status == "insignificant"
+        assert clock.report.offset_s == pytest.approx(0.0, abs=2e-3)
+
+
+def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, *fly(1, 30.0))
+    assert clock.report == ClockReport()
+    assert not OnlineClock(Gauge.YAW).update(at_end=True)
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, *fly(1, 40.0, "static"))
+    assert clock.report.status == "unobservable"
+    assert clock.report.offset_s is None
+
+
+def test_positions_alone_have_a_clock_too() -> None:
+    truth, estimate = fly(1, 60.0, fault=Fault(0.1))
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, dataclasses.replace(truth, rotations=None), estimate)
+    assert clock.report.is_significant
+    assert clock.report.offset_s == pytest.approx(0.1, abs=3e-3)
+
+
+def test_memory_and_work_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimates = []
+    monkeypatch.setattr(
+        OnlineClock, "_estimated", lambda clock, span_s: estimates.append(span_s) or ClockReport()
+    )
+    clock = OnlineClock(Gauge.YAW)
+    stamps = np.arange(0, 7200 * 10, dtype=np.int64) * 100_000_000 + 1
+    rows = states(np.random.default_rng(0).normal(size=(len(stamps), 3)))
+    for part in np.split(np.arange(len(stamps)), 720):
+        clock.add_groundtruth(stamps[part], rows[part])
+        clock.add_estimate(stamps[part], rows[part])
+        clock.update()
+    held = [len(clock._truth), len(clock._estimate)]
+    assert max(held) <= 6001
+    # Rarer and rarer: from every 5 s to every tenth of the time so far.
+    assert len(estimates) < 60
+    assert np.diff(estimates).max() >= 0.1 * estimates[-2]
+
+
+def test_late_and_odd_states_do_no_harm() -> None:
+    truth, estimate = fly(1, 60.0, fault=Fault(0.1))
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, truth, estimate)
+    before = clock.report
+    nowhere = states(np.full((2, 3), np.nan), np.zeros((2, 4)))
+    clock.add_estimate(estimate.stamps[:2], nowhere)
+    clock.add_groundtruth(truth.stamps[-1:] + 10**9, nowhere[:1])
+    clock.update(at_end=True)
+    assert clock.report.offset_s is not None
+    assert clock.report.offset_s == pytest.approx(before.offset_s, abs=1e-3)
+
+
+def messages(offset_s: float, duration_s: float) -> list[Message]:
+    truth, estimate = fly(1, duration_s, fault=Fault(offset_s))
+    both = [
+        *messages_of(truth[::4], TRUTH, POSE),
+        *messages_of(estimate, ESTIMATE, ODOM),
+    ]
+    return sorted(both, key=lambda each: each[2])
+
+
+def run(folder: Path, feed: list[Message], *, find_offset: bool) -> Live:
+    live = Live(folder, ODOM, find_offset=find_offset)
+    for part in np.array_split(np.arange(len(feed)), 100):
+        live.feed([feed[row] for row in part])
+    return live
+
+
+@pytest.mark.parametrize("duration_s", [20.0, 50.0])
+def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
+    tmp_path: Path, duration_s: float
+) -> None:
+    feed = messages(0.1, duration_s)
+    write_messages(tmp_path / "bag", feed)
+    live = run(tmp_path / "live", feed, find_offset=True)
+    # Before 35 s nothing is known, and the end decides.
+    assert live.run.holds == (duration_s < 35.0)
+    live.end()
+    assert not live.run.holds
+    result = live.result
+    (found,) = result["runs"]
+    offset_s = found["association"]["time_offset_s"]
+    assert offset_s == pytest.approx(0.1, abs=5e-3)
+    assert any(
+        f"a time offset of {offset_s:.4f} s is applied" in each for each in found["warnings"]
+    )
+    assert found["live"]["clock"]["status"] == "significant"
+    options = ("--time-offset", repr(offset_s), "--gauge", "yaw", "--lengths", "2,4")
+    recorded = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *options)["runs"][0]
+    assert_same({**found, "warnings": []}, {**recorded, "warnings": []})
+
+
+def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
+    live = run(tmp_path / "live", messages(0.0, 70.0), find_offset=True)
+    assert not live.run.holds  # a minute has passed
+    live.end()
+    (found,) = live.result["runs"]
+    assert found["association"]["time_offset_s"] == 0.0
+    assert any("no time offset is applied" in each for each in found["warnings"])
+
+
+def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path) -> None:
+    live = run(tmp_path / "live", messages(0.1, 45.0), find_offset=False)
+    live.end()
+    (found,) = live.result["runs"]
+    assert found["association"]["time_offset_s"] == 0.0
+    assert found["live"]["clock"]["offset_s"] == pytest.approx(0.1, abs=5e-3)
