@@ -11,6 +11,7 @@ from calibration_flights import Fault, fly
 from test_calibration_recovery import RECORDINGS
 
 from trajeval_ros.association import AssociationRule
+from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.protocol import PROTOCOLS, Protocol
@@ -110,3 +111,14 @@ def test_irregular_but_honest_stamps_are_no_arrivals() -> None:
     truth, estimate = fly(1, 60.0)
     kept = np.random.default_rng(1).random(len(truth)) < 0.2
     assert not hints(evaluate(truth[kept], estimate, YAW))
+
+
+def test_stamps_of_a_real_estimator_that_are_late(recording: Recording) -> None:
+    truth = recording("bags/ROS_example.bag:/groundtruth")
+    late, well = (recording(f"bags/ROS_example.bag:/{name}") for name in ("S-PTAM", "ORB-SLAM"))
+    (hint,) = hints(evaluate(truth, late, YAW))
+    assert CLOCKS in hint
+    assert not hints(evaluate(truth, well, YAW))
+    found = calibrate(truth, late).offset
+    assert found.is_significant
+    assert found.value == pytest.approx([-0.18], abs=0.01)

@@ -215,7 +215,8 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
             f"{estimate.child_frame!r}: if these are not the same point of the same body, their "
             "lever arm and rotation are in the errors"
         )
-    for name, side in (("groundtruth", truth), ("estimate", estimate)):
+    paired = evaluation.association.estimate
+    for name, side in (("groundtruth", truth), ("estimate", paired)):
         if _stamped_at_arrival(side):
             warnings.append(
                 f"the {name}'s stamps jitter and its motion doesn't: they look like times of "

@@ -109,9 +109,7 @@ def evaluate(
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
 
     pairs = associate(groundtruth, estimate, protocol.association)
-    evaluation = evaluate_pairs(pairs, groundtruth, estimate, protocol)
-    clocks = clock_hint(groundtruth, estimate, pairs, evaluation.aligned)
-    return dataclasses.replace(evaluation, warnings=(*clocks, *evaluation.warnings))
+    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
 
 
 def evaluate_pairs(
@@ -161,7 +159,8 @@ def evaluate_pairs(
         if protocol.score is None
         else protocol.score.score(absolute.position_m, len(groundtruth)),
     )
-    return dataclasses.replace(evaluation, warnings=warnings_of(evaluation))
+    warnings = (*clock_hint(pairs, aligned), *warnings_of(evaluation))
+    return dataclasses.replace(evaluation, warnings=warnings)
 
 
 def _align(pairs: Association, protocol: Protocol) -> Alignment:

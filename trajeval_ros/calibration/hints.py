@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.association import Association
-from trajeval_ros.calibration.clock import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.calibration.clock import OffsetGuess, guess_offset
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
@@ -20,25 +20,25 @@ _EXPLAINED = 0.5
 _LATE_S = 0.020
 
 
-def clock_hint(
-    groundtruth: Trajectory, estimate: Trajectory, pairs: Association, aligned: Trajectory
-) -> list[str]:
+def clock_hint(pairs: Association, aligned: Trajectory) -> list[str]:
     """Return a warning if clocks seem to differ, by rates of motion or by errors along the speed.
 
+    Of pairs alone, so that a live run, which keeps nothing else, is told the same.
+
     Args:
-        groundtruth: All states, in any order.
-        estimate: All states, in their own frame.
-        pairs: Those that were paired.
-        aligned: The paired estimated states, aligned.
+        pairs: N pairs.
+        aligned: Their estimated states, aligned.
     """
     rule = pairs.rule
-    if rule.method == "index" or min(len(groundtruth), len(estimate)) < _FEWEST_STATES:
+    if rule.method == "index" or len(pairs) < _FEWEST_STATES:
         return []
-    guess = _guess(groundtruth, estimate, rule.time_offset_s)
+    guess = _guess(pairs)
     if guess.is_usable:
-        apart_s = guess.offset_s - rule.time_offset_s
-        step_s = float(np.median(np.diff(np.sort(estimate.stamps)))) / NANOSECONDS
-        if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0):
+        apart_s = guess.offset_s
+        step_s = float(np.median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
+        # Nearest stamps are as far apart as the rule allows.
+        within_s = 0.0 if rule.method == "linear" else rule.max_time_difference_s
+        if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
             return []
         how = f"the {guess.signal}s of the two match best"
     else:
@@ -46,22 +46,21 @@ def clock_hint(
         if late_s is None:
             return []
         apart_s, how = late_s, "the position error goes with the speed, as"
+    more = "more " if rule.time_offset_s else ""
     return [
         f"the clocks of groundtruth and estimate seem to differ: {how} with {1e3 * apart_s:+.0f} "
-        "ms added to the estimate's stamps; --time-offset auto tests it"
+        f"ms {more}added to the estimate's stamps; --time-offset auto tests it"
     ]
 
 
-def _guess(groundtruth: Trajectory, estimate: Trajectory, offset_s: float) -> OffsetGuess:
+def _guess(pairs: Association) -> OffsetGuess:
     """Correlate ten minutes from the middle of the run: enough, and no more on long runs."""
-    middle = (int(estimate.stamps.min()) + int(estimate.stamps.max())) // 2
-    shift, half = round(offset_s * NANOSECONDS), round(_LONGEST_S / 2.0 * NANOSECONDS)
-    wider = half + round(SEARCH_S * NANOSECONDS)
-    near = np.abs(estimate.stamps - middle) <= half
-    around = np.abs(groundtruth.stamps - (middle + shift)) <= wider
-    if min(np.count_nonzero(near), np.count_nonzero(around)) < _FEWEST_STATES:
-        return OffsetGuess(offset_s, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
-    return guess_offset(groundtruth[around], estimate[near], around_s=offset_s)
+    stamps = pairs.estimate.stamps
+    middle = (int(stamps.min()) + int(stamps.max())) // 2
+    near = np.abs(stamps - middle) <= round(_LONGEST_S / 2.0 * NANOSECONDS)
+    if np.count_nonzero(near) < _FEWEST_STATES:
+        return OffsetGuess(0.0, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
+    return guess_offset(pairs.groundtruth[near], pairs.estimate[near])
 
 
 def _late(pairs: Association, aligned: Trajectory) -> float | None:
