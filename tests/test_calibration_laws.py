@@ -19,7 +19,7 @@ from trajeval_ros.trajectory import Trajectory
 
 FAULT = Fault(0.08, 0.0, (0.4, -0.7, 1.1), (0.1, -0.05, 0.2))
 NONE = Systematic(0.0, 0.0)
-few = hypothesis_settings(max_examples=5)
+few = hypothesis_settings(max_examples=3)
 
 
 def values(calibration: Calibration) -> list[np.ndarray]:
@@ -43,7 +43,7 @@ def assert_same(ours: Calibration, theirs: Calibration, tolerance: float = 1e-6)
 @few
 @given(seed=seeds, gauge=st.sampled_from([Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]))
 def test_gauge_elements_change_nothing(seed: int, gauge: Gauge) -> None:
-    truth, estimate = fly(seed % 1000, fault=FAULT)
+    truth, estimate = fly(seed % 1000, 40.0, fault=FAULT)
     element = make_element(gauge, seed)
     before = calibrate(truth, estimate, gauge, systematic=NONE)
     after = calibrate(truth, moved(estimate, element), gauge, systematic=NONE)
@@ -54,7 +54,7 @@ def test_gauge_elements_change_nothing(seed: int, gauge: Gauge) -> None:
 @few
 @given(seed=seeds, gauge=st.sampled_from([Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]))
 def test_gauge_elements_change_nothing_with_positions_alone(seed: int, gauge: Gauge) -> None:
-    truth, estimate = fly(seed % 1000, fault=FAULT)
+    truth, estimate = fly(seed % 1000, 40.0, fault=FAULT)
     truth = dataclasses.replace(truth, rotations=None)
     element = make_element(gauge, seed)
     before = calibrate(truth, estimate, gauge, systematic=NONE)
@@ -68,7 +68,7 @@ def test_gauge_elements_change_nothing_with_positions_alone(seed: int, gauge: Ga
 @few
 @given(seed=seeds, shift_s=st.floats(-3.0, 3.0))
 def test_a_shift_of_the_groundtruth_is_the_offset(seed: int, shift_s: float) -> None:
-    truth, estimate = fly(seed % 1000, fault=dataclasses.replace(FAULT, offset_s=0.0))
+    truth, estimate = fly(seed % 1000, 40.0, fault=dataclasses.replace(FAULT, offset_s=0.0))
     shift = round(shift_s * 1e9)
     shifted = dataclasses.replace(truth, stamps=truth.stamps + shift)
     before = calibrate(truth, estimate, systematic=NONE)
@@ -82,7 +82,7 @@ def test_a_shift_of_the_groundtruth_is_the_offset(seed: int, shift_s: float) -> 
 @few
 @given(seed=seeds)
 def test_another_body_of_the_estimate(seed: int) -> None:
-    truth, estimate = fly(seed % 1000, fault=FAULT)
+    truth, estimate = fly(seed % 1000, 40.0, fault=FAULT)
     random = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3))
     lever_m = random.uniform(-0.3, 0.3, 3)
@@ -143,6 +143,6 @@ def test_clocks_of_different_epochs(epoch_apart_s: float) -> None:
 
 def test_reliabilities_are_correlations() -> None:
     for kind in ("drone", "car", "straight", "translating", "static"):
-        found = calibrate(*fly(7, kind=kind, fault=FAULT))
+        found = calibrate(*fly(7, 40.0, kind, FAULT))
         for each in (found.offset, found.turn, found.lever):
             assert (np.abs(each.reliability) <= 1.0).all()

@@ -23,7 +23,7 @@ def without_rotations(trajectory: Trajectory) -> Trajectory:
 
 @pytest.mark.parametrize("kind", ["straight", "static"])
 def test_constant_motion_shows_nothing(kind: str) -> None:
-    found = calibrate(*fly(1, 120.0, kind, FAULT))
+    found = calibrate(*fly(1, 60.0, kind, FAULT))
     for each in (found.offset, found.turn, found.lever):
         assert each.status == "unobservable"
         assert each.value is None
@@ -34,13 +34,14 @@ def test_constant_motion_shows_nothing(kind: str) -> None:
 
 
 def test_translation_alone_shows_clock_and_rotation_but_no_lever_arm() -> None:
-    found = calibrate(*fly(1, 120.0, "translating", FAULT), systematic=NONE)
+    found = calibrate(*fly(1, 60.0, "translating", FAULT), systematic=NONE)
     assert found.offset.status == "significant"
     assert found.offset.value == pytest.approx([0.3], abs=2e-3)
     assert found.turn.status == "insignificant"
     assert found.lever.status == "unobservable"
 
 
+@pytest.mark.slow
 def test_one_axis_hides_the_lever_arm_along_it() -> None:
     found = calibrate(*fly(1, 300.0, "car", FAULT), systematic=NONE)
     assert found.offset.value == pytest.approx([0.3], abs=5e-3)
@@ -51,7 +52,7 @@ def test_one_axis_hides_the_lever_arm_along_it() -> None:
 
 
 def test_positions_alone_show_no_rotation() -> None:
-    truth, estimate = fly(1, 120.0, fault=FAULT)
+    truth, estimate = fly(1, 60.0, fault=FAULT)
     found = calibrate(without_rotations(truth), estimate, Gauge.YAW, systematic=NONE)
     assert found.offset.value == pytest.approx([0.3], abs=3e-3)
     assert found.lever.value == pytest.approx([0.1, 0.05, 0.2], abs=0.02)
@@ -98,6 +99,7 @@ def test_without_stamps_or_poses_there_is_nothing_to_compare(side: int) -> None:
         calibrate(*pair)
 
 
+@pytest.mark.slow
 def test_a_skew_is_found_when_asked_for() -> None:
     truth, estimate = fly(1, 180.0, fault=dataclasses.replace(FAULT, skew=5e-5))
     found = calibrate(truth, estimate, with_skew=True, systematic=NONE)
@@ -109,7 +111,7 @@ def test_a_skew_is_found_when_asked_for() -> None:
 
 
 def test_gaps_and_lost_poses_change_it_within_its_uncertainty() -> None:
-    truth, estimate = fly(3, 120.0, fault=FAULT)
+    truth, estimate = fly(3, 90.0, fault=FAULT)
     whole = calibrate(truth, estimate)
     seconds = truth.seconds
     kept = np.random.default_rng(0).random(len(estimate)) > 0.3

@@ -32,12 +32,12 @@ def fed(clock: OnlineClock, truth: Trajectory, estimate: Trajectory, batch_s: fl
 
 
 def test_the_offset_is_that_of_the_recording() -> None:
-    truth, estimate = fly(1, 70.0, fault=Fault(0.1, 0.0, (0.3, 0.2, 1.0), (0.1, 0.0, 0.1)))
+    truth, estimate = fly(1, 45.0, fault=Fault(0.1, 0.0, (0.3, 0.2, 1.0), (0.1, 0.0, 0.1)))
     clock = OnlineClock(Gauge.YAW)
     fed(clock, truth, estimate)
     report = clock.report
     assert report.is_significant
-    assert report.span_s > 60.0
+    assert report.span_s > 40.0
     assert report.offset_s == pytest.approx(0.1, abs=2e-3)
     offline_offset = calibrate(truth, estimate, Gauge.YAW).offset
     assert offline_offset.value is not None
@@ -45,11 +45,10 @@ def test_the_offset_is_that_of_the_recording() -> None:
 
 
 def test_clocks_that_are_one_are_left_alone() -> None:
-    for seed in range(3):
-        clock = OnlineClock(Gauge.YAW)
-        fed(clock, *fly(seed, 60.0))
-        assert clock.report.status == "insignificant"
-        assert clock.report.offset_s == pytest.approx(0.0, abs=2e-3)
+    clock = OnlineClock(Gauge.YAW)
+    fed(clock, *fly(0, 40.0))
+    assert clock.report.status == "insignificant"
+    assert clock.report.offset_s == pytest.approx(0.0, abs=2e-3)
 
 
 def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
@@ -64,7 +63,7 @@ def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
 
 
 def test_positions_alone_have_a_clock_too() -> None:
-    truth, estimate = fly(1, 60.0, fault=Fault(0.1))
+    truth, estimate = fly(1, 40.0, fault=Fault(0.1))
     clock = OnlineClock(Gauge.YAW)
     fed(clock, dataclasses.replace(truth, rotations=None), estimate)
     assert clock.report.is_significant
@@ -91,7 +90,7 @@ def test_memory_and_work_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_late_and_odd_states_do_no_harm() -> None:
-    truth, estimate = fly(1, 60.0, fault=Fault(0.1))
+    truth, estimate = fly(1, 40.0, fault=Fault(0.1))
     clock = OnlineClock(Gauge.YAW)
     fed(clock, truth, estimate)
     before = clock.report
@@ -119,7 +118,7 @@ def run(folder: Path, feed: list[Message], *, find_offset: bool) -> Live:
     return live
 
 
-@pytest.mark.parametrize("duration_s", [20.0, 50.0])
+@pytest.mark.parametrize("duration_s", [20.0, 40.0])
 def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
     tmp_path: Path, duration_s: float
 ) -> None:
@@ -144,7 +143,7 @@ def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
 
 
 def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
-    live = run(tmp_path / "live", messages(0.0, 70.0), find_offset=True)
+    live = run(tmp_path / "live", messages(0.0, 62.0), find_offset=True)
     assert not live.run.holds  # a minute has passed
     live.end()
     (found,) = live.result["runs"]
@@ -153,7 +152,7 @@ def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
 
 
 def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path) -> None:
-    live = run(tmp_path / "live", messages(0.1, 45.0), find_offset=False)
+    live = run(tmp_path / "live", messages(0.1, 40.0), find_offset=False)
     live.end()
     (found,) = live.result["runs"]
     assert found["association"]["time_offset_s"] == 0.0

@@ -23,6 +23,7 @@ TOPICS: dict[str, Any] = {"groundtruth_topic": "/truth", "estimate_topics": ["/v
         ({"window": "abc"}, "'abc' is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"),
         ({"association": "nearest"}, "association nearest can't be live: which pairs are closest"),
         ({"max_gap": "wide"}, "parameter max_gap must be a number, not 'wide'"),
+        ({"time_offset": "soon"}, "time_offset must be a number of seconds or auto, not 'soon'"),
         ({"groundtruth_topic": ""}, "groundtruth_topic and estimate_topics must name topics"),
         ({"estimate_topics": ["/vio", "/vio"]}, "name each topic once"),
         ({"estimate_topics": ["/vio odometry"]}, "'/vio odometry' is no name of a topic"),
