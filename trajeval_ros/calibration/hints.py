@@ -37,7 +37,7 @@ def clock_hint(pairs: Association, aligned: Trajectory) -> list[str]:
         apart_s = guess.offset_s
         step_s = float(np.median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
         # Nearest stamps are as far apart as the rule allows.
-        within_s = 0.0 if rule.method == "linear" else rule.max_time_difference_s
+        within_s = 0.0 if rule.method in ("linear", "continuous") else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
             return []
         how = f"the {guess.signal}s of the two match best"

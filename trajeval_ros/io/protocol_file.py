@@ -94,7 +94,11 @@ def _replaced(
     """Return settings with those of a mapping in place of their own."""
     if not isinstance(found, dict):
         raise SettingsError(f"{where} must be a mapping, not {found!r}")
-    types = {field.name: type(getattr(base, field.name)) for field in dataclasses.fields(base)}
+    types = {
+        field.name: type(value)
+        for field in dataclasses.fields(base)
+        if isinstance(value := getattr(base, field.name), (str, int, float))
+    }
     require_known(found, types, where)
     for name, value in found.items():
         wanted = (int, float) if types[name] is float else types[name]
