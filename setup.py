@@ -29,9 +29,10 @@ RERUN = [
     "rerun-sdk==0.39.*; python_version < '3.11'",
     "rerun-sdk>=0.41; python_version >= '3.11'",
 ]
-CLUSTER = ["distributed>=2024.1"]
 REMOTE = ["universal-pathlib>=0.2.6", "s3fs"]
 FOXGLOVE = ["foxglove-schemas-protobuf>=0.3"]
+COMPARE = [*PLOT, "jinja2>=3.1", "pyarrow>=14"]
+CLUSTER = [*COMPARE, "distributed>=2024.1"]
 # Community builds of ROS 2 Jazzy for Linux on x86-64: to develop and test on machines without a
 # ROS installation. Users have ROS from its own packages, by package.xml.
 ROS = [
@@ -48,7 +49,7 @@ ROS = [
 ]
 TEST = ["pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.100"]
 STORE = ["moto[s3]>=5", "flask", "flask-cors"]  # an S3 server for tests
-BROWSER = ["playwright>=1.50"]  # drives the machine's own Chromium, to test `trajeval view --web`
+BROWSER = ["playwright>=1.50"]  # drives the machine's own Chromium, to test what is shown there
 LINT = ["ruff>=0.15", "mypy>=1.15"]
 
 setup(
@@ -101,12 +102,22 @@ setup(
     extras_require={
         "plot": PLOT,
         "rerun": RERUN,
+        "compare": COMPARE,
         "cluster": CLUSTER,
         "remote": REMOTE,
         "foxglove": FOXGLOVE,
         "ros": ROS,
         "test": TEST,
-        "dev": [*PLOT, *RERUN, *REMOTE, *FOXGLOVE, *TEST, *BROWSER, *STORE, *LINT],
+        "dev": [
+            *RERUN,
+            *REMOTE,
+            *FOXGLOVE,
+            *CLUSTER,
+            *TEST,
+            *BROWSER,
+            *STORE,
+            *LINT,
+        ],  # fmt: skip
     },
     entry_points={
         "console_scripts": [

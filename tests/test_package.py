@@ -78,13 +78,19 @@ ROOMS = {
     "foxglove_schemas_protobuf": {"io"},
     "google": {"io"},
     "distributed": {"batch"},
+    "fsspec": {"batch"},
+    "pyarrow": {"batch"},
+    "jinja2": {"report"},
 }
 HEAVY = {
     "distributed",
+    "fsspec",
     "google.protobuf",
+    "jinja2",
     "matplotlib",
     "mcap",
     "pandas",
+    "pyarrow",
     "rclpy",
     "rerun",
     "rosbags",
@@ -170,7 +176,9 @@ def test_core_is_what_the_package_itself_offers() -> None:
     assert {room for room in used if FLOORS[room] > LAST_FLOOR_OF_CORE} == set()
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["evaluate", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["--help"], ["evaluate", "--help"], ["compare", "--help"]]
+)
 def test_command_line_starts_without_heavy_imports(arguments: list[str]) -> None:
     code = (
         "import sys; from trajeval_ros.cli.app import main; "

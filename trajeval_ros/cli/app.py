@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from trajeval_ros import __version__
+from trajeval_ros.cli.compare import compare
 from trajeval_ros.cli.compare_association import compare_association
 from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.evaluator import HELP as EVALUATOR_HELP
@@ -30,6 +31,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+app.command()(compare)
 app.command()(evaluate)
 app.command()(compare_association)
 app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)

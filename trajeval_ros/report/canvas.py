@@ -172,7 +172,9 @@ def say_instead(axes: Axes, sentence: str) -> None:
     )  # fmt: skip
 
 
-def thinned(columns: Array, stamps: NDArray[np.int64], max_gap_s: float) -> Array:
+def thinned(
+    columns: Array, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
+) -> Array:
     """Return rows (M, K) to draw as a line instead of N rows: few, with nothing lost to the eye.
 
     Of each of many equal runs of rows, those with the least and largest value of each column are
@@ -183,11 +185,12 @@ def thinned(columns: Array, stamps: NDArray[np.int64], max_gap_s: float) -> Arra
         columns: (N, K).
         stamps: (N,), nanoseconds, in order.
         max_gap_s: Seconds.
+        most: About how many rows are few.
     """
     count, width = columns.shape
     rows = np.arange(count)
-    if count > MOST_POINTS:
-        runs = MOST_POINTS // (2 * width)
+    if count > most:
+        runs = most // (2 * width)
         size = -(-count // runs)
         padded = np.pad(columns, ((0, size * runs - count), (0, 0)), mode="edge")
         by_run = padded.reshape(runs, size, width)

@@ -1,0 +1,275 @@
+"""`trajeval compare` from files to tables: what is done again, what stays, what is told."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from comparison_runs import write_run, write_runs
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+
+import pyarrow
+import pyarrow.parquet
+
+from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
+from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.summary import Summary, summary_of
+from trajeval_ros.batch.table import Rows
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError
+
+
+def here() -> Pool:
+    """Return a pool that evaluates in threads of this process, which starts at once."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    return Pool(ThreadPoolExecutor, 1)
+
+
+def run(config: Path, **more: bool) -> tuple[Progress, Summary]:
+    out = config.parent / "out"
+    progress = compare(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
+    return progress, summary_of(out)
+
+
+def records(config: Path) -> dict[str, int]:
+    folder = config.parent / "out" / RECORDS
+    return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.npz")}
+
+
+def test_nothing_is_done_twice(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    first, _ = run(config)
+    assert (first.done, first.kept, first.failed) == (8, 0, 0)
+    made = records(config)
+    table = (tmp_path / "out" / RUNS).read_bytes()
+    second, _ = run(config)
+    assert (second.done, second.kept) == (0, 8)
+    assert records(config) == made
+    assert (tmp_path / "out" / RUNS).read_bytes() == table
+
+
+def test_only_what_changed_is_done_again(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    _, before = run(config)
+    write_run(tmp_path / "bad" / "yard_trial1.txt", 1.2)
+    progress, after = run(config)
+    assert (progress.done, progress.kept) == (1, 7)
+    changed = [
+        now.trial for then, now in zip(before.trials, after.trials, strict=True) if then != now
+    ]
+    assert changed == ["1"]
+    assert after.of("bad", "yard")[1].rmse["position_m"] > 0.5
+
+
+def test_a_change_of_the_same_size_at_the_same_time_is_seen(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    path = tmp_path / "bad" / "yard_trial1.txt"
+    stamp = path.stat().st_mtime_ns
+    run(config)
+    rows = path.read_text()
+    path.write_text(rows.replace("4.1", "4.2"))
+    assert len(rows) == path.stat().st_size
+    os.utime(path, ns=(stamp, stamp))
+    progress, _ = run(config)
+    assert progress.done == 1
+
+
+def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    run(config)
+    compare(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
+    assert len(records(config)) == 16
+    progress, _ = run(config)
+    assert progress.done == 0
+
+
+def test_what_can_not_be_read_any_more_is_made_anew(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    _, before = run(config)
+    out = tmp_path / "out"
+    for path in (out / RUNS, next((out / RECORDS).glob("*.npz"))):
+        path.write_bytes(path.read_bytes()[:100])
+    (out / "inputs.json").write_text('{"')
+    _, after = run(config)
+    assert after.trials == before.trials
+
+
+def test_failed_and_missing_runs_stay_and_are_worse_than_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_runs(tmp_path, trials=3)
+    (tmp_path / "good" / "yard_trial0.txt").write_text("no trajectory\n")
+    (tmp_path / "good" / "yard_trial2.txt").unlink()
+    (tmp_path / "good" / "hall_trial1.txt").write_text("")
+    out = tmp_path / "out"
+    assert main(["compare", str(config), "--workers", "1", "--output", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "warning: good yard 2 missing: there is no" in told.err
+    assert "warning: good yard 0 failed:" in told.err
+    assert "3/6" in told.out
+    with (out / "ate_position_m.csv").open() as file:
+        good, bad = list(csv.DictReader(file))
+    assert good["yard"] == "inf"
+    # One of three failed: the median over all three is the worse of the other two.
+    ok = [trial.rmse["position_m"] for trial in summary_of(out).of("good", "hall") if trial.key]
+    assert float(good["hall"]) == max(ok)
+    assert float(good["coverage"]) == pytest.approx(0.5, abs=0.02)
+    assert float(bad["coverage"]) == pytest.approx(1.0, abs=0.02)
+    text = (out / "tables.md").read_text()
+    assert "failed 1/3" in text
+    assert "good hall 1 failed" in text
+    # Failed runs are tried again; then they may succeed.
+    write_run(tmp_path / "good" / "yard_trial0.txt", 1.01)
+    progress, summary = run(config)
+    assert (progress.done, progress.kept, progress.failed) == (1, 9, 1)
+    assert summary.of("good", "yard")[0].status == "ok"
+
+
+def test_a_common_time_span_takes_the_early_end_of_one_from_all(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1)
+    write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=150, seconds=10.0)
+    _, whole = run(config)
+    assert [round(trial.coverage, 1) for trial in whole.of("bad")] == [0.5, 1.0]
+    progress, cut = run(config, cut=True)
+    assert progress.done == 4
+    rows = Rows(tmp_path / "out" / RUNS).select(
+        ["algorithm", "span_s", "groundtruth_coverage", "own_groundtruth_coverage"],
+        kind="ate", metric="position_m", sequence="hall",
+    )  # fmt: skip
+    assert [row["span_s"] for row in rows] == pytest.approx([10.0, 10.0], abs=0.1)
+    assert [row["groundtruth_coverage"] for row in rows] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert [row["own_groundtruth_coverage"] for row in rows] == pytest.approx([1, 0.5], abs=0.01)
+    assert cut.of("bad", "hall")[0].rmse == pytest.approx(whole.of("bad", "hall")[0].rmse)
+    assert cut.of("good", "hall")[0].rmse != whole.of("good", "hall")[0].rmse
+    assert cut.of("good", "yard")[0].rmse == pytest.approx(whole.of("good", "yard")[0].rmse)
+    again, _ = run(config, cut=True)
+    assert again.done == 0
+
+
+def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    path = write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=100, seconds=8.0)
+    write_run(tmp_path / "good" / "hall_trial0.txt", 1.01)
+    late = np.loadtxt(tmp_path / "good" / "hall_trial0.txt")[150:]
+    np.savetxt(tmp_path / "good" / "hall_trial0.txt", late, fmt="%.9f")
+    assert path.exists()
+    _, summary = run(config, cut=True)
+    assert {trial.reason for trial in summary.trials} == {
+        "the runs of hall have no time in common"
+    }
+
+
+def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)
+    compare(plan_of(config, {"lengths": "20%"}), tmp_path / "out", here)
+    rows = Rows(tmp_path / "out" / RUNS).select(["length", "length_m"], kind="re")
+    assert {row["length"] for row in rows} == {"20%"}
+    assert len({row["length_m"] for row in rows}) == 1
+    assert rows[0]["length_m"] == pytest.approx(0.2 * 2 * np.pi * 4.0, rel=0.2)
+
+
+def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    run(config)
+    table = pyarrow.parquet.read_table(tmp_path / "out" / RUNS)
+    rows = table.to_pylist()
+    kinds = [(row["kind"], row["length"]) for row in rows if row["metric"] == "rotation_deg"]
+    assert kinds == 8 * [("ate", None), ("re", "4m"), ("re", "8m")]
+    for row in rows:
+        assert row["status"] == "ok"
+        assert len(row["estimate_sha256"]) == 64
+        assert row["gauge"] == "se3"
+        assert row["rmse"] is not None
+        assert row["count"] > 0
+    names = [(row["algorithm"], row["sequence"], row["trial"]) for row in rows]
+    each = {(*name, row["kind"], row["metric"], row["length"])
+            for name, row in zip(names, rows, strict=True)}  # fmt: skip
+    assert len(each) == len(rows)
+
+
+def test_bags_are_sources_too(flights: Path, tmp_path: Path) -> None:
+    config = tmp_path / "bags.yaml"
+    config.write_text(
+        f"folder: {flights}\n"
+        "groundtruth: '{sequence}:/groundtruth/pose'\n"
+        "runs: {vio: '{sequence}:/vio/odometry', path: '{sequence}:/vio/path'}\n"
+        "gauge: yaw\n"
+    )
+    _, summary = run(config)
+    vio = {trial.sequence: trial.rmse for trial in summary.of("vio") if trial.status == "ok"}
+    assert set(vio) == {"mcap", "sqlite3"}
+    assert vio["mcap"] == pytest.approx(vio["sqlite3"])
+
+
+def test_a_url_is_fetched_and_nothing_is_left(tmp_path: Path) -> None:
+    pytest.importorskip("fsspec", reason="fsspec is missing, the extra `cluster`")
+    config = write_runs(tmp_path, trials=1)
+    remote = tmp_path / "remote.yaml"
+    remote.write_text(
+        config.read_text()
+        .replace("groundtruth: ", f"groundtruth: file://{tmp_path}/")
+        .replace("good: ", f"good: file://{tmp_path}/")
+        .replace("bad: ", f"bad: file://{tmp_path}/")
+    )
+    _, here_too = run(config)
+    plan = plan_of(remote, {})
+    assert all(run.estimate.startswith("file:///") for run in plan.runs)
+    compare(plan, tmp_path / "far", here)
+    far = summary_of(tmp_path / "far")
+    assert [trial.rmse for trial in far.trials] == [trial.rmse for trial in here_too.trials]
+
+
+def test_a_folder_that_can_not_be_written_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = write_runs(tmp_path)
+    run(config)
+    finished = records(config)
+    write_run(tmp_path / "bad" / "yard_trial1.txt", 1.2)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        with pytest.raises(InputError, match="can't be written: no space left"):
+            run(config)
+    assert records(config) == finished
+    assert not list((tmp_path / "out" / RECORDS).glob(".*"))
+    progress, _ = run(config)
+    assert (progress.done, progress.kept) == (1, 7)
+
+
+def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
+    for name, content, said in (
+        ("half", b"PAR1 and then the disk was full", "no whole Parquet file"),
+        ("none", None, "does not exist"),
+    ):
+        path = tmp_path / f"{name}.parquet"
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            Rows(path)
+    other = tmp_path / "other.parquet"
+    pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
+    with pytest.raises(InputError, match="no table of trajeval compare"):
+        Rows(other)
+
+
+def test_usage_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = str(write_runs(tmp_path))
+    for arguments, said in (
+        (["--workers", "2", "--cluster", "tcp://127.0.0.1:1"], "give one"),
+        (["--workers", "0"], "workers"),
+        (["--gauge", "yaww"], "no gauge 'yaww'"),
+    ):
+        assert main(["compare", config, *arguments]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line

@@ -1,0 +1,170 @@
+"""What is to be compared: patterns, folders of other tools, and what a user gets wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from comparison_runs import write_run, write_runs
+
+from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.patterns import Pattern
+from trajeval_ros.batch.plan import Plan, natural
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.gauge import Gauge
+
+
+def plan(target: Path, **settings: str) -> Plan:
+    return plan_of(target, settings)
+
+
+def refused(config: Path, text: str) -> str:
+    config.write_text(text)
+    with pytest.raises(TrajevalError) as error:
+        plan(config)
+    return str(error.value)
+
+
+def test_all_trials_of_all_sequences_in_order(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=12, algorithms=["vio"])
+    names = [(run.sequence, run.trial) for run in plan(config).runs]
+    assert names == [(place, str(trial)) for place in ("hall", "yard") for trial in range(12)]
+    assert all(Path(run.estimate).is_file() for run in plan(config).runs)
+
+
+def test_what_others_have_and_one_lacks_is_missing(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=2)
+    (tmp_path / "bad" / "yard_trial1.txt").unlink()
+    (tmp_path / "groundtruth" / "hall.txt").unlink()
+    missing = {run.name: run.missing for run in plan(config).runs if run.missing}
+    assert missing["bad yard 1"] == f"there is no {tmp_path}/bad/yard_trial1.txt"
+    assert missing["good hall 0"] == "there is no groundtruth of hall"
+    assert len(missing) == 5
+
+
+def test_sequences_and_trials_that_nobody_has_are_missing_as_well(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1)
+    with config.open("a") as file:
+        file.write("sequences: [yard, roof]\ntrials: [0, 1]\n")
+    runs = plan(config).runs
+    assert [run.name for run in runs if not run.missing] == ["good yard 0", "bad yard 0"]
+    assert len(runs) == 8
+
+
+def test_settings_are_those_of_evaluate_and_the_command_line_comes_first(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    with config.open("a") as file:
+        file.write("modality: mono\nalign_states: 5\nmax_gap: 1\ncommon_time_span: true\n")
+    written = plan(config)
+    assert written.protocol.gauge is Gauge.SIM3
+    assert written.protocol.align_states == 5
+    assert written.protocol.association.max_gap_s == 1.0
+    assert [str(length) for length in written.protocol.lengths] == ["4m", "8m"]
+    assert written.common_time_span
+    said = plan_of(config, {"gauge": "yaw", "lengths": "10%"}, common_time_span=False)
+    assert said.protocol.gauge is Gauge.YAW
+    assert str(said.protocol.lengths[0]) == "10%"
+    assert not said.common_time_span
+
+
+def test_a_placeholder_takes_as_much_as_it_can_and_a_topic_follows(tmp_path: Path) -> None:
+    for name in ("MH_01_3.mcap", "V1_02_10.mcap"):
+        (tmp_path / name).write_text("")
+    pattern = Pattern.parse("{sequence}_{trial}.mcap:/vio/odometry")
+    assert pattern.find(tmp_path) == {
+        ("MH_01", "3"): f"{tmp_path}/MH_01_3.mcap:/vio/odometry",
+        ("V1_02", "10"): f"{tmp_path}/V1_02_10.mcap:/vio/odometry",
+    }
+
+
+def test_folders_with_characters_that_shells_know(tmp_path: Path) -> None:
+    folder = tmp_path / "runs [old] {x}"
+    with pytest.raises(TrajevalError, match=r"unknown \{x\}"):
+        Pattern.parse("runs {x}/{sequence}.txt")
+    config = write_runs(folder)
+    assert len(plan(config).runs) == 8
+
+
+def test_ov_evals_folders(tmp_path: Path) -> None:
+    for sequence in ("V1_01", "V1_02"):
+        write_run(tmp_path / "truths" / f"{sequence}.txt")
+        for trial in ("1_estimate", "2_estimate"):
+            write_run(tmp_path / "algorithms" / "mono" / sequence / f"{trial}.txt", 1.01)
+    write_run(tmp_path / "algorithms" / "stereo" / "V1_01" / "1_estimate.txt", 1.01)
+    runs = plan(tmp_path).runs
+    assert [run.name for run in runs if run.missing] == ["stereo V1_02 1_estimate"]
+    assert len(runs) == 6
+    assert runs[0].groundtruth == str(tmp_path / "truths" / "V1_01.txt")
+    write_run(tmp_path / "algorithms" / "mono" / "V1_01" / "1_estimate.csv", 1.01)
+    with pytest.raises(TrajevalError, match="two files are of the same run"):
+        plan(tmp_path)
+
+
+def test_the_toolboxs_folders(tmp_path: Path) -> None:
+    for algorithm, trials in (("vio", 2), ("slam", 1)):
+        for sequence in ("MH_01", "MH_05"):
+            folder = tmp_path / "laptop" / algorithm / f"laptop_{algorithm}_{sequence}"
+            write_run(folder / "stamped_groundtruth.txt")
+            for trial in range(trials):
+                suffix = trial if trials > 1 else ""
+                write_run(folder / f"stamped_traj_estimate{suffix}.txt", 1.01)
+    write_run(folder / "stamped_pose_graph_estimate.txt", 1.01)
+    found = [run.name for run in plan(tmp_path).runs if not run.missing]
+    assert found == [
+        "slam traj_est MH_01", "slam traj_est MH_05", "slam pose_graph MH_05",
+        "vio traj_est MH_01 0", "vio traj_est MH_01 1",
+        "vio traj_est MH_05 0", "vio traj_est MH_05 1",
+    ]  # fmt: skip
+    missing = [run.name for run in plan(tmp_path).runs if run.missing]
+    assert missing == ["slam pose_graph MH_01"]
+    alone = plan(folder).runs
+    assert [run.name for run in alone] == ["slam pose_graph MH_05", "slam traj_est MH_05"]
+
+
+def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None:
+    with pytest.raises(TrajevalError, match=r"neither .* nor .*write a YAML file"):
+        plan(tmp_path)
+    with pytest.raises(TrajevalError, match="does not exist"):
+        plan(tmp_path / "no.yaml")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("groundtruht: a", "did you mean groundtruth?"),
+        ("modalty: mono", "did you mean modality?"),
+        ("groundtruth: truths/{sequence}.txt", "nothing matches the pattern 'truths/{sequence}"),
+        ("groundtruth: groundtruth/{sequnce}.txt", "did you mean {sequence}?"),
+        ("groundtruth: groundtruth/hall.txt", "no {sequence}"),
+        ("groundtruth: groundtruth/{sequence}{trial}.txt", "leave out {trial}"),
+        ("runs: good/{sequence}.txt", "mapping of algorithms to patterns"),
+        ("runs: {good: 3}", "good must be a text"),
+        ("runs: {good: '{sequence}/*.txt'}", "two files are bad"),
+        ("trials: 3", "trials must be a list"),
+        ("common_time_span: 1", "must be true or false"),
+        ("max_gap: wide", "max_gap must be a number"),
+        ("modality: moon", "no modality 'moon'"),
+        ("lengths: [4, 4]", "given twice"),
+        ("runs: [", "no YAML"),
+        ("- a", "no YAML"),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, said: str) -> None:
+    config = write_runs(tmp_path)
+    key = wrong.split(":")[0]
+    lines = config.read_text().splitlines()
+    if key == "runs":
+        lines = lines[:1]
+    kept = [line for line in lines if not line.startswith(f"{key}:")]
+    message = refused(config, "\n".join([*kept, wrong]))
+    assert said in message
+    assert "\n" not in message
+
+
+def test_missing_keys_are_told(tmp_path: Path) -> None:
+    assert "has no 'runs'" in refused(tmp_path / "x.yaml", "groundtruth: '{sequence}.txt'")
+    assert "mapping" in refused(tmp_path / "x.yaml", "just a text")
+
+
+def test_names_in_the_order_of_people() -> None:
+    assert natural(["t10", "t2", "a", "10", "9", ""]) == ["", "9", "10", "a", "t2", "t10"]

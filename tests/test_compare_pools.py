@@ -1,0 +1,138 @@
+"""Processes that evaluate, die, are killed, and what is left then."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from comparison_runs import DeadlyRun, write_run, write_runs
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+
+from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
+from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.pools import Outcome, evaluate_all, local_pool
+from trajeval_ros.batch.records import Record
+from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.work import Task
+from trajeval_ros.protocol import Protocol, metres
+
+ROOT = Path(__file__).resolve().parent.parent
+PATIENCE_S = 120.0
+
+pytestmark = pytest.mark.slow
+
+
+def tasks_of(folder: Path, count: int, deadly: tuple[int, ...] = ()) -> list[Task]:
+    truth = str(write_run(folder / "truth.txt", count=500))
+    protocol = Protocol(lengths=metres(8))
+    tasks = []
+    for number in range(count):
+        estimate = str(write_run(folder / f"{number}.txt", 1.0 + 0.01 * number))
+        kind: type[Run] = DeadlyRun if number in deadly else Run
+        run = kind("vio", "hall", str(number), truth, estimate)
+        tasks.append(Task(run, protocol, ("truth", str(number))))
+    return tasks
+
+
+def test_a_run_that_kills_its_process_fails_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TRAJEVAL_TEST_PARENT", str(os.getpid()))
+    tasks = tasks_of(tmp_path, 12, deadly=(1, 7))
+    finished: dict[str, list[Outcome]] = {}
+
+    def finish(task: Task, outcome: Outcome) -> None:
+        finished.setdefault(task.run.trial, []).append(outcome)
+
+    evaluate_all(local_pool(2), tasks, finish)
+    assert sorted(finished, key=int) == [str(number) for number in range(12)]
+    assert all(len(outcomes) == 1 for outcomes in finished.values())
+    died = [trial for trial, (outcome,) in finished.items() if isinstance(outcome, str)]
+    assert sorted(died) == ["1", "7"]
+    assert "process that evaluated it died" in str(finished["7"][0])
+
+
+def test_workers_use_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    with local_pool(1).start(1) as executor:
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+            assert executor.submit(os.getenv, name).result() == "1"
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
+    assert "OMP_NUM_THREADS" not in os.environ
+
+
+def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRAJEVAL_TEST_PARENT", str(os.getpid()))
+    plan = plan_of(write_runs(tmp_path), {})
+    first = plan.runs[0]
+    deadly = DeadlyRun(**{name: getattr(first, name) for name in first.__dataclass_fields__})
+    plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.protocol)
+    progress = compare(plan, tmp_path / "out", lambda: local_pool(2))
+    assert (progress.done, progress.failed) == (7, 1)
+    (lost,) = Rows(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
+    assert "died" in lost["reason"]
+
+
+def children_of(process: int) -> list[int]:
+    listed = Path(f"/proc/{process}/task/{process}/children")
+    return [int(child) for child in listed.read_text().split()]
+
+
+def wait_for(what: Any, process: subprocess.Popen[str] | None = None) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < until
+        assert process is None or process.poll() is None
+        time.sleep(0.01)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc to look into")
+def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=30)
+    out = tmp_path / "out"
+    command = [
+        sys.executable, "-m", "trajeval_ros", "compare", str(config), "--workers", "2",
+        "--output", str(out), "--quiet",
+    ]  # fmt: skip
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=environment, text=True)
+    try:
+        wait_for(lambda: len(list(out.glob("runs/*.npz"))) > 10, process)
+        workers = children_of(process.pid)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        # No worker is left behind.
+        wait_for(lambda: not any(Path(f"/proc/{worker}/cwd").exists() for worker in workers))
+    finally:
+        process.kill()
+        process.wait()
+    kept = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.npz")}
+    assert 10 < len(kept) < 120
+    subprocess.run(command, env=environment, check=True)
+    again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.npz")}
+    assert len(again) == 120
+    assert {name: again[name] for name in kept} == kept
+    rows = Rows(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
+    assert len(rows) == len({row["key"] for row in rows}) == 120
+
+
+def test_records_are_made_by_the_workers_as_here(tmp_path: Path) -> None:
+    from trajeval_ros.batch.work import work
+
+    (task,) = tasks_of(tmp_path, 1)
+    finished: list[Outcome] = []
+    evaluate_all(local_pool(1), [task], lambda _, outcome: finished.append(outcome))
+    here, (there,) = work(task), finished
+    assert isinstance(here, Record)
+    assert isinstance(there, Record)
+    assert there.result == here.result
+    assert {name: column.tolist() for name, column in there.columns.items() if name != "errors"}

@@ -1,0 +1,224 @@
+"""A comparison from its plan to its tables, which goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros import __version__
+from trajeval_ros.batch.inputs import Fingerprints
+from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.pooling import pooled_rows, write_pooled
+from trajeval_ros.batch.pools import Pool, evaluate_all
+from trajeval_ros.batch.records import Record, has_record, read_record, write_record
+from trajeval_ros.batch.table import (
+    load_pyarrow,
+    row_of_failure,
+    rows_of_run,
+    settings_of,
+    state_of,
+    write_table,
+)
+from trajeval_ros.batch.work import Span, Task, work
+from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.io.results import write_text
+
+RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
+_INPUTS, _ABOUT = "inputs.json", "README.txt"
+_ABOUT_TEXT = """\
+Made by trajeval compare.
+runs.parquet    a row per run x metric x length, with what each number depends on
+pooled.parquet  statistics over trials, by algorithm and sequence
+report.html, tables.*  the same for people
+runs/, inputs.json     finished runs: kept, they needn't be evaluated again
+"""
+
+
+@dataclass
+class Progress:
+    """How far a comparison is.
+
+    Attributes:
+        total: Runs to be evaluated, twice with a common time span.
+        kept: Runs that were finished before.
+        done: Runs that were evaluated.
+        failed: Runs that could not be.
+        running: Names of those being evaluated.
+    """
+
+    total: int = 0
+    kept: int = 0
+    done: int = 0
+    failed: int = 0
+    running: list[str] = field(default_factory=list)
+
+
+def compare(
+    plan: Plan,
+    folder: Path,
+    start_pool: Callable[[], Pool],
+    tell: Callable[[Progress], None] = lambda progress: None,
+) -> Progress:
+    """Evaluate what is not evaluated yet, and write the tables.
+
+    Args:
+        plan: What is compared.
+        folder: For records and tables; made if it doesn't exist.
+        start_pool: Called if there is something to evaluate.
+        tell: Called whenever something began or ended.
+
+    Raises:
+        InputError: The folder can't be written, or a cluster can't be reached; what is finished
+            stays.
+    """
+    load_pyarrow()
+    records = folder / RECORDS
+    try:
+        records.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{records} can't be made: {reason}") from error
+    batch = _Batch(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
+    state = batch.state
+    if state and state == state_of(folder / RUNS) and (folder / POOLED).is_file():
+        batch.progress.kept = len(batch.tasks)
+        tell(batch.progress)
+        return batch.progress
+    write_text(folder / _ABOUT, _ABOUT_TEXT)
+    batch.evaluate(batch.tasks)
+    if plan.common_time_span:
+        batch.cut_to_common_spans()
+    _write_tables(folder, batch, state)
+    return batch.progress
+
+
+class _Batch:
+    """The runs of one comparison: what is to be done, and why what failed did."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        records: Path,
+        fingerprints: Fingerprints,
+        start_pool: Callable[[], Pool],
+        tell: Callable[[Progress], None],
+    ) -> None:
+        self.plan = plan
+        self.records = records
+        self.progress = Progress()
+        self.failures: dict[Run, str] = {}
+        self.tasks: dict[Run, Task] = {}
+        self.own_coverage: dict[Run, float] = {}
+        self._start_pool = start_pool
+        self._tell = tell
+        for run in plan.runs:
+            if run.missing:
+                self.failures[run] = run.missing
+                continue
+            try:
+                inputs = (fingerprints.of(run.groundtruth), fingerprints.of(run.estimate))
+                self.tasks[run] = Task(run, plan.protocol, inputs)
+            except TrajevalError as error:
+                self._fail(run, str(error))
+        fingerprints.save()
+
+    @property
+    def state(self) -> str:
+        """Hash of what the tables are made from; "" while there is a run that may yet succeed."""
+        if self.progress.failed:
+            return ""
+        parts = [
+            [run.algorithm, run.sequence, run.trial, run.groundtruth, run.estimate, run.missing]
+            + [self.tasks[run].key if run in self.tasks else ""]
+            for run in self.plan.runs
+        ]
+        text = json.dumps([__version__, self.plan.title, settings_of(self.plan), parts])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def evaluate(self, tasks: dict[Run, Task]) -> None:
+        """Evaluate the runs that have no record yet."""
+        todo = [task for task in tasks.values() if not has_record(self.records, task.key)]
+        # The trials of a sequence follow one another: workers keep its groundtruth.
+        todo.sort(key=lambda task: (task.run.sequence, task.run.groundtruth))
+        self.progress.kept += len(tasks) - len(todo)
+        self.progress.total += len(todo)
+        self._tell(self.progress)
+        if todo:
+            evaluate_all(self._start_pool(), todo, self._finish, self._watch)
+        self.progress.running = []
+        self._tell(self.progress)
+
+    def cut_to_common_spans(self) -> None:
+        """Evaluate the runs of each sequence again, over the time that all of them have."""
+        spans: dict[str, list[Span]] = defaultdict(list)
+        for run, task in self.tasks.items():
+            record = self.record(task)
+            if record is not None:
+                spans[run.sequence].append(record.span_ns)
+                self.own_coverage[run] = record.run["association"]["groundtruth_coverage"]
+        cut = {}
+        for run, task in self.tasks.items():
+            if run in self.failures:
+                continue
+            starts, ends = zip(*spans[run.sequence], strict=True)
+            span = (max(starts), min(ends))
+            if span[0] >= span[1]:
+                self._fail(run, f"the runs of {run.sequence} have no time in common")
+            else:
+                cut[run] = Task(run, task.protocol, task.inputs, span)
+        self.tasks = cut
+        self.evaluate(cut)
+
+    def record(self, task: Task) -> Record | None:
+        """Return what a run left; one that can't be read any more is evaluated again."""
+        if task.run in self.failures:
+            return None
+        record = read_record(self.records, task.key)
+        if record is None:
+            self._finish(task, work(task))
+            record = read_record(self.records, task.key)
+        return record
+
+    def _finish(self, task: Task, outcome: Record | str) -> None:
+        if isinstance(outcome, str):
+            self._fail(task.run, outcome)
+        else:
+            write_record(self.records, outcome)
+            self.progress.done += 1
+        self._tell(self.progress)
+
+    def _fail(self, run: Run, reason: str) -> None:
+        self.failures[run] = reason
+        self.progress.failed += 1
+
+    def _watch(self, running: list[Task]) -> None:
+        self.progress.running = [task.run.name for task in running]
+        self._tell(self.progress)
+
+
+def _write_tables(folder: Path, batch: _Batch, state: str) -> None:
+    pooled: list[dict[str, Any]] = []
+
+    def rows() -> Iterator[dict[str, Any]]:
+        groups = groupby(batch.plan.runs, key=lambda run: (run.algorithm, run.sequence))
+        for (algorithm, sequence), group in groups:
+            runs, records = list(group), []
+            for run in runs:
+                record = batch.record(batch.tasks[run]) if run in batch.tasks else None
+                if record is None:
+                    yield row_of_failure(run, batch.failures[run])
+                    continue
+                records.append(record)
+                coverage = record.run["association"]["groundtruth_coverage"]
+                yield from rows_of_run(run, record, batch.own_coverage.get(run, coverage))
+            pooled.extend(pooled_rows(algorithm, sequence, len(runs), records))
+
+    # Failed runs are tried again the next time, so such a table is never taken for the last one.
+    write_table(folder / RUNS, rows(), batch.plan, "" if batch.progress.failed else state)
+    write_pooled(folder / POOLED, pooled, batch.plan)

@@ -1,0 +1,118 @@
+"""Folders that other tools' users have: ov_eval's and rpg_trajectory_evaluation's."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from trajeval_ros.batch.plan import Name, Run, all_runs
+from trajeval_ros.exceptions import InputError
+
+_ESTIMATE = re.compile(r"stamped_(\w+?)_estimate(\d*)\.txt")
+# The toolbox's own words for the files that an estimator may leave.
+_KINDS = {"traj": "traj_est", "pose_graph": "pose_graph", "ba": "ba_estimate"}
+_TRUTH = "stamped_groundtruth.txt"
+_ENDINGS = (".txt", ".csv")
+
+
+def runs_in_folder(folder: Path) -> tuple[Run, ...]:
+    """Return the runs in a folder of a known convention.
+
+    ov_eval: `truths/SEQUENCE.txt`, `algorithms/ALGORITHM/SEQUENCE/TRIAL.txt`.
+    rpg_trajectory_evaluation: `PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/` with
+    `stamped_groundtruth.txt` and `stamped_traj_estimate0.txt`, ...; the folder itself may be
+    a platform, an algorithm, or one such experiment.
+
+    Raises:
+        InputError: It follows neither.
+    """
+    if (folder / "truths").is_dir() and (folder / "algorithms").is_dir():
+        return _ov_eval(folder)
+    experiments = sorted(path.parent for path in _truths(folder))
+    if experiments:
+        return _rpg(experiments)
+    raise InputError(
+        f"{folder} is neither a folder of ov_eval (truths/SEQUENCE.txt, "
+        "algorithms/ALGORITHM/SEQUENCE/TRIAL.txt) nor of rpg_trajectory_evaluation "
+        f"(PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/{_TRUTH}); write a YAML file with "
+        "groundtruth and runs, as docs/compare.md shows"
+    )
+
+
+def _ov_eval(folder: Path) -> tuple[Run, ...]:
+    truths: dict[str, str] = {}
+    for path in _texts(folder / "truths"):
+        _add(truths, path.stem, path)
+    estimates: dict[Name, str] = {}
+    algorithms = [path for path in sorted((folder / "algorithms").iterdir()) if path.is_dir()]
+    for algorithm in algorithms:
+        for sequence in sorted(path for path in algorithm.iterdir() if path.is_dir()):
+            for path in _texts(sequence):
+                _add(estimates, (algorithm.name, sequence.name, path.stem), path)
+    if not estimates:
+        raise InputError(
+            f"{folder} has no estimates; ov_eval keeps them in algorithms/ALGORITHM/SEQUENCE/"
+            "TRIAL.txt"
+        )
+    return all_runs(
+        [path.name for path in algorithms],
+        estimates,
+        lambda _, sequence: truths.get(sequence, ""),
+        lambda name: str(folder / "algorithms" / Path(*name)) + ".txt",
+    )
+
+
+def _rpg(experiments: list[Path]) -> tuple[Run, ...]:
+    truths: dict[tuple[str, str], str] = {}
+    estimates: dict[Name, str] = {}
+    places = [_place(path) for path in experiments]
+    several_platforms = len({platform for platform, _, _ in places}) > 1
+    folders: dict[tuple[str, str], Path] = {}
+    for path, (platform, algorithm, sequence) in zip(experiments, places, strict=True):
+        found = [(match, file) for file in sorted(path.iterdir())
+                 if (match := _ESTIMATE.fullmatch(file.name))]  # fmt: skip
+        for match, file in found:
+            kind = _KINDS.get(match[1], match[1])
+            name = " ".join(filter(None, (platform if several_platforms else "", algorithm, kind)))
+            _add(estimates, (name, sequence, match[2]), file)
+            truths[name, sequence] = str(path / _TRUTH)
+            folders[name, sequence] = path
+    if not estimates:
+        raise InputError(
+            f"{experiments[0]} has a {_TRUTH}, but no stamped_traj_estimate.txt, "
+            "stamped_pose_graph_estimate.txt or stamped_ba_estimate.txt beside it"
+        )
+    algorithms = list(dict.fromkeys(name for name, _, _ in estimates))
+    by_sequence = {sequence: path for (_, sequence), path in truths.items()}
+    return all_runs(
+        algorithms,
+        estimates,
+        lambda algorithm, sequence: truths.get((algorithm, sequence), by_sequence[sequence]),
+        lambda name: f"{name[0]} estimate{name[2]} of {name[1]}",
+    )
+
+
+def _place(experiment: Path) -> tuple[str, str, str]:
+    """Return platform, algorithm and sequence of an experiment, by where it is."""
+    experiment = experiment.resolve()
+    algorithm, platform = experiment.parent.name, experiment.parent.parent.name
+    prefix = f"{platform}_{algorithm}_"
+    if experiment.name.startswith(prefix):
+        return platform, algorithm, experiment.name.removeprefix(prefix)
+    return "", "", experiment.name
+
+
+def _truths(folder: Path) -> list[Path]:
+    """Return the groundtruth files of experiments, no deeper than the convention has them."""
+    return [path for depth in range(4) for path in folder.glob("*/" * depth + _TRUTH)]
+
+
+def _texts(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix in _ENDINGS)
+
+
+def _add(found: dict[str, str] | dict[Name, str], key: str | Name, path: Path) -> None:
+    known: dict[str | Name, str] = found  # type: ignore[assignment]
+    if key in known:
+        raise InputError(f"two files are of the same run: {known[key]} and {path}; remove one")
+    known[key] = str(path)

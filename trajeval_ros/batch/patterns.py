@@ -1,0 +1,157 @@
+"""File patterns with placeholders: which files there are for which sequence and trial."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError, SettingsError
+
+SEQUENCE, TRIAL = "sequence", "trial"
+_PLACEHOLDER = re.compile(r"\{(\w*)\}")
+_PARTS = re.compile(r"((?:\w[\w+.-]*://)?.*?)(:/.*)?", re.DOTALL)
+
+
+def split_topic(source: str) -> tuple[str, str]:
+    """Return a SOURCE's path or URL, and its topic with the colon, "" if there is none."""
+    match = _PARTS.fullmatch(source)
+    assert match is not None
+    return match[1], match[2] or ""
+
+
+def is_url(path: str) -> bool:
+    """Return whether a path is a URL, which fsspec reads."""
+    return "://" in path
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A SOURCE with `{sequence}`, `{trial}` and `*` in it.
+
+    Attributes:
+        text: As the user wrote it.
+        path: Its path or URL.
+        topic: Its topic with the colon, "" if there is none.
+    """
+
+    text: str
+    path: str
+    topic: str
+
+    @classmethod
+    def parse(cls, text: str) -> Pattern:
+        """Take a pattern apart.
+
+        Raises:
+            SettingsError: It has a placeholder that there isn't, or lacks `{sequence}`.
+        """
+        for name in _PLACEHOLDER.findall(text):
+            if name not in (SEQUENCE, TRIAL):
+                near = get_close_matches(name, (SEQUENCE, TRIAL), n=1)
+                hint = f"did you mean {{{near[0]}}}?" if near else "use {sequence} and {trial}"
+                raise SettingsError(f"the pattern {text!r} has an unknown {{{name}}}; {hint}")
+        path, topic = split_topic(text)
+        if SEQUENCE not in _PLACEHOLDER.findall(path):
+            raise SettingsError(
+                f"the pattern {text!r} has no {{sequence}} in its path; write it where the files' "
+                "names tell the sequence, as in groundtruth/{sequence}.txt"
+            )
+        return cls(text, path, topic)
+
+    @property
+    def has_trials(self) -> bool:
+        """Whether it tells trials apart."""
+        return TRIAL in _PLACEHOLDER.findall(self.path)
+
+    def find(self, folder: Path) -> dict[tuple[str, str], str]:
+        """Return the SOURCE of each sequence and trial ("" without trials).
+
+        Args:
+            folder: What a relative path begins at.
+
+        Raises:
+            InputError: Nothing matches, or two files are of the same sequence and trial.
+        """
+        begin, rest = "", self.path
+        if not is_url(rest):
+            rest = str(Path(rest))
+            begin = "" if Path(rest).is_absolute() else f"{folder}/"
+        expression = re.compile(re.escape(begin) + _expression(rest))
+        found: dict[tuple[str, str], str] = {}
+        for path in _existing(begin, rest):
+            match = expression.fullmatch(path)
+            if match is None:
+                continue
+            named = {SEQUENCE: match[SEQUENCE], TRIAL: match[TRIAL] if self.has_trials else ""}
+            run = (named[SEQUENCE], named[TRIAL])
+            if run in found:
+                which = " ".join(filter(None, run))
+                raise InputError(
+                    f"two files are {which} of {self.text!r}: {split_topic(found[run])[0]} and "
+                    f"{path}; make the pattern tell them apart"
+                )
+            found[run] = path + self.source_topic(*run)
+        if not found:
+            raise InputError(f"nothing matches the pattern {self.text!r}{_how_far(begin, rest)}")
+        return found
+
+    def source_topic(self, sequence: str, trial: str) -> str:
+        """Return the topic of a run, with its colon."""
+        return self.topic.replace("{sequence}", sequence).replace("{trial}", trial)
+
+    def path_of(self, folder: Path, sequence: str, trial: str) -> str:
+        """Return where a run's file would be."""
+        path = self.path.replace("{sequence}", sequence).replace("{trial}", trial)
+        return path if is_url(path) else str(folder / path)
+
+
+def _expression(path: str) -> str:
+    """Return the regular expression of a pattern; a placeholder takes as much as it can."""
+    parts, seen = [], set()
+    for place, piece in enumerate(re.split(r"\{(\w+)\}|(\*)", path)):
+        if place % 3 == 0:
+            parts.append(re.escape(piece))
+        elif piece == "*":
+            parts.append("[^/]*")
+        elif piece is not None:
+            parts.append(f"(?P={piece})" if piece in seen else f"(?P<{piece}>[^/]+)")
+            seen.add(piece)
+    return "".join(parts)
+
+
+def _existing(begin: str, pattern: str) -> Iterator[str]:
+    """Yield the files and folders that match a pattern after a folder, in order of their names."""
+    pieces = re.split(r"\{\w+\}|\*", pattern)
+    if not is_url(pattern):
+        wildcards = glob.escape(begin) + "*".join(map(glob.escape, pieces))
+        yield from sorted(glob.glob(wildcards))  # noqa: PTH207 - of escaped, whole paths
+        return
+    wildcards = "*".join(pieces)
+    try:
+        from fsspec.core import url_to_fs
+
+        files, path = url_to_fs(wildcards)
+        yield from sorted(map(files.unstrip_protocol, files.glob(path)))
+    except ImportError as error:
+        raise InputError(
+            f"{wildcards} can't be read: {error}; pip install 'trajeval-ros[cluster]', and the "
+            "fsspec package of that protocol"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{wildcards} can't be listed: {error}") from error
+
+
+def _how_far(begin: str, pattern: str) -> str:
+    """Return what to say of the part of a path that exists."""
+    if is_url(pattern):
+        return "; check the URL"
+    fixed = Path(begin + re.split(r"\{\w+\}|\*", pattern)[0] + "x").parent
+    while not fixed.is_dir():
+        fixed = fixed.parent
+    names = sorted(each.name for each in fixed.iterdir())[:5]
+    inside = f", which holds {', '.join(names)}" if names else ", which is empty"
+    return f"; the path exists up to {fixed}{inside}"

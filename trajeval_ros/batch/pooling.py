@@ -1,0 +1,109 @@
+"""Statistics over the trials of an algorithm on a sequence, as multi-trial tables have them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.batch.plan import Plan
+from trajeval_ros.batch.records import Record
+from trajeval_ros.batch.table import ATE, RE, STATISTICS, load_pyarrow, settings_of
+from trajeval_ros.io.results import write_whole
+from trajeval_ros.statistics import statistics_of
+
+Array = NDArray[np.float64]
+
+QUANTILES = {"p5": 5.0, "p25": 25.0, "p75": 75.0}
+_ABSOLUTE = ("position_m", "rotation_deg", "yaw_deg", "tilt_deg")
+_COLUMNS = {
+    **dict.fromkeys(("algorithm", "sequence", "kind", "metric", "length"), "string"),
+    **dict.fromkeys(("length_m", *STATISTICS, *QUANTILES), "float64"),
+    **dict.fromkeys(("count", "trials", "evaluated"), "int64"),
+}
+
+
+def pooled_rows(
+    algorithm: str, sequence: str, trials: int, records: Sequence[Record]
+) -> Iterator[dict[str, Any]]:
+    """Yield what the trials say together.
+
+    Of the absolute error, statistics of the trials' rmse; of the relative error, of the
+    sub-trajectories of all trials. How many trials were evaluated stands beside how many there
+    should be.
+
+    Args:
+        algorithm: Which made the estimates.
+        sequence: Which they are of.
+        trials: How many there should be.
+        records: Of those that were evaluated.
+    """
+    same = {
+        "algorithm": algorithm,
+        "sequence": sequence,
+        "trials": trials,
+        "evaluated": len(records),
+    }
+    for metric in _ABSOLUTE:
+        each = [record.run["ate"][metric] for record in records]
+        values = np.array([one["rmse"] for one in each if one is not None])
+        yield from _rows(values, {**same, "kind": ATE, "metric": metric})
+    for length in dict.fromkeys(length for record in records for length in record.lengths):
+        yield from _relative(length, records, same)
+
+
+def _relative(
+    length: str, records: Sequence[Record], same: dict[str, Any]
+) -> Iterator[dict[str, Any]]:
+    having = [record for record in records if length in record.lengths]
+    segments = [record.run["re"]["segments"][record.lengths.index(length)] for record in having]
+    sizes = [segment.get("length_m") for segment in segments]
+    row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
+    position = [record.columns[f"{length}.position_m"] for record in having]
+    rotation = [record.columns[f"{length}.rotation_deg"] for record in having]
+    yield from _rows(np.concatenate(position), {**row, "metric": "position_m"})
+    yield from _rows(np.concatenate(rotation), {**row, "metric": "rotation_deg"})
+    if None in sizes:
+        return
+    percent = [100.0 / size * each for size, each in zip(sizes, position, strict=True)]
+    per_metre = [each / size for size, each in zip(sizes, rotation, strict=True)]
+    yield from _rows(np.concatenate(percent), {**row, "metric": "position_percent"})
+    yield from _rows(np.concatenate(per_metre), {**row, "metric": "rotation_deg_per_m"})
+
+
+def _rows(values: Array, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    statistics = statistics_of(values)
+    if statistics is not None:
+        quantiles = np.percentile(values, list(QUANTILES.values())).tolist()
+        yield {
+            **row,
+            **dataclasses.asdict(statistics),
+            **dict(zip(QUANTILES, quantiles, strict=True)),
+        }
+
+
+def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan) -> None:
+    """Write the statistics over trials as Parquet.
+
+    Raises:
+        InputError: It can't be written, or pyarrow is not installed.
+    """
+    arrow, parquet = load_pyarrow()
+    schema = arrow.schema(
+        [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
+        metadata={"trajeval.settings": json.dumps(settings_of(plan))},
+    )
+    table = arrow.Table.from_pylist(rows, schema=schema)
+    write_whole(path, lambda temporary: parquet.write_table(table, temporary))
+
+
+def read_pooled(path: Path) -> list[dict[str, Any]]:
+    """Return the rows that `write_pooled` wrote."""
+    _, parquet = load_pyarrow()
+    rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+    return rows

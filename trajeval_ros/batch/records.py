@@ -1,0 +1,81 @@
+"""What an evaluated run leaves on disk: a file each, so that a kill loses what is in flight."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.io.results import write_whole
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """An evaluated run.
+
+    Attributes:
+        key: Hash of what it was evaluated from, and how.
+        result: As in result.json, of this run alone.
+        lengths: Of sub-trajectories, as asked for: "8m", "10%".
+        span_ns: Stamps of the first and the last pair, in the groundtruth's clock.
+        columns: `LENGTH.position_m`, `LENGTH.rotation_deg` of all sub-trajectories; `truth`
+            (M, 3) and `path` (M, 3), positions to draw; `errors` (M, 3): time since the first
+            pair (s), position error (m), rotation error (deg, NaN where withheld).
+    """
+
+    key: str
+    result: dict[str, Any]
+    lengths: tuple[str, ...]
+    span_ns: tuple[int, int]
+    columns: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """The run in the result."""
+        run: dict[str, Any] = self.result["runs"][0]
+        return run
+
+
+def write_record(folder: Path, record: Record) -> None:
+    """Write a record, whole or not at all.
+
+    Raises:
+        InputError: It can't be written.
+    """
+    head = {"result": record.result, "lengths": record.lengths, "span_ns": record.span_ns}
+    text = np.frombuffer(json.dumps(head, allow_nan=False).encode(), dtype=np.uint8)
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            np.savez(file, head=text, **record.columns)  # type: ignore[arg-type]
+
+    write_whole(_path(folder, record.key), write)
+
+
+def has_record(folder: Path, key: str) -> bool:
+    """Return whether a run was finished."""
+    return _path(folder, key).is_file()
+
+
+def read_record(folder: Path, key: str) -> Record | None:
+    """Return a record; None if there is none that can be read."""
+    try:
+        with np.load(_path(folder, key)) as archive:
+            head = json.loads(archive["head"].tobytes())
+            columns = {name: archive[name] for name in archive.files if name != "head"}
+            return Record(
+                key, head["result"], tuple(head["lengths"]), tuple(head["span_ns"]), columns
+            )
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+
+
+def _path(folder: Path, key: str) -> Path:
+    return folder / f"{key}.npz"

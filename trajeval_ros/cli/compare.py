@@ -1,0 +1,212 @@
+"""`trajeval compare`: algorithms x sequences x trials, and today against yesterday."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.gauge import Gauge
+from trajeval_ros.io.results import write_text
+from trajeval_ros.protocol import PROTOCOLS
+
+if TYPE_CHECKING:
+    from trajeval_ros.batch.comparison import Progress
+    from trajeval_ros.batch.pools import Pool
+    from trajeval_ros.batch.summary import Summary
+
+SETTINGS, WORK, OUTPUT = "Settings, before those of the file", "Work", "Output"
+
+
+def compare(
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG.yaml|DIR",
+            help="What to compare, as docs/compare.md describes it; or a folder of ov_eval's or "
+            "rpg_trajectory_evaluation's layout.",
+            show_default=False,
+        ),
+    ],
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            help=f"A named bundle of settings: {', '.join(PROTOCOLS)}.", rich_help_panel=SETTINGS
+        ),
+    ] = None,
+    modality: Annotated[
+        str | None,
+        typer.Option(
+            help="The sensors, which decide what alignment may change, as in trajeval evaluate.",
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    gauge: Annotated[
+        str | None,
+        typer.Option(
+            help=f"The same by name: {', '.join(each.value for each in Gauge)}.",
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    align_states: Annotated[
+        str | None,
+        typer.Option(
+            metavar="all|N",
+            help="Align by all matched states or the first N.",
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    lengths: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST",
+            help="Of sub-trajectories: 8,16,24 (metres), 1s,5s (seconds), 10%,20% (of the "
+            "groundtruth's path, the same for all algorithms) or none.",
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    common_time_span: Annotated[
+        bool | None,
+        typer.Option(
+            "--common-time-span/--whole-runs",
+            help="Evaluate only the time that all runs of a sequence have: a tracker that died "
+            "early can't win.",
+            show_default=False,
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Processes of this machine; by default one for each core.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Evaluate on the workers of a Dask cluster: its scheduler, tcp://HOST:PORT.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Results, kept run by run: what is there and unchanged isn't evaluated again.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("comparison"),
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=OUTPUT)
+    ] = False,
+) -> None:
+    """Compare many runs: algorithms x sequences x trials, in tables and one report.
+
+    What euroc.yaml describes, on all cores:
+
+        trajeval compare euroc.yaml --output comparison
+
+    A folder as ov_eval or rpg_trajectory_evaluation want it:
+
+        trajeval compare results --gauge yaw
+    """
+    from trajeval_ros.batch.comparison import compare as compare_runs
+    from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.summary import summary_of
+
+    if workers is not None and cluster is not None:
+        raise SettingsError("--workers is of this machine and --cluster of others; give one")
+    said = {
+        "protocol": protocol,
+        "modality": modality,
+        "gauge": gauge,
+        "align_states": align_states,
+        "lengths": lengths,
+    }
+    plan = plan_of(target, said, common_time_span=common_time_span)
+    with _progress_bar() as tell:
+        progress = compare_runs(plan, output, lambda: _pool(workers, cluster), tell)
+    summary = summary_of(output)
+    _write_tables(output, summary)
+    if not quiet:
+        _print(summary, progress, output)
+
+
+def _pool(workers: int | None, cluster: str | None) -> Pool:
+    from trajeval_ros.batch.pools import dask_pool, local_pool
+
+    return local_pool(workers) if cluster is None else dask_pool(cluster)
+
+
+def _write_tables(folder: Path, summary: Summary) -> None:
+    from trajeval_ros.batch.summary import failures, matrices
+    from trajeval_ros.report import matrix as tables
+
+    made = matrices(summary)
+    lost = [f"* {tables.markdown_text(line)}" for line in failures(summary)]
+    without = ["### Runs without numbers", "", *lost, ""] if lost else []
+    text = "\n".join([f"# {summary.title}", "", *map(tables.to_markdown, made), *without])
+    write_text(folder / "tables.md", text)
+    write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
+    for each in made:
+        write_text(folder / f"{each.name}.csv", tables.to_csv(each))
+
+
+def _print(summary: Summary, progress: Progress, folder: Path) -> None:
+    from trajeval_ros.batch.summary import failures, matrices
+    from trajeval_ros.report.matrix import to_terminal
+    from trajeval_ros.report.tables import console
+
+    terminal = console()
+    for each in matrices(summary):
+        terminal.print(to_terminal(each))
+        terminal.print()
+    kept = f", {progress.kept} unchanged" if progress.kept else ""
+    terminal.print(
+        f"{progress.done} runs evaluated{kept}; runs.parquet and tables are in {folder}",
+        soft_wrap=True,
+    )
+    terminal.file.flush()
+    remarks = console(sys.stderr)
+    for line in failures(summary):
+        remarks.print(f"warning: {line}", soft_wrap=True)
+
+
+@contextmanager
+def _progress_bar() -> Iterator[Callable[[Progress], None]]:
+    """Yield what shows how many runs are done, how many failed, and which are being evaluated."""
+    if not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns: list[Any] = [
+        MofNCompleteColumn(),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[failed]}[dim]{task.fields[running]}"),
+    ]
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        line = bar.add_task("runs", total=None, failed="", running="reading inputs")
+
+        def tell(progress: Progress) -> None:
+            bar.update(
+                line,
+                total=progress.total or None,
+                completed=progress.done + progress.failed,
+                failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
+                running=", ".join(progress.running),
+            )
+
+        yield tell
