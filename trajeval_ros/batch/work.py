@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Span = tuple[int, int]
 
 _FORMAT = 1  # of records: what is older is evaluated again
-_POINTS = 400  # of a line in a report
+_POINTS = 900  # of a line in a report
 
 
 @dataclass(frozen=True)

@@ -119,8 +119,10 @@ def compare(
 
         trajeval compare results --gauge yaw
     """
+    from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.comparison import compare as compare_runs
     from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.page import REPORT, write_report
     from trajeval_ros.batch.summary import summary_of
 
     if workers is not None and cluster is not None:
@@ -136,9 +138,16 @@ def compare(
     with _progress_bar() as tell:
         progress = compare_runs(plan, output, lambda: _pool(workers, cluster), tell)
     summary = summary_of(output)
-    _write_tables(output, summary)
+    # It is written last: if it is newer than the results, all is there.
+    if not _is_newer(output / REPORT, output / RUNS):
+        _write_tables(output, summary)
+        write_report(output, summary)
     if not quiet:
         _print(summary, progress, output)
+
+
+def _is_newer(path: Path, other: Path) -> bool:
+    return path.is_file() and path.stat().st_mtime_ns >= other.stat().st_mtime_ns
 
 
 def _pool(workers: int | None, cluster: str | None) -> Pool:
@@ -172,7 +181,7 @@ def _print(summary: Summary, progress: Progress, folder: Path) -> None:
         terminal.print()
     kept = f", {progress.kept} unchanged" if progress.kept else ""
     terminal.print(
-        f"{progress.done} runs evaluated{kept}; runs.parquet and tables are in {folder}",
+        f"{progress.done} runs evaluated{kept}; report.html, tables and runs.parquet: {folder}",
         soft_wrap=True,
     )
     terminal.file.flush()

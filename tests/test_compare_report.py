@@ -1,0 +1,159 @@
+"""The report as a person sees it: in a real browser, light and dark, wide and on a phone."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from comparison_runs import write_runs
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.report.comparison_page import RunPage, render
+from trajeval_ros.report.matrix import Cell, Matrix
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+EUROC = """\
+title: EuRoC
+folder: {folder}
+groundtruth: groundtruth/{{sequence}}.txt
+runs:
+  vio_mono: vio_mono/{{sequence}}.txt
+  vislam_ba: vislam_ba/{{sequence}}_trial{{trial}}.txt
+modality: mono-inertial
+"""
+NASTY = "<script>alert(1)</script> & \"quoted\" 'name'"
+
+
+@pytest.fixture(scope="module")
+def euroc(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of all shared EuRoC runs."""
+    folder = tmp_path_factory.mktemp("report")
+    config = folder / "euroc.yaml"
+    config.write_text(EUROC.format(folder=shared_data / "euroc"))
+    assert main(["compare", str(config), "--output", str(folder / "out"), "--quiet"]) == 0
+    return folder / "out" / "report.html"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if BROWSER is None:
+        pytest.skip("there is no chromium")
+    reason = "playwright is missing; `make install` has it"
+    sync_api = pytest.importorskip("playwright.sync_api", reason=reason)
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=BROWSER,
+            args=["--no-sandbox", "--host-resolver-rules=MAP * ~NOTFOUND"],
+        )
+        yield browser
+        browser.close()
+
+
+def opened(
+    browser: Any, page: Path, width: int = 1280, scheme: str = "light"
+) -> tuple[Any, list[str]]:
+    """Open a page; return it, and a list of all that it complains of or asks for."""
+    context = browser.new_context(viewport={"width": width, "height": 850}, color_scheme=scheme)
+    tab, heard = context.new_page(), []
+    tab.on("console", lambda message: heard.append(message.text))
+    tab.on("pageerror", lambda error: heard.append(str(error)))
+    tab.on("dialog", lambda dialog: (heard.append(dialog.message), dialog.dismiss()))
+    address = page.as_uri()
+    tab.on("request", lambda asked: heard.append(asked.url) if asked.url != address else None)
+    tab.goto(address)
+    return tab, heard
+
+
+@pytest.mark.slow
+def test_it_is_one_small_file_that_needs_nothing_else(euroc: Path) -> None:
+    text = euroc.read_text(encoding="utf-8")
+    assert len(text) < 5_000_000
+    without_names = re.sub(r'xmlns(:\w+)?="[^"]*"', "", text)
+    assert not re.findall(r"https?://|src=|@import|url\((?!#)", without_names)
+    assert text.count("<details ") == 33
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_it_opens_without_complaint_and_fits(
+    width: int, scheme: str, euroc: Path, browser: Any
+) -> None:
+    tab, heard = opened(browser, euroc, width, scheme)
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    dark = tab.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
+    assert dark == (scheme == "dark")
+    # Text in figures has the page's colour, and its size can be read.
+    texts = tab.locator("figure svg text").first
+    assert texts.evaluate("each => getComputedStyle(each).fill") == tab.evaluate(
+        "getComputedStyle(document.body).color"
+    )
+    assert texts.bounding_box()["height"] >= 8
+    for figure in tab.locator("body > .plots > figure > svg").all():
+        box = figure.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["height"] > 100
+    assert heard == []
+
+
+@pytest.mark.slow
+def test_tables_sort_and_runs_unfold(euroc: Path, browser: Any) -> None:
+    tab, heard = opened(browser, euroc)
+    table = tab.locator("table.sortable").last
+    heading = table.get_by_role("button", name="position ATE")
+
+    def column() -> list[float]:
+        values = "rows => rows.map(row => Number(row.cells[4].dataset.value))"
+        numbers: list[float] = table.locator("tbody tr").evaluate_all(values)
+        return numbers
+
+    before = column()
+    heading.click()
+    assert column() == sorted(before)
+    assert table.locator("th[aria-sort=ascending]").count() == 1
+    heading.click()
+    assert column() == sorted(before, reverse=True)
+    fold = tab.locator("#run5")
+    assert not fold.locator("svg").first.is_visible()
+    table.locator("a[href='#run5']").click()
+    assert fold.locator("svg").first.is_visible()
+    assert fold.locator("td", has_text="ATE, position [m]").is_visible()
+    tab.locator("#run7 summary").click()
+    assert tab.locator("#run7 svg").first.is_visible()
+    assert heard == []
+
+
+@pytest.mark.slow
+def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) -> None:
+    table = Matrix("t", NASTY, NASTY, (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,))
+    run = RunPage(NASTY, NASTY, NASTY, "failed", NASTY, None, None, 0.0, warnings=(NASTY,))
+    page = tmp_path / "report.html"
+    page.write_text(render(NASTY, NASTY, [NASTY], [table], [], [run], "0"))
+    tab, heard = opened(browser, page)
+    assert tab.title() == NASTY
+    assert tab.locator("h1").inner_text() == NASTY
+    assert heard == []
+
+
+def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1)
+    (tmp_path / "bad" / "yard_trial0.txt").write_text("no trajectory\n")
+    pages = []
+    for name in ("one", "two"):
+        out = tmp_path / name
+        assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
+        pages.append((out / "report.html").read_text())
+    assert pages[0] == pages[1]
+    assert "1 failed or missing, which count as worse than all" in pages[0]
+    assert '<span class="failed">failed</span>' in pages[0]
