@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.batch.plan import Run
+from trajeval_ros.batch.pools import Pool
 
 
 def write_run(path: Path, scale: float = 1.0, *, count: int = 300, seconds: float = 20.0) -> Path:
@@ -52,6 +54,11 @@ def write_runs(
     text = f"groundtruth: groundtruth/{{sequence}}.txt\nruns:\n{runs}lengths: [4, 8]\n"
     config.write_text(text)
     return config
+
+
+def here() -> Pool:
+    """Return a pool that evaluates in a thread of this process, which starts at once."""
+    return Pool(ThreadPoolExecutor, 1)
 
 
 @dataclass(frozen=True)

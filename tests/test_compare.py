@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import here, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
@@ -17,18 +17,10 @@ import pyarrow.parquet
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.pools import Pool
 from trajeval_ros.batch.summary import Summary, summary_of
 from trajeval_ros.batch.table import Rows
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
-
-
-def here() -> Pool:
-    """Return a pool that evaluates in threads of this process, which starts at once."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    return Pool(ThreadPoolExecutor, 1)
 
 
 def run(config: Path, **more: bool) -> tuple[Progress, Summary]:

@@ -35,7 +35,7 @@ _ABOUT_TEXT = """\
 Made by trajeval compare.
 runs.parquet    a row per run x metric x length, with what each number depends on
 pooled.parquet  statistics over trials, by algorithm and sequence
-report.html, tables.*  the same for people
+report.html, tables.*  the same for people; gates.md, if there was a baseline
 runs/, inputs.json     finished runs: kept, they needn't be evaluated again
 """
 

@@ -17,10 +17,15 @@ from trajeval_ros.protocol import PROTOCOLS
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
+    from trajeval_ros.batch.gates import Gate, Values
+    from trajeval_ros.batch.plan import Plan
     from trajeval_ros.batch.pools import Pool
     from trajeval_ros.batch.summary import Summary
 
-SETTINGS, WORK, OUTPUT = "Settings, before those of the file", "Work", "Output"
+    Baseline = tuple[list[Gate], Values]
+
+SETTINGS, WORK, GATES, OUTPUT = "Settings, before those of the file", "Work", "Gates", "Output"
+GATES_FILE = "gates.md"
 
 
 def compare(
@@ -97,6 +102,23 @@ def compare(
             rich_help_panel=WORK,
         ),
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OLD.parquet",
+            help="The runs.parquet of another comparison, by the same settings.",
+            rich_help_panel=GATES,
+        ),
+    ] = None,
+    fail_if: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GATE",
+            help="Exit with status 1 if a number is worse than in the baseline; repeatable. Such "
+            "as 'ate.position_m.rmse worse than 5 % + 2 MAD'.",
+            rich_help_panel=GATES,
+        ),
+    ] = None,
     output: Annotated[
         Path,
         typer.Option(
@@ -118,6 +140,11 @@ def compare(
     A folder as ov_eval or rpg_trajectory_evaluation want it:
 
         trajeval compare results --gauge yaw
+
+    Today against yesterday; the Markdown in gates.md is for the pull request:
+
+        trajeval compare euroc.yaml --baseline main.parquet
+        --fail-if 'ate.position_m.rmse worse than 5 % + 2 MAD'
     """
     from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.comparison import compare as compare_runs
@@ -135,6 +162,8 @@ def compare(
         "lengths": lengths,
     }
     plan = plan_of(target, said, common_time_span=common_time_span)
+    # Read before anything is written: it may be the table of the same folder.
+    before = _read_baseline(baseline, fail_if or [], plan)
     with _progress_bar() as tell:
         progress = compare_runs(plan, output, lambda: _pool(workers, cluster), tell)
     summary = summary_of(output)
@@ -144,6 +173,44 @@ def compare(
         write_report(output, summary)
     if not quiet:
         _print(summary, progress, output)
+    if before is not None:
+        _judge(before, output, summary.title, quiet=quiet)
+
+
+def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
+    """Return gates and what they compare with; refuses what can't be compared before the work."""
+    from trajeval_ros.batch.gates import Gate, Values, require_same_settings
+    from trajeval_ros.batch.table import Rows, settings_of
+
+    if (path is None) != (not texts):
+        raise SettingsError(
+            "--baseline says what to compare with and --fail-if what is worse; give both"
+        )
+    if path is None:
+        return None
+    gates = [Gate.parse(text) for text in texts]
+    values = Values(Rows(path))
+    require_same_settings(values, settings_of(plan))
+    for gate in gates:
+        values.find(gate.path)
+    return gates, values
+
+
+def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
+    """Write and print what became better and worse; exit with status 1 if something is worse."""
+    from trajeval_ros.batch.comparison import RUNS
+    from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
+    from trajeval_ros.batch.table import Rows
+
+    gates, values = before
+    now = Values(Rows(folder / RUNS))
+    verdicts = judge(gates, values, now)
+    text = to_markdown(verdicts, title, remarks_on(values, now))
+    write_text(folder / GATES_FILE, text)
+    if not quiet:
+        print(f"\n{text}", end="")
+    if any(verdict.fails for verdict in verdicts):
+        raise typer.Exit(1)
 
 
 def _is_newer(path: Path, other: Path) -> bool:
