@@ -117,7 +117,7 @@ setup(
             *BROWSER,
             *STORE,
             *LINT,
-        ],  # fmt: skip
+        ],
     },
     entry_points={
         "console_scripts": [

@@ -11,6 +11,8 @@ import pytest
 from comparison_runs import here, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 import pyarrow
 import pyarrow.parquet
@@ -200,22 +202,30 @@ def test_bags_are_sources_too(flights: Path, tmp_path: Path) -> None:
     assert vio["mcap"] == pytest.approx(vio["sqlite3"])
 
 
-def test_a_url_is_fetched_and_nothing_is_left(tmp_path: Path) -> None:
-    pytest.importorskip("fsspec", reason="fsspec is missing, the extra `cluster`")
+def test_urls_are_sources_too(tmp_path: Path) -> None:
+    pytest.importorskip("upath", reason="universal-pathlib is missing, the extra `remote`")
+    import fsspec
+
     config = write_runs(tmp_path, trials=1)
+    store = fsspec.filesystem("memory")
+    store.put(str(tmp_path), "/runs", recursive=True)
     remote = tmp_path / "remote.yaml"
-    remote.write_text(
-        config.read_text()
-        .replace("groundtruth: ", f"groundtruth: file://{tmp_path}/")
-        .replace("good: ", f"good: file://{tmp_path}/")
-        .replace("bad: ", f"bad: file://{tmp_path}/")
-    )
-    _, here_too = run(config)
+    text = config.read_text()
+    for name in ("groundtruth", "good", "bad"):
+        text = text.replace(f"{name}: ", f"{name}: memory://runs/")
+    remote.write_text(text)
+    _, local = run(config)
+    far = tmp_path / "far"
     plan = plan_of(remote, {})
-    assert all(run.estimate.startswith("file:///") for run in plan.runs)
-    compare(plan, tmp_path / "far", here)
-    far = summary_of(tmp_path / "far")
-    assert [trial.rmse for trial in far.trials] == [trial.rmse for trial in here_too.trials]
+    assert all(each.estimate.startswith("memory://") for each in plan.runs)
+    compare(plan, far, here)
+    assert [each.rmse for each in summary_of(far).trials] == [each.rmse for each in local.trials]
+    assert compare(plan, far, here).done == 0
+    store.put(str(write_run(tmp_path / "x.txt", 1.1)), "/runs/bad/yard_trial0.txt")
+    assert compare(plan_of(remote, {}), far, here).done == 1
+    remote.write_text(text.replace("bad/{seq", "worse/{seq"))
+    with pytest.raises(InputError, match="nothing matches"):
+        plan_of(remote, {})
 
 
 def test_a_folder_that_can_not_be_written_loses_nothing(

@@ -15,6 +15,8 @@ import pytest
 from comparison_runs import here, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 pytest.importorskip("distributed", reason="dask.distributed is missing, the extra `cluster`")
 
 from trajeval_ros.batch import comparison

@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of

@@ -14,6 +14,8 @@ import pytest
 from comparison_runs import DeadlyRun, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
 from trajeval_ros.batch.config import plan_of

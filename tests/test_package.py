@@ -208,6 +208,17 @@ def test_bag_script_turns_topics_into_sources(monkeypatch: pytest.MonkeyPatch) -
     assert handed_over == expected.split()
 
 
+def test_compare_script_hands_its_options_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    handed_over: list[str] = []
+    monkeypatch.setattr("trajeval_ros.cli.app.main", lambda given: handed_over.extend(given) or 0)
+    script = str(ROOT / "launch_free_scripts" / "compare_runs.py")
+    monkeypatch.setattr(sys, "argv", [script, "euroc.yaml", "--quiet"])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with pytest.raises(SystemExit, match="0"):
+        runpy.run_path(script, run_name="__main__")
+    assert handed_over == ["compare", "euroc.yaml", "--quiet"]
+
+
 def test_package_xml_has_the_same_version() -> None:
     stated = ElementTree.parse(ROOT / "package.xml").findtext("version")
     assert stated == trajeval_ros.__version__

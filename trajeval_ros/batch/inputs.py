@@ -1,14 +1,10 @@
-"""What a SOURCE's bytes are, to know whether it changed, and where they are when it is a URL."""
+"""What a SOURCE's bytes are, to know whether it changed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -99,28 +95,3 @@ def _remote_state(url: str) -> str:
         return str(files.ukey(path))
     except (ImportError, OSError, ValueError) as error:
         raise InputError(f"{url} can't be read: {error}") from error
-
-
-@contextmanager
-def on_this_machine(source: str) -> Iterator[str]:
-    """Yield a SOURCE whose path is here: what a URL names is fetched, and removed afterwards.
-
-    Raises:
-        InputError: It can't be fetched.
-    """
-    url, topic = split_topic(source)
-    if not is_url(url):
-        yield source
-        return
-    folder = Path(tempfile.mkdtemp(prefix="trajeval-"))
-    try:
-        from fsspec.core import url_to_fs
-
-        files, path = url_to_fs(url)
-        local = folder / (Path(path).name or "input")
-        files.get(path, str(local), recursive=files.isdir(path))
-        yield f"{local}{topic}"
-    except (ImportError, OSError, ValueError) as error:
-        raise InputError(f"{url} can't be read: {error}") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

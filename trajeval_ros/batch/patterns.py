@@ -76,16 +76,8 @@ class Pattern:
         Raises:
             InputError: Nothing matches, or two files are of the same sequence and trial.
         """
-        begin, rest = "", self.path
-        if not is_url(rest):
-            rest = str(Path(rest))
-            begin = "" if Path(rest).is_absolute() else f"{folder}/"
-        expression = re.compile(re.escape(begin) + _expression(rest))
         found: dict[tuple[str, str], str] = {}
-        for path in _existing(begin, rest):
-            match = expression.fullmatch(path)
-            if match is None:
-                continue
+        for match, path in _existing(folder, self.path):
             named = {SEQUENCE: match[SEQUENCE], TRIAL: match[TRIAL] if self.has_trials else ""}
             run = (named[SEQUENCE], named[TRIAL])
             if run in found:
@@ -96,7 +88,9 @@ class Pattern:
                 )
             found[run] = path + self.source_topic(*run)
         if not found:
-            raise InputError(f"nothing matches the pattern {self.text!r}{_how_far(begin, rest)}")
+            raise InputError(
+                f"nothing matches the pattern {self.text!r}{_how_far(folder, self.path)}"
+            )
         return found
 
     def source_topic(self, sequence: str, trial: str) -> str:
@@ -123,33 +117,49 @@ def _expression(path: str) -> str:
     return "".join(parts)
 
 
-def _existing(begin: str, pattern: str) -> Iterator[str]:
-    """Yield the files and folders that match a pattern after a folder, in order of their names."""
-    pieces = re.split(r"\{\w+\}|\*", pattern)
-    if not is_url(pattern):
-        wildcards = glob.escape(begin) + "*".join(map(glob.escape, pieces))
-        yield from sorted(glob.glob(wildcards))  # noqa: PTH207 - of escaped, whole paths
+def _existing(folder: Path, pattern: str) -> Iterator[tuple[re.Match[str], str]]:
+    """Yield how the files and folders match a pattern, and where they are, in order of names."""
+    if is_url(pattern):
+        yield from _existing_at(pattern)
         return
-    wildcards = "*".join(pieces)
+    pattern = str(Path(pattern))
+    begin = "" if Path(pattern).is_absolute() else f"{folder}/"
+    expression = re.compile(re.escape(begin) + _expression(pattern))
+    wildcards = glob.escape(begin) + "*".join(map(glob.escape, _fixed_parts(pattern)))
+    for path in sorted(glob.glob(wildcards)):  # noqa: PTH207 - of escaped, whole paths
+        if match := expression.fullmatch(path):
+            yield match, path
+
+
+def _existing_at(url: str) -> Iterator[tuple[re.Match[str], str]]:
+    """Yield the same of a pattern in a store."""
     try:
         from fsspec.core import url_to_fs
 
-        files, path = url_to_fs(wildcards)
-        yield from sorted(map(files.unstrip_protocol, files.glob(path)))
+        files, pattern = url_to_fs(url)
+        expression = re.compile(_expression(pattern))
+        for path in sorted(files.glob("*".join(_fixed_parts(pattern)))):
+            if match := expression.fullmatch(path):
+                yield match, files.unstrip_protocol(path)
     except ImportError as error:
         raise InputError(
-            f"{wildcards} can't be read: {error}; pip install 'trajeval-ros[cluster]', and the "
-            "fsspec package of that protocol"
+            f"{url} can't be read: {error}; pip install 'trajeval-ros[remote]', or the fsspec "
+            "package of that protocol"
         ) from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{wildcards} can't be listed: {error}") from error
+        raise InputError(f"{url} can't be listed: {error}") from error
 
 
-def _how_far(begin: str, pattern: str) -> str:
+def _fixed_parts(pattern: str) -> list[str]:
+    """Return what stands between the placeholders."""
+    return re.split(r"\{\w+\}|\*", pattern)
+
+
+def _how_far(folder: Path, pattern: str) -> str:
     """Return what to say of the part of a path that exists."""
     if is_url(pattern):
         return "; check the URL"
-    fixed = Path(begin + re.split(r"\{\w+\}|\*", pattern)[0] + "x").parent
+    fixed = (folder / f"{_fixed_parts(pattern)[0]}x").parent
     while not fixed.is_dir():
         fixed = fixed.parent
     names = sorted(each.name for each in fixed.iterdir())[:5]

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.inputs import on_this_machine
 from trajeval_ros.batch.plan import Run
 from trajeval_ros.batch.records import Record
 from trajeval_ros.evaluation import Evaluation, evaluate
@@ -102,8 +101,7 @@ def _groundtruth(source: str, fingerprint: str) -> Trajectory:  # noqa: ARG001 -
 
 
 def _read(source: str) -> Trajectory:
-    with on_this_machine(source) as local:
-        return read_trajectory(local)
+    return read_trajectory(source, covariances=False)
 
 
 def _cut(estimate: Trajectory, span: Span, protocol: Protocol) -> Trajectory:
