@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -64,27 +63,34 @@ def _relative(
     segments = [record.run["re"]["segments"][record.lengths.index(length)] for record in having]
     sizes = [segment.get("length_m") for segment in segments]
     row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
-    position = [record.columns[f"{length}.position_m"] for record in having]
-    rotation = [record.columns[f"{length}.rotation_deg"] for record in having]
-    yield from _rows(np.concatenate(position), {**row, "metric": "position_m"})
-    yield from _rows(np.concatenate(rotation), {**row, "metric": "rotation_deg"})
-    if None in sizes:
-        return
-    percent = [100.0 / size * each for size, each in zip(sizes, position, strict=True)]
-    per_metre = [each / size for size, each in zip(sizes, rotation, strict=True)]
-    yield from _rows(np.concatenate(percent), {**row, "metric": "position_percent"})
-    yield from _rows(np.concatenate(per_metre), {**row, "metric": "rotation_deg_per_m"})
+    # Shares of a length need each trial's own one, which are the same but for odd groundtruths.
+    for metric, share, unit in (
+        ("position_m", "position_percent", 100.0),
+        ("rotation_deg", "rotation_deg_per_m", 1.0),
+    ):
+        errors = [record.columns[f"{length}.{metric}"] for record in having]
+        absolute = list(_rows(np.concatenate(errors), {**row, "metric": metric}))
+        yield from absolute
+        if None in sizes:
+            continue
+        if len(set(sizes)) == 1:
+            yield from (_scaled(each, share, unit / sizes[0]) for each in absolute)
+        else:
+            shares = [unit / size * each for size, each in zip(sizes, errors, strict=True)]
+            yield from _rows(np.concatenate(shares), {**row, "metric": share})
+
+
+def _scaled(row: dict[str, Any], metric: str, factor: float) -> dict[str, Any]:
+    """Return the row of the same errors in another unit."""
+    in_unit = {name: row[name] * factor for name in (*STATISTICS, *QUANTILES)}
+    return {**row, "metric": metric, **in_unit}
 
 
 def _rows(values: Array, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
     statistics = statistics_of(values)
     if statistics is not None:
         quantiles = np.percentile(values, list(QUANTILES.values())).tolist()
-        yield {
-            **row,
-            **dataclasses.asdict(statistics),
-            **dict(zip(QUANTILES, quantiles, strict=True)),
-        }
+        yield {**row, **vars(statistics), **dict(zip(QUANTILES, quantiles, strict=True))}
 
 
 def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan) -> None:

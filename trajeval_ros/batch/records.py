@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,12 +50,20 @@ def write_record(folder: Path, record: Record) -> None:
     Raises:
         InputError: It can't be written.
     """
-    head = {"result": record.result, "lengths": record.lengths, "span_ns": record.span_ns}
+    shapes = {name: column.shape for name, column in record.columns.items()}
+    head = {
+        "result": record.result,
+        "lengths": record.lengths,
+        "span_ns": record.span_ns,
+        "shapes": shapes,
+    }
     text = np.frombuffer(json.dumps(head, allow_nan=False).encode(), dtype=np.uint8)
+    # Each array of an archive costs more than its numbers, so all are one.
+    values = np.concatenate([np.empty(0), *map(np.ravel, record.columns.values())])
 
     def write(path: Path) -> None:
         with path.open("wb") as file:
-            np.savez(file, head=text, **record.columns)  # type: ignore[arg-type]
+            np.savez(file, head=text, values=values)
 
     write_whole(_path(folder, record.key), write)
 
@@ -69,10 +78,14 @@ def read_record(folder: Path, key: str) -> Record | None:
     try:
         with np.load(_path(folder, key)) as archive:
             head = json.loads(archive["head"].tobytes())
-            columns = {name: archive[name] for name in archive.files if name != "head"}
-            return Record(
-                key, head["result"], tuple(head["lengths"]), tuple(head["span_ns"]), columns
-            )
+            values = archive["values"]
+        sizes = [math.prod(shape) for shape in head["shapes"].values()]
+        parts = np.split(values, np.cumsum(sizes)[:-1]) if sizes else []
+        columns = {
+            name: part.reshape(shape)
+            for (name, shape), part in zip(head["shapes"].items(), parts, strict=True)
+        }
+        return Record(key, head["result"], tuple(head["lengths"]), tuple(head["span_ns"]), columns)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
 

@@ -50,9 +50,14 @@ class Task:
     @functools.cached_property
     def key(self) -> str:
         """Hash of all that its numbers depend on."""
-        settings = dataclasses.asdict(self.protocol)
-        parts = (_FORMAT, __version__, self.run.name, settings, self.inputs, self.span)
-        return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()[:32]
+        parts = (_settings(self.protocol), self.run.name, self.inputs, self.span)
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+@functools.lru_cache(maxsize=8)
+def _settings(protocol: Protocol) -> str:
+    parts = (_FORMAT, __version__, dataclasses.asdict(protocol))
+    return json.dumps(parts, default=str)
 
 
 def work(task: Task) -> Record | str:

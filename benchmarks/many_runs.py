@@ -1,0 +1,156 @@
+"""Times `trajeval compare` on a thousand generated runs: speed-up, overhead, memory, going on.
+
+Each measurement is a process of its own. `one process` evaluates the runs one after the other and
+keeps nothing; what a pool of one worker takes beyond that is overhead.
+
+Usage: python -m benchmarks.many_runs [--runs 1000] [--poses 5000] [--data FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+ALGORITHMS, SEQUENCES = 10, 10
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def write_runs(folder: Path, count: int, poses: int) -> Path:
+    """Write so many runs, if they aren't there yet, and what compares them; return that."""
+    import numpy as np
+
+    from benchmarks.tum_pairs import OFFSET_NS, RATE_HZ, START_NS, estimate_of, flight, write_tum
+
+    stamps = START_NS + np.arange(poses, dtype=np.int64) * int(1e9 / RATE_HZ)
+    trials = max(1, count // (ALGORITHMS * SEQUENCES))
+    for sequence in range(SEQUENCES):
+        random = np.random.default_rng(sequence)
+        positions, attitudes = flight(random, poses)
+        (folder / "groundtruth").mkdir(parents=True, exist_ok=True)
+        truth = folder / "groundtruth" / f"s{sequence}.txt"
+        if not truth.exists():
+            write_tum(truth, stamps, positions, attitudes)
+        for algorithm in range(ALGORITHMS):
+            (folder / f"a{algorithm}").mkdir(exist_ok=True)
+            for trial in range(trials):
+                path = folder / f"a{algorithm}" / f"s{sequence}_{trial}.txt"
+                if not path.exists():
+                    seed = np.random.default_rng([sequence, algorithm, trial])
+                    estimate = estimate_of(seed, positions, attitudes)
+                    write_tum(path, stamps + OFFSET_NS, *estimate)
+    config = folder / "runs.yaml"
+    names = [f"  a{each}: a{each}/{{sequence}}_{{trial}}.txt" for each in range(ALGORITHMS)]
+    lines = ["groundtruth: groundtruth/{sequence}.txt", "gauge: yaw", "runs:", *names]
+    config.write_text("\n".join([*lines, f"trials: [{', '.join(map(str, range(trials)))}]", ""]))
+    return config
+
+
+def measure(config: Path, out: Path, workers: int) -> dict[str, float]:
+    """Evaluate all runs in this process (0 workers) or on a pool; return what it cost."""
+    from trajeval_ros.batch.comparison import compare
+    from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.pools import local_pool
+    from trajeval_ros.batch.work import Task, work
+
+    plan = plan_of(config, {})
+    start, cpu = time.perf_counter(), time.process_time()
+    if workers:
+        progress = compare(plan, out, lambda: local_pool(workers))
+        assert (progress.done, progress.failed) == (len(plan.runs), 0)
+    else:
+        for run in sorted(plan.runs, key=lambda run: run.sequence):
+            assert not isinstance(work(Task(run, plan.protocol, (run.groundtruth, ""))), str)
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "runs": len(plan.runs),
+        "wall_s": time.perf_counter() - start,
+        "cpu_s": time.process_time() - cpu,
+        "workers_cpu_s": children.ru_utime + children.ru_stime,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+    }
+
+
+def in_a_process(config: Path, out: Path, workers: int) -> dict[str, float]:
+    """Measure in a process of its own."""
+    command = [
+        sys.executable, "-m", "benchmarks.many_runs", "--measure",
+        str(config), str(out), str(workers),
+    ]  # fmt: skip
+    environment = {**os.environ, **ONE_THREAD}
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    costs: dict[str, float] = json.loads(done.stdout)
+    return costs
+
+
+def resumed(config: Path, out: Path) -> dict[str, float]:
+    """Time the command line where there is nothing to do: the second time it draws no report."""
+    command = [
+        sys.executable, "-m", "trajeval_ros", "compare", str(config), "--output", str(out), "-q",
+    ]  # fmt: skip
+    walls = []
+    for _ in range(2):
+        start = time.perf_counter()
+        subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=True)
+        walls.append(time.perf_counter() - start)
+    return {"report_wall_s": walls[0], "nothing_to_do_wall_s": walls[1]}
+
+
+def results(config: Path, few: Path, out: Path) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield each measurement with its name."""
+    for workers in (0, 1, 2):
+        shutil.rmtree(out, ignore_errors=True)
+        yield (
+            f"{workers} workers" if workers else "one process",
+            in_a_process(config, out, workers),
+        )
+    yield "going on", resumed(config, out)
+    shutil.rmtree(out, ignore_errors=True)
+    yield "2 workers, a tenth of the runs", in_a_process(few, out, 2)
+    shutil.rmtree(out, ignore_errors=True)
+
+
+def main() -> None:
+    """Measure everything and print it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", default=1000, type=int)
+    parser.add_argument("--poses", default=5000, type=int)
+    parser.add_argument("--data", default=HERE / "data" / "runs", type=Path)
+    parser.add_argument("--measure", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.measure:
+        config, out, workers = options.measure
+        print(json.dumps(measure(Path(config), Path(out), int(workers))))
+        return
+    config = write_runs(options.data, options.runs, options.poses)
+    few = config.with_name("few.yaml")
+    text = config.read_text()
+    few.write_text(f"{text[: text.index('trials:')]}trials: [0]\n")
+    found: dict[str, Any] = {"load_before": os.getloadavg()}
+    for name, costs in results(config, few, options.data / "out"):
+        print(name, {key: round(value, 2) for key, value in costs.items()}, flush=True)
+        found[name] = costs
+    alone, one, two = (found[name] for name in ("one process", "1 workers", "2 workers"))
+    count = one["runs"]
+    print(f"load before {found['load_before']}")
+    busy = (two["cpu_s"] + two["workers_cpu_s"]) / 2.0
+    print(
+        f"by CPU time alone, two idle cores would be {alone['cpu_s'] / busy:.2f}x as fast as one"
+    )
+    print(f"2 workers are {alone['wall_s'] / two['wall_s']:.2f}x one process, "
+          f"{one['wall_s'] / two['wall_s']:.2f}x one worker")  # fmt: skip
+    print(f"overhead: {1e3 * two['cpu_s'] / count:.1f} ms CPU of the parent per run, "
+          f"{1e3 * (one['wall_s'] - alone['wall_s']) / count:.1f} ms wall")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
