@@ -1,7 +1,8 @@
 """Times `trajeval compare` on a thousand generated runs: speed-up, overhead, memory, going on.
 
-Each measurement is a process of its own. `one process` evaluates the runs one after the other and
-keeps nothing; what a pool of one worker takes beyond that is overhead.
+Each measurement is a process of its own. `a bare loop` evaluates the runs one after the other and
+keeps nothing; `one process` does all that a comparison does, without a pool; the CPU time of the
+parent of a pool is the overhead.
 
 Usage: python -m benchmarks.many_runs [--runs 1000] [--poses 5000] [--data FOLDER]
 """
@@ -17,11 +18,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
 ALGORITHMS, SEQUENCES = 10, 10
+LOOP, ALONE, ONE, TWO = "a bare loop", "one process", "1 worker", "2 workers"
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -55,21 +58,22 @@ def write_runs(folder: Path, count: int, poses: int) -> Path:
     return config
 
 
-def measure(config: Path, out: Path, workers: int) -> dict[str, float]:
-    """Evaluate all runs in this process (0 workers) or on a pool; return what it cost."""
+def measure(config: Path, out: Path, how: str) -> dict[str, float]:
+    """Evaluate all runs in a bare loop, in this process, or on a pool; return what it cost."""
     from trajeval_ros.batch.comparison import compare
     from trajeval_ros.batch.config import plan_of
-    from trajeval_ros.batch.pools import local_pool
+    from trajeval_ros.batch.pools import Pool, local_pool
     from trajeval_ros.batch.work import Task, work
 
     plan = plan_of(config, {})
     start, cpu = time.perf_counter(), time.process_time()
-    if workers:
-        progress = compare(plan, out, lambda: local_pool(workers))
-        assert (progress.done, progress.failed) == (len(plan.runs), 0)
-    else:
+    if how == LOOP:
         for run in sorted(plan.runs, key=lambda run: run.sequence):
             assert not isinstance(work(Task(run, plan.protocol, (run.groundtruth, ""))), str)
+    else:
+        here = Pool(ThreadPoolExecutor, 1)
+        progress = compare(plan, out, lambda: here if how == ALONE else local_pool(int(how[0])))
+        assert (progress.done, progress.failed) == (len(plan.runs), 0)
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
         "runs": len(plan.runs),
@@ -80,11 +84,11 @@ def measure(config: Path, out: Path, workers: int) -> dict[str, float]:
     }
 
 
-def in_a_process(config: Path, out: Path, workers: int) -> dict[str, float]:
+def in_a_process(config: Path, out: Path, how: str) -> dict[str, float]:
     """Measure in a process of its own."""
     command = [
         sys.executable, "-m", "benchmarks.many_runs", "--measure",
-        str(config), str(out), str(workers),
+        str(config), str(out), how,
     ]  # fmt: skip
     environment = {**os.environ, **ONE_THREAD}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
@@ -107,15 +111,12 @@ def resumed(config: Path, out: Path) -> dict[str, float]:
 
 def results(config: Path, few: Path, out: Path) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield each measurement with its name."""
-    for workers in (0, 1, 2):
+    for how in (LOOP, ALONE, ONE, TWO):
         shutil.rmtree(out, ignore_errors=True)
-        yield (
-            f"{workers} workers" if workers else "one process",
-            in_a_process(config, out, workers),
-        )
+        yield how, in_a_process(config, out, how)
     yield "going on", resumed(config, out)
     shutil.rmtree(out, ignore_errors=True)
-    yield "2 workers, a tenth of the runs", in_a_process(few, out, 2)
+    yield "2 workers, a tenth of the runs", in_a_process(few, out, TWO)
     shutil.rmtree(out, ignore_errors=True)
 
 
@@ -128,8 +129,8 @@ def main() -> None:
     parser.add_argument("--measure", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:
-        config, out, workers = options.measure
-        print(json.dumps(measure(Path(config), Path(out), int(workers))))
+        config, out, how = options.measure
+        print(json.dumps(measure(Path(config), Path(out), how)))
         return
     config = write_runs(options.data, options.runs, options.poses)
     few = config.with_name("few.yaml")
@@ -139,17 +140,15 @@ def main() -> None:
     for name, costs in results(config, few, options.data / "out"):
         print(name, {key: round(value, 2) for key, value in costs.items()}, flush=True)
         found[name] = costs
-    alone, one, two = (found[name] for name in ("one process", "1 workers", "2 workers"))
-    count = one["runs"]
-    print(f"load before {found['load_before']}")
+    loop, alone, two = (found[how] for how in (LOOP, ALONE, TWO))
+    count = two["runs"]
     busy = (two["cpu_s"] + two["workers_cpu_s"]) / 2.0
-    print(
-        f"by CPU time alone, two idle cores would be {alone['cpu_s'] / busy:.2f}x as fast as one"
-    )
-    print(f"2 workers are {alone['wall_s'] / two['wall_s']:.2f}x one process, "
-          f"{one['wall_s'] / two['wall_s']:.2f}x one worker")  # fmt: skip
+    print(f"load before {found['load_before']}")
+    print(f"2 workers are {alone['wall_s'] / two['wall_s']:.2f}x one process")
+    print(f"by CPU time alone, two idle cores would be {alone['cpu_s'] / busy:.2f}x one process, "
+          f"{loop['cpu_s'] / busy:.2f}x a bare loop")  # fmt: skip
     print(f"overhead: {1e3 * two['cpu_s'] / count:.1f} ms CPU of the parent per run, "
-          f"{1e3 * (one['wall_s'] - alone['wall_s']) / count:.1f} ms wall")  # fmt: skip
+          f"{1e3 * (alone['cpu_s'] - loop['cpu_s']) / count:.1f} ms without a pool")  # fmt: skip
 
 
 if __name__ == "__main__":

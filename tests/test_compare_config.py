@@ -67,6 +67,16 @@ def test_settings_are_those_of_evaluate_and_the_command_line_comes_first(tmp_pat
     assert not said.common_time_span
 
 
+def test_a_protocol_can_be_a_file_beside_the_comparison(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    (tmp_path / "ours.yaml").write_text("base: rpg\ngauge: sim3\n")
+    with config.open("a") as file:
+        file.write("protocol: ours.yaml\n")
+    protocol = plan(config).protocol
+    assert (protocol.name, protocol.gauge, protocol.re_form) == ("ours", Gauge.SIM3, "euler")
+    assert plan(config, gauge="yaw").protocol.gauge is Gauge.YAW
+
+
 def test_a_placeholder_takes_as_much_as_it_can_and_a_topic_follows(tmp_path: Path) -> None:
     for name in ("MH_01_3.mcap", "V1_02_10.mcap"):
         (tmp_path / name).write_text("")

@@ -152,6 +152,7 @@ def test_less_coverage_is_worse(today: Path, yesterday: Path) -> None:
     assert found["bad", "yard"] == "same"
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_now_is_lost_and_the_rest_can_not_hide_it(
     today: Path, yesterday: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +190,7 @@ def test_nothing_but_failures_is_no_mistake_of_the_user(today: Path, yesterday: 
     assert set(found.values()) == {"lost"}
 
 
+@pytest.mark.slow
 def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     for trial in range(4):
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.05)

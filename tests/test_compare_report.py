@@ -19,6 +19,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.report.comparison_page import RunPage, render
 from trajeval_ros.report.matrix import Cell, Matrix
 
+pytestmark = pytest.mark.slow
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
@@ -65,7 +66,6 @@ def opened(
     return tab, heard
 
 
-@pytest.mark.slow
 def test_it_is_one_small_file_that_needs_nothing_else(euroc: Path) -> None:
     text = euroc.read_text(encoding="utf-8")
     assert len(text) < 5_000_000
@@ -74,7 +74,6 @@ def test_it_is_one_small_file_that_needs_nothing_else(euroc: Path) -> None:
     assert text.count("<details ") == 33
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
 def test_it_opens_without_complaint_and_fits(
@@ -98,7 +97,6 @@ def test_it_opens_without_complaint_and_fits(
     assert heard == []
 
 
-@pytest.mark.slow
 def test_tables_sort_and_runs_unfold(euroc: Path, browser: Any) -> None:
     tab, heard = opened(browser, euroc)
     table = tab.locator("table.sortable").last
@@ -125,7 +123,6 @@ def test_tables_sort_and_runs_unfold(euroc: Path, browser: Any) -> None:
     assert heard == []
 
 
-@pytest.mark.slow
 def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) -> None:
     table = Matrix("t", NASTY, NASTY, (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,))
     run = RunPage(NASTY, NASTY, NASTY, "failed", NASTY, None, None, 0.0, warnings=(NASTY,))

@@ -10,6 +10,7 @@ from trajeval_ros.batch.conventions import runs_in_folder
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, Run, all_runs
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.settings import protocol_from
@@ -114,6 +115,8 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
         if key == "gauge" and value is None:  # YAML's null; `none` is a string to it
             value = "none"
         settings[key] = _typed({key: value}, key, kind, target)
+    if is_protocol_file(settings.get("protocol", "")):
+        settings["protocol"] = str(target.parent / settings["protocol"])
     return settings
 
 
@@ -123,7 +126,8 @@ def _protocol(written: Mapping[str, Any], said: Mapping[str, Any]) -> Protocol:
     if "gauge" in said or "modality" in said:
         written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}
     given = {**dict.fromkeys(_SETTINGS), **written, **said}
-    return protocol_from(given.pop("protocol", "default"), **given)
+    name = given.pop("protocol", "default")
+    return protocol_from(read_protocol(Path(name)) if is_protocol_file(name) else name, **given)
 
 
 def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -44,6 +45,7 @@ def settings_of(plan: Plan) -> dict[str, Any]:
     """Return all settings that the numbers of a comparison depend on."""
     protocol = plan.protocol
     rule, selection = protocol.association, protocol.selection
+    continuous = rule.method == "continuous"
     return {
         "protocol": protocol.name,
         "gauge": protocol.gauge.value,
@@ -54,11 +56,14 @@ def settings_of(plan: Plan) -> dict[str, Any]:
         "max_time_difference": rule.max_time_difference_s,
         "max_gap": rule.max_gap_s,
         "time_offset": rule.time_offset_s,
+        "continuous_model": rule.model if continuous else None,
+        "groundtruth_noise": dataclasses.asdict(rule.noise) if continuous else None,
         "in_order": protocol.in_order,
         "ate_form": protocol.ate_form,
         "re_form": protocol.re_form,
         "lengths": [str(length) for length in protocol.lengths],
         "selection": f"{selection.rule}, every {selection.every}",
+        "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
         "common_time_span": plan.common_time_span,
     }
 

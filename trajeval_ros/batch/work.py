@@ -78,7 +78,7 @@ def work(task: Task) -> Record | str:
 def _evaluate(task: Task) -> Record:
     run, protocol = task.run, task.protocol
     groundtruth = _groundtruth(run.groundtruth, task.inputs[0])
-    read = _read(run.estimate)
+    read = read_trajectory(run.estimate, covariances=protocol.align_weights != "none")
     estimate = dataclasses.replace(read, name=run.name)
     if task.span is not None:
         estimate = _cut(estimate, task.span, protocol)
@@ -102,11 +102,8 @@ def _evaluate(task: Task) -> Record:
 @functools.lru_cache(maxsize=2)
 def _groundtruth(source: str, fingerprint: str) -> Trajectory:  # noqa: ARG001 - a part of the key
     """Read what the trials of a sequence share once."""
-    return dataclasses.replace(_read(source), name="groundtruth")
-
-
-def _read(source: str) -> Trajectory:
-    return read_trajectory(source, covariances=False)
+    groundtruth = read_trajectory(source, covariances=False)
+    return dataclasses.replace(groundtruth, name="groundtruth")
 
 
 def _cut(estimate: Trajectory, span: Span, protocol: Protocol) -> Trajectory:

@@ -41,7 +41,9 @@ def compare(
     protocol: Annotated[
         str | None,
         typer.Option(
-            help=f"A named bundle of settings: {', '.join(PROTOCOLS)}.", rich_help_panel=SETTINGS
+            metavar="NAME|FILE.yaml",
+            help=f"A bundle of settings: {', '.join(PROTOCOLS)}, or a file of your own.",
+            rich_help_panel=SETTINGS,
         ),
     ] = None,
     modality: Annotated[
@@ -240,12 +242,12 @@ def _write_tables(folder: Path, summary: Summary) -> None:
 def _print(summary: Summary, progress: Progress, folder: Path) -> None:
     from trajeval_ros.batch.summary import failures, matrices
     from trajeval_ros.report.matrix import to_terminal
-    from trajeval_ros.report.tables import console
+    from trajeval_ros.report.tables import console, show
 
     terminal = console()
     for each in matrices(summary):
-        terminal.print(to_terminal(each))
-        terminal.print()
+        show(terminal, to_terminal(each))
+        terminal.print(f"{each.caption}\n", style="dim")
     kept = f", {progress.kept} unchanged" if progress.kept else ""
     terminal.print(
         f"{progress.done} runs evaluated{kept}; report.html, tables and runs.parquet: {folder}",

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from trajeval_ros.report.tables import new_table
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -89,17 +91,12 @@ def coverage_text(share: float) -> str:
 
 
 def to_terminal(matrix: Matrix) -> Table:
-    """Return the table with the best in bold and the second underlined."""
-    from rich import box
-    from rich.table import Table
+    """Return the table with the best in bold and the second underlined, without its caption."""
     from rich.text import Text
 
     styles = ("", "bold", "underline")
-    table = Table(
-        title=matrix.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
-        pad_edge=False, caption=matrix.caption, caption_justify="left", caption_style="dim",
-    )  # fmt: skip
-    table.add_column("algorithm")
+    table = new_table(matrix.title)
+    table.add_column("algorithm", no_wrap=True)
     for heading in (*matrix.columns, "runs", "coverage"):
         table.add_column(heading, justify="right")
     for place, ((name, cells), ranks) in enumerate(zip(matrix.rows, matrix.ranks(), strict=True)):
