@@ -229,14 +229,18 @@ def load_pyarrow() -> tuple[Any, Any]:
     """Return pyarrow and its Parquet part.
 
     Raises:
-        InputError: It is not installed.
+        InputError: It is not installed, or wants another numpy.
     """
     try:
         import pyarrow
         from pyarrow import parquet
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise InputError(
             "trajeval compare needs pyarrow, which is not installed: "
             "pip install 'trajeval-ros[compare]'"
+        ) from error
+    except ImportError as error:
+        raise InputError(
+            f"pyarrow can't be used ({error}); beside numpy 1.26: pip install 'pyarrow<26'"
         ) from error
     return pyarrow, parquet
