@@ -34,6 +34,9 @@ demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see de
 	@$(MAKE) --no-print-directory $(DEMO)/.installed
 	$(ALONE) $(DEMO)/bin/python launch_free_scripts/live_demo.py demo_output
 
+# Each process has one thread of linear algebra: more of them than cores wait for each other.
+test test-fast test-jazzy: export OPENBLAS_NUM_THREADS := 1
+
 test: $(VENV)/.installed ## Run all tests.
 	$(VENV)/bin/python -m pytest -n auto
 
