@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from se3_manifold import Poses
 
 from trajeval_ros import se3
 from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, negative_log_likelihood
@@ -102,7 +104,7 @@ def test_experts_and_their_weights_by_another_blending(numbers: Any, place: int)
     np.testing.assert_allclose(found.covariances, case["gpoe"]["cov"], rtol=1e-8, atol=1e-11)
 
 
-@pytest.mark.parametrize("group", ["r3", "so3"])
+@pytest.mark.parametrize("group", ["r3", "so3", "se3"])
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     given = numbers["state_space_gp"]
@@ -110,9 +112,19 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
         each for each in given["cases"] if each["group"] == group and each["order"] == order
     )
     poses, times = np.array(given["T"]), np.array(given["t"])
-    measured = poses[:, :3, 3] if group == "r3" else poses[:, :3, :3]
-    manifold = Positions() if group == "r3" else Rotations()
+    manifold, measured = {
+        "r3": (Positions(), poses[:, :3, 3]),
+        "so3": (Rotations(), poses[:, :3, :3]),
+        "se3": (Poses(), poses),
+    }[group]
     process = Process.fit(manifold, order, times, measured, 0.01, density=0.5)
+    if group == "se3":
+        # Its translations and rotations have noises of their own.
+        process = replace(
+            process,
+            information=np.tile(1.0 / np.array(case["R_diag"]), (len(times), 1)),
+            density=np.array(case["Qc_diag"]),
+        ).solved()
     np.testing.assert_allclose(process.states, case["X"], atol=1e-9)
     assert process.log_likelihood() == pytest.approx(case["logml"], abs=1e-10)
 
@@ -122,6 +134,10 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     states, covariances = interpolator.at(asked[inside])
     np.testing.assert_allclose(states, np.array(case["query_mean"])[inside], atol=1e-9)
     np.testing.assert_allclose(interpolator.own[0], case["P0"], rtol=1e-8, atol=1e-12)
+    dimension = len(case["Qc_diag"])
+    marginals = JointPosterior.of(process, times).marginals()
+    alone = interpolator.own[:, :dimension, :dimension]
+    np.testing.assert_allclose(marginals, alone, rtol=1e-6, atol=1e-12)
     if "query_cov" in case:
         expected = np.array(case["query_cov"])[inside]
         np.testing.assert_allclose(covariances, expected, rtol=1e-9, atol=1e-13)

@@ -110,26 +110,24 @@ class Factor:
 
 
 def _lower_band(diagonal: Array, lower: Array) -> Array:
-    """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j)."""
+    """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j).
+
+    Columns are contiguous, as LAPACK wants them.
+    """
     count, size, _ = diagonal.shape
-    band = np.zeros((2 * size, count * size))
-    for row in range(size):
-        for column in range(size):
-            if column <= row:
-                band[row - column, column::size] = diagonal[:, row, column]
-            end = (count - 1) * size
-            band[size + row - column, column:end:size] = lower[:, row, column]
-    return band
+    band = np.zeros((count, size, 2 * size))
+    for column in range(size):
+        band[:, column, : size - column] = diagonal[:, column:, column]
+        band[:-1, column, size - column : 2 * size - column] = lower[:, :, column]
+    return band.reshape(count * size, 2 * size).T
 
 
 def _blocks(band: Array, count: int, size: int) -> tuple[Array, Array]:
     """Return the blocks of a factor in lower banded storage."""
+    columns = band.T.reshape(count, size, 2 * size)
     diagonal = np.zeros((count, size, size))
     lower = np.zeros((count - 1, size, size))
-    for row in range(size):
-        for column in range(size):
-            if column <= row:
-                diagonal[:, row, column] = band[row - column, column::size]
-            end = (count - 1) * size
-            lower[:, row, column] = band[size + row - column, column:end:size]
+    for column in range(size):
+        diagonal[:, column:, column] = columns[:, column, : size - column]
+        lower[:, :, column] = columns[:-1, column, size - column : 2 * size - column]
     return diagonal, lower

@@ -27,12 +27,14 @@ class JointPosterior:
     """A Markov process with knots at Q query times, which no sample measures.
 
     Attributes:
-        blocks: (N, 3m, 3m), of the information on its diagonal.
-        lower: (N - 1, 3m, 3m), of the information, below.
+        dimension: d, of each query's error.
+        blocks: (N, d m, d m), of the information on its diagonal.
+        lower: (N - 1, d m, d m), of the information, below.
         factor: Of the information.
         rows: (Q,), the knots of the queries.
     """
 
+    dimension: int
     blocks: Array
     lower: Array
     factor: Factor
@@ -49,7 +51,7 @@ class JointPosterior:
         union, place = np.unique(np.concatenate([own, asked]), return_inverse=True)
         samples, rows = place[: len(own)], place[len(own) :]
         states, _ = process.interpolator().at(union)
-        measured, information = states.copy(), np.zeros(len(union))
+        measured, information = states.copy(), np.zeros((len(union), process.dimension))
         measured[samples], information[samples] = process.measured, process.information
         columns = process.rates.reshape(len(own), -1).T
         rates = np.empty((len(union), len(columns)))
@@ -64,37 +66,36 @@ class JointPosterior:
             rates=rates.reshape(len(union), *process.rates.shape[1:]),
         ).solved(15, 1e-10)
         blocks, lower, _, _ = dense._normal_equations()
-        return cls(blocks, lower, Factor.of(blocks, lower), rows)
+        return cls(process.dimension, blocks, lower, Factor.of(blocks, lower), rows)
 
     def covariance(self) -> Array:
-        """Return the covariance (3Q, 3Q) of all queries: dense, for a few."""
-        count = len(self.rows)
-        columns = np.zeros((*self.factor.scale.shape, 3 * count))
-        columns[np.repeat(self.rows, 3), np.tile(np.arange(3), count), np.arange(3 * count)] = 1.0
-        joint: Array = self.factor.solve(columns)[self.rows, :3].reshape(3 * count, 3 * count)
-        return joint
+        """Return the covariance (d Q, d Q) of all queries: dense, for a few."""
+        count, dimension = len(self.rows), self.dimension
+        size = count * dimension
+        units = np.eye(size).reshape(count, dimension, size)
+        return self.times(units).reshape(size, size)
 
     def marginals(self) -> Array:
-        """Return the covariances (Q, 3, 3) of single queries."""
-        return self.factor.inverse_blocks()[0][self.rows, :3, :3]
+        """Return the covariances (Q, d, d) of single queries."""
+        return self.factor.inverse_blocks()[0][self.rows, : self.dimension, : self.dimension]
 
     def draws(self, count: int, random: np.random.Generator) -> Array:
-        """Return draws (count, Q, 3) of the error at the queries."""
+        """Return draws (count, Q, d) of the error at the queries."""
         white = random.normal(size=(*self.factor.scale.shape, count))
-        return np.moveaxis(self.factor.coloured(white)[self.rows, :3], -1, 0)
+        return np.moveaxis(self.factor.coloured(white)[self.rows, : self.dimension], -1, 0)
 
     def times(self, vectors: Array) -> Array:
-        """Return P v for v (Q, 3, k), in O(Q) and without P."""
+        """Return P v for v (Q, d, k), in O(Q) and without P."""
         spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))
-        np.add.at(spread[:, :3], self.rows, vectors)
-        product: Array = self.factor.solve(spread)[self.rows, :3]
+        np.add.at(spread[:, : self.dimension], self.rows, vectors)
+        product: Array = self.factor.solve(spread)[self.rows, : self.dimension]
         return product
 
     def observed(self, tolerance: Array) -> ObservedPosterior:
-        """Add errors that are independent of each other, of covariances R (Q, 3, 3)."""
+        """Add errors that are independent of each other, of covariances R (Q, d, d)."""
         inverse = np.asarray(np.linalg.inv(tolerance))
         blocks = self.blocks.copy()
-        np.add.at(blocks[:, :3, :3], self.rows, inverse)
+        np.add.at(blocks[:, : self.dimension, : self.dimension], self.rows, inverse)
         both = Factor.of(blocks, self.lower)
         determinant = both.log_determinant - self.factor.log_determinant
         determinant += float(np.linalg.slogdet(tolerance)[1].sum())
@@ -108,7 +109,7 @@ class ObservedPosterior:
     Attributes:
         factor: Of the process's information with that of the queries.
         rows: (Q,), the knots of the queries.
-        inverse: R^-1, (Q, 3, 3).
+        inverse: R^-1, (Q, d, d).
         log_determinant: Of P + R.
     """
 
@@ -118,14 +119,14 @@ class ObservedPosterior:
     log_determinant: float
 
     def solve(self, errors: Array) -> Array:
-        """Return (P + R)^-1 x for x (Q, 3, k), in O(Q)."""
-        weighted = self.inverse @ errors
+        """Return (P + R)^-1 x for x (Q, d, k), in O(Q)."""
+        weighted, dimension = self.inverse @ errors, errors.shape[1]
         spread = np.zeros((*self.factor.scale.shape, errors.shape[-1]))
-        np.add.at(spread[:, :3], self.rows, weighted)
-        solved: Array = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :3]
+        np.add.at(spread[:, :dimension], self.rows, weighted)
+        solved: Array = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :dimension]
         return solved
 
     def log_density(self, errors: Array) -> float:
-        """Return log N(errors; 0, P + R) of errors (Q, 3)."""
+        """Return log N(errors; 0, P + R) of errors (Q, d)."""
         squared = float(np.vdot(errors, self.solve(errors[..., None])[..., 0]))
         return -0.5 * (squared + self.log_determinant + errors.size * float(np.log(2.0 * np.pi)))

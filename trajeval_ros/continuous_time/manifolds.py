@@ -32,8 +32,8 @@ class Local:
     """A local variable's derivatives, and theirs.
 
     Attributes:
-        values: (N, m, 3): g and as many derivatives as the process has.
-        jacobian: (N, m, 3, m, 3): of `values` by g, w, a.
+        values: (N, m, d): g and as many derivatives as the process has.
+        jacobian: (N, m, d, m, d): of `values` by g, w, a.
     """
 
     values: Array
@@ -44,16 +44,16 @@ class Manifold(Protocol):
     """What a process needs to know of its states."""
 
     def between(self, first: Array, second: Array) -> Array:
-        """Return Log(first^-1 second), (N, 3)."""
+        """Return Log(first^-1 second), (N, d)."""
 
     def plus(self, states: Array, steps: Array) -> Array:
-        """Return the states moved by steps (N, 3) on the right."""
+        """Return the states moved by steps (N, d) on the right."""
 
-    def inverse_right_jacobian(self, steps: Array) -> Array:
-        """Return J_r^-1 (N, 3, 3)."""
+    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
+        """Return J_r^-1 and J_l^-1 (N, d, d)."""
 
     def local(self, steps: Array, rates: Array) -> Local:
-        """Return the local variable at steps g (N, 3) with rates (N, m - 1, 3)."""
+        """Return the local variable at steps g (N, d) with rates (N, m - 1, d)."""
 
 
 class Positions:
@@ -67,9 +67,10 @@ class Positions:
         """Return the sums (N, 3)."""
         return states + steps
 
-    def inverse_right_jacobian(self, steps: Array) -> Array:
+    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
         """Return identities (N, 3, 3)."""
-        return np.broadcast_to(np.eye(3), (*steps.shape, 3))
+        identities = np.broadcast_to(np.eye(3), (*steps.shape, 3))
+        return identities, identities
 
     def local(self, steps: Array, rates: Array) -> Local:
         """Return the same values again."""
@@ -91,9 +92,10 @@ class Rotations:
         turned: Array = states @ lie.exp(steps)
         return turned
 
-    def inverse_right_jacobian(self, steps: Array) -> Array:
-        """Return J_r^-1 (N, 3, 3)."""
-        return lie.inverse_left_jacobian(-steps)
+    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
+        """Return J_r^-1 and J_l^-1 (N, 3, 3): each other's transpose."""
+        left = lie.inverse_left_jacobian(steps)
+        return se3.transposed(left), left
 
     def local(self, steps: Array, rates: Array) -> Local:
         """Return the local variable and its exact derivatives, up to the second one."""
@@ -104,7 +106,7 @@ class Rotations:
         jacobian[:, 0, :, 0] = np.eye(3)
         if order == 1:
             return Local(values, jacobian)
-        inverse = self.inverse_right_jacobian(steps)
+        inverse, _ = self.inverse_jacobians(steps)
         values[:, 1] = rate = se3.times(inverse, rates[:, 0])
         by_step = _derivative(steps, rates[:, 0])
         jacobian[:, 1, :, 0], jacobian[:, 1, :, 1] = by_step, inverse

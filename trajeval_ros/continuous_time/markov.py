@@ -36,11 +36,11 @@ class Process:
         manifold: What it moves on.
         order: m: 2 for WNOA, 3 for WNOJ (1, Brownian motion, is linear interpolation).
         times: (N,), seconds, increasing.
-        measured: (N, 3) or (N, 3, 3), samples.
-        information: (N,), inverse variances of the samples; zero for a knot without one.
-        density: Power spectral density of the noise.
+        measured: (N, ...), samples.
+        information: (N, d), inverse variances of the samples; zero for a knot without one.
+        density: (d,), power spectral density of the noise.
         states: Like `measured`.
-        rates: (N, m - 1, 3), velocities and accelerations, in the body for rotations.
+        rates: (N, m - 1, d), velocities and accelerations, in the body for rotations.
     """
 
     manifold: Manifold
@@ -48,7 +48,7 @@ class Process:
     times: Array
     measured: Array
     information: Array
-    density: float
+    density: Array
     states: Array
     rates: Array
 
@@ -68,9 +68,9 @@ class Process:
             manifold: What the samples are on.
             order: m; less where there are not more samples than that.
             times: (N,), seconds, distinct and in order.
-            measured: (N, 3) or (N, 3, 3).
-            noise: Standard deviation of the samples.
-            density: Of the white noise; by default the most likely one.
+            measured: (N, ...).
+            noise: Standard deviation of the samples, on all axes.
+            density: Of the white noise, on all axes; by default the most likely one.
         """
         order = min(order, len(times) - 1)
         velocity, acceleration = _differences(manifold, times, measured)
@@ -80,25 +80,31 @@ class Process:
             order,
             times,
             measured,
-            np.full(len(times), noise**-2),
-            density or 1.0,
+            np.full(velocity.shape, noise**-2),
+            np.full(velocity.shape[1], density or 1.0),
             measured,
             rates,
         )
         if density is None:
-            start = replace(start, density=start._most_likely_density(noise))
+            likely = start._most_likely_density(noise)
+            start = replace(start, density=np.full_like(start.density, likely))
         return start._solved_with_digits()
+
+    @property
+    def dimension(self) -> int:
+        """d: how many ways its states can move."""
+        return int(self.information.shape[1])
 
     def solved(self, iterations: int = _MOST_ITERATIONS, tolerance: float = _CONVERGED) -> Process:
         """Return it at the mode, by Gauss-Newton."""
-        process = self
+        process, dimension = self, self.dimension
         for _ in range(iterations):
             diagonal, lower, slope, cost = process._normal_equations()
             step = Factor.of(diagonal, lower).solve(slope)
             process = replace(
                 process,
-                states=process.manifold.plus(process.states, step[:, :3]),
-                rates=process.rates + step[:, 3:].reshape(process.rates.shape),
+                states=process.manifold.plus(process.states, step[:, :dimension]),
+                rates=process.rates + step[:, dimension:].reshape(process.rates.shape),
             )
             if 0.5 * np.vdot(step, slope) < tolerance * max(1.0, 1e-6 * cost):
                 break
@@ -112,21 +118,22 @@ class Process:
             return replace(self, density=10.0 * self.density)._solved_with_digits()
 
     def log_likelihood(self) -> float:
-        """Return log p of the samples, at the mode; exact in R^3, by Laplace in SO(3)."""
+        """Return log p of the samples, at the mode; exact in R^3, else by Laplace."""
         diagonal, lower, _, cost = self._normal_equations()
         steps = np.diff(self.times)
-        motion = 3.0 * np.linalg.slogdet(white_noise.covariance(self.order, steps))[1].sum()
-        motion += 3.0 * len(steps) * self.order * np.log(self.density)
+        motion = len(steps) * self.order * np.log(self.density).sum()
+        spread = np.linalg.slogdet(white_noise.covariance(self.order, steps))[1]
+        motion += self.dimension * spread.sum()
         known = self.information > 0.0
-        noise = -3.0 * np.log(self.information[known]).sum()
+        noise = -np.log(self.information[known]).sum()
         determinant = Factor.of(diagonal, lower).log_determinant
-        freedom = 3 * (np.count_nonzero(known) - self.order)
+        freedom = np.count_nonzero(known) - self.dimension * self.order
         return float(
             -cost - 0.5 * (determinant + motion + noise) - 0.5 * freedom * np.log(2.0 * np.pi)
         )
 
     def factor(self) -> Factor:
-        """Return the factor of the information of all knots (N 3m, N 3m)."""
+        """Return the factor of the information of all knots (N d m, N d m)."""
         diagonal, lower, _, _ = self._normal_equations()
         return Factor.of(diagonal, lower)
 
@@ -135,8 +142,8 @@ class Process:
         return Interpolator(self, *self.factor().inverse_blocks())
 
     def _normal_equations(self) -> tuple[Array, Array, Array, float]:
-        """Return the information's blocks, minus the cost's gradient (N, 3m), and the cost."""
-        size = 3 * self.order
+        """Return the information's blocks, minus the cost's gradient (N, d m), and the cost."""
+        size, dimension = self.dimension * self.order, self.dimension
         this, following, lower, slope_this, slope_following, costs = lie.by_blocks(
             self._between,
             self.states[:-1],
@@ -153,11 +160,11 @@ class Process:
         slope[1:] += slope_following
 
         missed = self.manifold.between(self.measured, self.states)
-        jacobian = self.manifold.inverse_right_jacobian(missed)
-        information = self.information[:, None]
-        diagonal[:, :3, :3] += information[..., None] * se3.transposed(jacobian) @ jacobian
-        slope[:, :3] -= information * se3.times(se3.transposed(jacobian), missed)
-        cost = float(costs.sum()) + 0.5 * float(np.sum(information * np.square(missed)))
+        jacobian, _ = self.manifold.inverse_jacobians(missed)
+        weighted = se3.transposed(self.information[..., None] * jacobian)
+        diagonal[:, :dimension, :dimension] += weighted @ jacobian
+        slope[:, :dimension] -= se3.times(weighted, missed)
+        cost = float(costs.sum()) + 0.5 * float(np.sum(self.information * np.square(missed)))
         return diagonal, lower, slope, cost
 
     def _between(
@@ -168,25 +175,25 @@ class Process:
         Args:
             first: States at the steps' beginnings.
             second: States at their ends.
-            rates: (K, m - 1, 3), at the beginnings.
-            next_rates: (K, m - 1, 3), at the ends.
+            rates: (K, m - 1, d), at the beginnings.
+            next_rates: (K, m - 1, d), at the ends.
             steps: (K,), seconds.
         """
-        size = 3 * self.order
+        size, dimension = self.dimension * self.order, self.dimension
         local = self.manifold.local(self.manifold.between(first, second), next_rates)
         phi = white_noise.transition(self.order, steps)
-        start = np.concatenate([np.zeros((len(steps), 1, 3)), rates], axis=1)
+        start = np.concatenate([np.zeros((len(steps), 1, dimension)), rates], axis=1)
         residual = (local.values - phi @ start).reshape(-1, size)
         by_next = local.jacobian.copy()
         by_step = local.jacobian[:, :, :, 0, :]
-        turned = self.manifold.inverse_right_jacobian(local.values[:, 0])
-        by_next[:, :, :, 0, :] = by_step @ turned[:, None]
+        right, left = self.manifold.inverse_jacobians(local.values[:, 0])
+        by_next[:, :, :, 0, :] = by_step @ right[:, None]
         by_next = by_next.reshape(-1, size, size)
-        # A step of this knot takes J_l^-1 = J_r^-1 transposed from g; its rates act through Phi.
-        by_this = -white_noise.spread_over_axes(phi)
-        by_this[:, :, :3] = -(by_step @ se3.transposed(turned)[:, None]).reshape(-1, size, 3)
+        # A step of this knot takes J_l^-1 from g; its rates act through Phi.
+        by_this = -white_noise.spread_over_axes(phi, np.ones(dimension))
+        by_this[:, :, :dimension] = -(by_step @ left[:, None]).reshape(-1, size, dimension)
         weight = white_noise.spread_over_axes(
-            np.linalg.inv(white_noise.covariance(self.order, steps)) / self.density
+            white_noise.information(self.order, steps), 1.0 / self.density
         )
         weighted_this, weighted_next = weight @ by_this, weight @ by_next
         return (
@@ -215,7 +222,8 @@ class Process:
 
         def cost(log_density: float) -> float:
             try:
-                process = replace(warm[0], density=float(np.exp(log_density))).solved(4, 1e-3)
+                density = np.full_like(self.density, np.exp(log_density))
+                process = replace(warm[0], density=density).solved(4, 1e-3)
                 value = -process.log_likelihood()
             except np.linalg.LinAlgError:
                 return _IMPOSSIBLE
@@ -247,8 +255,8 @@ class Interpolator:
 
     Attributes:
         process: At its mode.
-        own: (N, 3m, 3m), of each knot.
-        beside: (N - 1, 3m, 3m), between each knot and the next.
+        own: (N, d m, d m), of each knot.
+        beside: (N - 1, d m, d m), between each knot and the next.
     """
 
     process: Process
@@ -256,12 +264,12 @@ class Interpolator:
     beside: Array
 
     def at(self, times: Array) -> tuple[Array, Array]:
-        """Return states (Q, ...) and covariances (Q, 3, 3) on the right, within the knots."""
+        """Return states (Q, ...) and covariances (Q, d, d) on the right, within the knots."""
         states, covariances = lie.by_blocks(self._at, times)
         return states, covariances
 
     def _at(self, times: Array) -> tuple[Array, Array]:
-        process, order = self.process, self.process.order
+        process, order, dimension = self.process, self.process.order, self.process.dimension
         last = len(process.times) - 2
         knot = np.clip(np.searchsorted(process.times, times, side="right") - 1, 0, last)
         step, since = np.diff(process.times)[knot], times - process.times[knot]
@@ -276,20 +284,21 @@ class Interpolator:
         variable += np.einsum("qm,qmi->qi", by_second, second.values)
         # The chart stays where the first knot is, so each knot moves its own end alone.
         ahead = second.jacobian.copy()
-        turned = manifold.inverse_right_jacobian(gap)
+        turned, _ = manifold.inverse_jacobians(gap)
         ahead[:, :, :, 0, :] = ahead[:, :, :, 0, :] @ turned[:, None]
-        a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(-1, 3, 3 * order)
-        b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(-1, 3, 3 * order)
+        shape = (-1, dimension, dimension * order)
+        a = np.einsum("qm,qmijk->qijk", by_first, first.jacobian).reshape(shape)
+        b = np.einsum("qm,qmijk->qijk", by_second, ahead).reshape(shape)
         mixed = a @ self.beside[knot] @ se3.transposed(b)
         covariance = se3.congruent(a, self.own[knot]) + se3.congruent(b, self.own[knot + 1])
         covariance += mixed + se3.transposed(mixed)
-        covariance += (process.density * spread)[:, None, None] * np.eye(3)
-        carried = np.linalg.inv(manifold.inverse_right_jacobian(variable))
+        covariance += spread[:, None, None] * np.diag(process.density)
+        carried = np.linalg.inv(manifold.inverse_jacobians(variable)[0])
         return manifold.plus(here, variable), se3.congruent(carried, covariance)
 
 
 def _differences(manifold: Manifold, times: Array, states: Array) -> tuple[Array, Array]:
-    """Return velocities and accelerations (N, 3) to start from, by finite differences."""
+    """Return velocities and accelerations (N, d) to start from, by finite differences."""
     steps = np.diff(times)
     between = manifold.between(states[:-1], states[1:]) / steps[:, None]
     velocity = np.concatenate([between[:1], between])

@@ -34,6 +34,14 @@ def covariance(order: int, time: Array) -> Array:
     return matrix
 
 
+def information(order: int, time: Array) -> Array:
+    """Return Q^-1 (..., m, m) over times (...): Q scales by powers of time, so one is inverted."""
+    scale = time[..., None] ** (np.arange(order) - order + 0.5)
+    unit = np.linalg.inv(covariance(order, np.ones(())))
+    inverse: Array = scale[..., :, None] * unit * scale[..., None, :]
+    return inverse
+
+
 def interpolation(order: int, step: Array, since: Array) -> tuple[Array, Array, Array]:
     """Return how the variable between two knots depends on both, and what it does by itself.
 
@@ -48,14 +56,16 @@ def interpolation(order: int, step: Array, since: Array) -> tuple[Array, Array, 
     """
     remaining = transition(order, step - since)
     own = covariance(order, since)
-    psi: Array = own @ remaining.swapaxes(1, 2) @ np.linalg.inv(covariance(order, step))
+    psi: Array = own @ remaining.swapaxes(1, 2) @ information(order, step)
     spread = (own - psi @ remaining @ own)[:, 0, 0]
     weights = transition(order, since) - psi @ transition(order, step)
     return weights[:, 0], psi[:, 0], np.maximum(spread, 0.0)
 
 
-def spread_over_axes(matrices: NDArray[Any]) -> Array:
-    """Return the Kronecker products (..., m a, m b) of (..., m', m) with the 3 x 3 identity."""
-    product: Array = np.einsum("...ij,kl->...ikjl", matrices, np.eye(3))
-    rows, columns = matrices.shape[-2:]
-    return product.reshape(*matrices.shape[:-2], 3 * rows, 3 * columns)
+def spread_over_axes(matrices: NDArray[Any], axes: Array) -> Array:
+    """Return the Kronecker products (..., m d, m d) of (..., m, m) with a diagonal (d,)."""
+    order, dimension = matrices.shape[-1], len(axes)
+    product = np.zeros((*matrices.shape[:-2], order, dimension, order, dimension))
+    for axis, factor in enumerate(axes):
+        product[..., :, axis, :, axis] = factor * matrices
+    return product.reshape(*matrices.shape[:-2], order * dimension, order * dimension)
