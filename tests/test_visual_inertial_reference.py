@@ -102,5 +102,9 @@ def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: s
     assert solution.cost == pytest.approx(expected["ceres_cost"], rel=NUMBERS)
     converged = solve(case.problem, case.state, handling, function_tolerance=1e-14)
     assert converged.cost == pytest.approx(expected["converged_cost"], rel=NUMBERS)
-    assert relative(converged.state.positions, np.array(expected["converged_p"])) < NUMBERS
-    assert relative(converged.state.velocities, np.array(expected["converged_v"])) < NUMBERS
+    again = solve(case.problem, converged.state, handling, function_tolerance=1e-14)
+    assert relative(again.state.positions, converged.state.positions) < NUMBERS
+    # With the prior the reference itself is a step, 2e-9, short of the minimum.
+    within = 3e-9 if handling is Handling.PRIOR else NUMBERS
+    assert relative(converged.state.positions, np.array(expected["converged_p"])) < within
+    assert relative(converged.state.velocities, np.array(expected["converged_v"])) < within

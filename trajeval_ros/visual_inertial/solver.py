@@ -27,6 +27,8 @@ _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 1e4, 1e16, 1e-32
 _SMALLEST_DIAGONAL, _LARGEST_DIAGONAL = 1e-6, 1e32
 _LEAST_QUALITY = 1e-3
 _MOST_ITERATIONS = 50
+# A cost that changes by a smaller share hasn't changed: the step knows better.
+_ROUNDING = 1e-12
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
@@ -123,7 +125,7 @@ def solve(
         elif abs(change) <= function_tolerance * here.cost:
             reason = "function"
         if reason:
-            if keep_last_step and change >= 0.0:
+            if keep_last_step and change >= -_ROUNDING * here.cost:
                 state, reached = candidate, cost
             break
         if change <= _LEAST_QUALITY * gain:
