@@ -347,7 +347,8 @@ def _play(
 
 def offline(bag: Path, folder: Path, truth: str, estimates: list[str], *options: str) -> Any:
     """Return the result of `trajeval evaluate`."""
-    arguments = ["evaluate", "--groundtruth", f"{bag}:{truth}", "--quiet"]
+    # Strictly, so that no note tells of chunks that are read in part.
+    arguments = ["evaluate", "--groundtruth", f"{bag}:{truth}", "--quiet", "--strict"]
     for each in estimates:
         arguments += ["--estimate", f"{bag}:{each}"]
     file = folder / "offline.json"

@@ -20,6 +20,7 @@ from ros_processes import (
     replay,
     replay_command,
 )
+from rosbags.highlevel import AnyReader
 
 from trajeval_ros.io.bags import Bag
 
@@ -114,13 +115,14 @@ def test_a_bag_of_ros1_is_encoded_anew(
     with listening(topics, environment, tmp_path) as received:
         said = replay(bag, environment, "--end", 300, "--rate", 50)
     assert "/ORB-SLAM is published as /ORB_SLAM" in said
-    with Bag(bag) as opened:
-        begin = opened.span[0]
+    with AnyReader([bag]) as reader:
+        end = reader.start_time + 300 * 10**9 + 1
         for name in ("/ORB-SLAM", "/S-PTAM", "/groundtruth"):
-            [topic] = opened.find(name)
-            decode = opened.decoder(topic)
-            messages = opened.messages([topic], begin, begin + 300 * 10**9 + 1)
-            expected: list[Any] = [decode(payload) for _, _, payload in messages]
+            connections = [each for each in reader.connections if each.topic == name]
+            expected: list[Any] = [
+                reader.deserialize(payload, pose)
+                for _, _, payload in reader.messages(connections, stop=end)
+            ]
             found: list[Any] = [
                 STORE.deserialize_cdr(each, pose) for each in received[name.replace("-", "_")]
             ]

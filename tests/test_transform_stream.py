@@ -241,6 +241,8 @@ def test_a_user_is_warned_once_of_what_does_not_pass(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("trajeval_ros.ros.transform_stream._WARN_AFTER_S", -1.0)
     stream = TransformStream("/tf:map.camra", "map", "camra")
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 0, 5)])
+    for _ in range(3):
+        stream.tell_trouble()
     [said] = stream.news
     assert said == "/tf:map.camra: there is no frame camra; there are camera, map, odom, base"
 

@@ -64,6 +64,8 @@ class Side:
     def match(self) -> list[str]:
         """Connect to the publishers that there are now; returns what to tell."""
         told = [self.inputs[0].match(), *(each.match_silently() for each in self.inputs[1:])]
+        if isinstance(self.stream, TransformStream):
+            self.stream.tell_trouble()
         news, self.stream.news = self.stream.news, []
         return [*filter(None, told), *news]
 

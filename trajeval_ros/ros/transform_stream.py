@@ -85,6 +85,12 @@ class TransformStream(PoseStream):
             if self._wants(key) and (known is None or known.is_static):
                 self._keep(key, Edge.from_columns(columns.stamps, columns.numbers, True))
 
+    def tell_trouble(self) -> None:
+        """Warn, once, of what isn't over after a while, whether or not more transforms come."""
+        if self.trouble and self._warn_at is not None and time.monotonic() > self._warn_at:
+            self._warn_at = np.inf
+            self.news.append(self.trouble)
+
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
         """Add transforms to an edge that moves."""
         timed = columns.stamps != 0  # a stamp that nobody has set
@@ -106,7 +112,9 @@ class TransformStream(PoseStream):
         try:
             leading, span = self._lead()
         except InputError as error:
-            self._tell_trouble(str(error))
+            self.trouble = str(error)
+            if self._warn_at is None:
+                self._warn_at = time.monotonic() + _WARN_AFTER_S
             return np.empty(0, dtype=np.int64)
         self.trouble = ""
         stamps = self._edges[leading].within(*span)
@@ -135,16 +143,6 @@ class TransformStream(PoseStream):
                 )
             self._leading = leading_edge(self._edges, self._way, span)
         return self._leading, span
-
-    def _tell_trouble(self, trouble: str) -> None:
-        """Warn, once, of what isn't over after a while."""
-        self.trouble = trouble
-        now = time.monotonic()
-        if self._warn_at is None:
-            self._warn_at = now + _WARN_AFTER_S
-        elif now > self._warn_at:
-            self._warn_at = np.inf
-            self.news.append(trouble)
 
     def _forget(self) -> None:
         """Forget transforms that no pose will need."""
