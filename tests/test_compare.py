@@ -240,7 +240,7 @@ def test_a_folder_that_can_not_be_written_loses_nothing(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(np, "savez", full)
+        patch.setattr(Path, "write_bytes", full)
         with pytest.raises(InputError, match="can't be written: no space left"):
             run(config)
     assert records(config) == finished

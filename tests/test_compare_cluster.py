@@ -23,7 +23,6 @@ from trajeval_ros.batch import comparison
 from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.pools import dask_pool
-from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.summary import summary_of
 from trajeval_ros.batch.table import Rows
 from trajeval_ros.cli.app import main
@@ -115,9 +114,9 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
     kept: list[str] = []
     write = comparison.write_record
 
-    def write_and_kill(folder: Path, record: Record) -> None:
-        write(folder, record)
-        kept.append(record.key)
+    def write_and_kill(folder: Path, key: str, encoded: bytes) -> None:
+        write(folder, key, encoded)
+        kept.append(key)
         if len(kept) == 30:
             cluster.processes[-1].kill()
 
@@ -164,9 +163,9 @@ def test_a_lost_scheduler_keeps_what_is_finished(
     write = comparison.write_record
     kept: list[str] = []
 
-    def write_and_kill(folder: Path, record: Record) -> None:
-        write(folder, record)
-        kept.append(record.key)
+    def write_and_kill(folder: Path, key: str, encoded: bytes) -> None:
+        write(folder, key, encoded)
+        kept.append(key)
         if len(kept) == 10:
             cluster.processes[0].kill()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
@@ -19,11 +20,12 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.drawing import Draw, draw_all
 from trajeval_ros.batch.plan import Plan, Run
 from trajeval_ros.batch.pools import Outcome, evaluate_all, local_pool
-from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.table import Rows
 from trajeval_ros.batch.work import Task
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.protocol import Protocol, metres
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -84,6 +86,22 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     assert "died" in lost["reason"]
 
 
+def test_figures_are_drawn_by_processes_as_here() -> None:
+    draws = [functools.partial(str.upper, f"figure {number}") for number in range(30)]
+    told: list[tuple[int, int]] = []
+    drawn = draw_all(draws, local_pool(2), lambda done, total: told.append((done, total)))
+    assert drawn == draw_all(draws, local_pool(1), lambda done, total: None)
+    assert drawn == [f"FIGURE {number}" for number in range(30)]
+    assert told == [(number + 1, 30) for number in range(30)]
+
+
+def test_a_process_that_dies_while_it_draws_is_told() -> None:
+    draws: list[Draw] = [functools.partial(str, number) for number in range(30)]
+    draws[7] = functools.partial(os._exit, 1)
+    with pytest.raises(InputError, match="a process that drew the report died"):
+        draw_all(draws, local_pool(2), lambda done, total: None)
+
+
 def children_of(process: int) -> list[int]:
     listed = Path(f"/proc/{process}/task/{process}/children")
     return [int(child) for child in listed.read_text().split()]
@@ -134,7 +152,5 @@ def test_records_are_made_by_the_workers_as_here(tmp_path: Path) -> None:
     finished: list[Outcome] = []
     evaluate_all(local_pool(1), [task], lambda _, outcome: finished.append(outcome))
     here, (there,) = work(task), finished
-    assert isinstance(here, Record)
-    assert isinstance(there, Record)
-    assert there.result == here.result
-    assert {name: column.tolist() for name, column in there.columns.items() if name != "errors"}
+    assert isinstance(here, bytes)
+    assert there == here

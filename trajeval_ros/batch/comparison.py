@@ -15,7 +15,7 @@ from trajeval_ros import __version__
 from trajeval_ros.batch.inputs import Fingerprints
 from trajeval_ros.batch.plan import Plan, Run
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
-from trajeval_ros.batch.pools import Pool, evaluate_all
+from trajeval_ros.batch.pools import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.records import Record, has_record, read_record, write_record
 from trajeval_ros.batch.table import (
     load_pyarrow,
@@ -185,11 +185,11 @@ class _Batch:
             record = read_record(self.records, task.key)
         return record
 
-    def _finish(self, task: Task, outcome: Record | str) -> None:
+    def _finish(self, task: Task, outcome: Outcome) -> None:
         if isinstance(outcome, str):
             self._fail(task.run, outcome)
         else:
-            write_record(self.records, outcome)
+            write_record(self.records, task.key, outcome)
             self.progress.done += 1
         self._tell(self.progress)
 

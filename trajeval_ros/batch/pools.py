@@ -24,11 +24,10 @@ from dataclasses import dataclass, field
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
-from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.work import Task, work
 from trajeval_ros.exceptions import InputError
 
-Outcome = Record | str
+Outcome = bytes | str  # an encoded record, or why there is none
 Finish = Callable[[Task, Outcome], None]
 
 # One thread each: the runs are the parallelism, and more threads than cores only wait.

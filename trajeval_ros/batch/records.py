@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import zipfile
@@ -44,12 +45,8 @@ class Record:
         return run
 
 
-def write_record(folder: Path, record: Record) -> None:
-    """Write a record, whole or not at all.
-
-    Raises:
-        InputError: It can't be written.
-    """
+def encode(record: Record) -> bytes:
+    """Return a record as the bytes of its file, which workers make."""
     shapes = {name: column.shape for name, column in record.columns.items()}
     head = {
         "result": record.result,
@@ -61,11 +58,18 @@ def write_record(folder: Path, record: Record) -> None:
     # Each array of an archive costs more than its numbers, so all are one.
     values = np.concatenate([np.empty(0), *map(np.ravel, record.columns.values())])
 
-    def write(path: Path) -> None:
-        with path.open("wb") as file:
-            np.savez(file, head=text, values=values)
+    file = io.BytesIO()
+    np.savez(file, head=text, values=values)
+    return file.getvalue()
 
-    write_whole(_path(folder, record.key), write)
+
+def write_record(folder: Path, key: str, encoded: bytes) -> None:
+    """Write an encoded record, whole or not at all.
+
+    Raises:
+        InputError: It can't be written.
+    """
+    write_whole(_path(folder, key), lambda temporary: temporary.write_bytes(encoded))
 
 
 def has_record(folder: Path, key: str) -> bool:

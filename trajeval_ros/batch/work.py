@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import __version__
 from trajeval_ros.batch.plan import Run
-from trajeval_ros.batch.records import Record
+from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.io.results import Input, result_of
@@ -60,13 +60,13 @@ def _settings(protocol: Protocol) -> str:
     return json.dumps(parts, default=str)
 
 
-def work(task: Task) -> Record | str:
-    """Evaluate a run; return why not, in one sentence, where it can't be.
+def work(task: Task) -> bytes | str:
+    """Evaluate a run and return its encoded record; or why not, in one sentence.
 
     Nothing that one run does wrong may end the others, so defects of ours are told as well.
     """
     try:
-        return _evaluate(task)
+        return encode(_evaluate(task))
     except TrajevalError as error:
         return str(error)
     except MemoryError:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.io.results import write_text
@@ -152,6 +153,7 @@ def compare(
     from trajeval_ros.batch.comparison import compare as compare_runs
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.page import REPORT, write_report
+    from trajeval_ros.batch.pools import local_pool
     from trajeval_ros.batch.summary import summary_of
 
     if workers is not None and cluster is not None:
@@ -172,7 +174,8 @@ def compare(
     # It is written last: if it is newer than the results, all is there.
     if not _is_newer(output / REPORT, output / RUNS):
         _write_tables(output, summary)
-        write_report(output, summary)
+        with drawing("drawing the report") as advance:
+            write_report(output, summary, local_pool(workers), advance)
     if not quiet:
         _print(summary, progress, output)
     if before is not None:

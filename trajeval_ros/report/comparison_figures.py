@@ -109,15 +109,19 @@ def _draw_boxes(
         capprops=line,
         medianprops={"color": _INK, "linewidth": 1.4},
     )  # fmt: skip
-    for group, box in known:
-        # Side by side, so that equal trials are seen as several.
-        beside = (
-            np.linspace(-0.25, 0.25, len(box.points)) * width if len(box.points) > 1 else [0.0]
-        )
+    # Side by side, so that equal trials are seen as several.
+    places = [group + shift + width * _beside(len(box.points)) for group, box in known]
+    points = [box.points for _, box in known]
+    if any(points):
         axes.plot(
-            group + shift + np.asarray(beside[: len(box.points)]), box.points,
+            np.concatenate(places), np.concatenate(points),
             linestyle="none", marker="o", markersize=2.5, color=colour, zorder=3,
         )  # fmt: skip
+
+
+def _beside(count: int) -> Array:
+    """Return places (count,) within a box as wide as 1, the middle if there is but one."""
+    return np.linspace(-0.25, 0.25, count) if count != 1 else np.zeros(1)
 
 
 def overlay(name: str, truth: Array, paths: Sequence[tuple[str, Array] | None]) -> str:
@@ -136,44 +140,50 @@ def overlay(name: str, truth: Array, paths: Sequence[tuple[str, Array] | None]) 
         return _svg(figure, "trajectories from above")
 
 
-def run_figures(
-    name: str, place: int, truth: Array, path: Array, errors: Array
-) -> tuple[str, str]:
-    """Draw one run: its path from above, and its errors over time.
+def run_path(name: str, place: int, truth: Array, path: Array) -> str:
+    """Draw the path of one run, from above.
 
     There may be hundreds of them, so margins are fixed instead of measured, and ticks few.
 
     Args:
-        name: Of the figures, unlike any others' on the page.
+        name: Of the run, unlike any other's on the page.
         place: Of its algorithm.
         truth: (M, 3).
         path: (M, 3), aligned.
+    """
+    with _page_style(name):
+        figure = canvas.new_figure(*_RUN_SIZE_IN)
+        axes = figure.add_axes((_LEFT, _BOTTOM, 1.0 - _LEFT, _TOP - _BOTTOM))
+        _draw_paths(axes, truth, [None] * place + [("estimate", path)])
+        axes.locator_params(nbins=5)
+        return _svg(figure, "path from above", tight=False)
+
+
+def run_errors(name: str, place: int, errors: Array) -> str:
+    """Draw the errors of one run over time, likewise.
+
+    Args:
+        name: Of the run, unlike any other's on the page.
+        place: Of its algorithm.
         errors: (M, 3): time (s), position (m), rotation (deg, NaN where withheld).
     """
     colour, _ = canvas.line_style(place)
     with _page_style(name):
-        from_above = canvas.new_figure(*_RUN_SIZE_IN)
-        axes = from_above.add_axes((_LEFT, _BOTTOM, 1.0 - _LEFT, _TOP - _BOTTOM))
-        _draw_paths(axes, truth, [None] * place + [("estimate", path)])
-        axes.locator_params(nbins=5)
-        over_time = canvas.new_figure(*_RUN_SIZE_IN)
+        figure = canvas.new_figure(*_RUN_SIZE_IN)
         shown = [(1, "position [m]"), (2, "rotation [deg]")]
         if not np.isfinite(errors[:, 2]).any():
             shown.pop()
         height = (_TOP - _BOTTOM) / len(shown)
         for row, (column, label) in enumerate(shown):
             bottom = _TOP - (row + 1) * height
-            panel = over_time.add_axes((_LEFT, bottom, 1.0 - _LEFT, 0.86 * height))
+            panel = figure.add_axes((_LEFT, bottom, 1.0 - _LEFT, 0.86 * height))
             panel.plot(errors[:, 0], errors[:, column], color=colour, linewidth=1.0)
             panel.set_ylim(bottom=0.0)
             panel.set_ylabel(label)
             panel.locator_params(nbins=5)
             panel.tick_params(labelbottom=row == len(shown) - 1)
         panel.set_xlabel("time [s]")
-        return (
-            _svg(from_above, "path from above", tight=False),
-            _svg(over_time, "errors over time", tight=False),
-        )
+        return _svg(figure, "errors over time", tight=False)
 
 
 def _draw_paths(axes: Axes, truth: Array, paths: Sequence[tuple[str, Array] | None]) -> None:
