@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +21,10 @@ from trajeval_ros.trajectory import Trajectory
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))  # for `from strategies import ...` under pytest's importlib mode
 SHARED = HERE.parents[1] / "shared"
+
+# What a shell runs in the background ignores Ctrl-C, and so would every process that tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _COMMON: dict[str, Any] = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("repeatable", derandomize=True, max_examples=25, **_COMMON)
