@@ -86,7 +86,7 @@ def read_file(data: bytes, *, strict: bool) -> None:
     for block in reader.blocks(wanted):
         columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
         assert len(columns.rows) <= len(block)
-        block.decompressed()
+        list(block.decompressed())
 
 
 def seeds(folder: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import itertools
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -156,7 +157,8 @@ class Bag:
         with _one_sentence(self.path):
             for container, wanted in self._wanted(topics):
                 for block in merged(container.blocks(frozenset(wanted))):
-                    yield container, block.decompressed()
+                    for plain in block.decompressed():
+                        yield container, plain
                     done += len(block)
                     if self._advance is not None:
                         self._advance(done, max(done, total))
@@ -207,7 +209,8 @@ class Bag:
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield the messages that one file has of the topics, in order."""
         blocks = container.blocks(frozenset(wanted), begin, end, in_order=True)
-        for connection, log_time, payload in in_order(each.decompressed() for each in blocks):
+        plain = itertools.chain.from_iterable(each.decompressed() for each in blocks)
+        for connection, log_time, payload in in_order(plain):
             yield wanted[connection], log_time, payload
 
     def _account(self, topics: Sequence[Topic], done: int) -> None:

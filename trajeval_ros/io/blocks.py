@@ -15,6 +15,7 @@ Buffer = NDArray[np.uint8]
 ROWS = 8192  # of a block, at most
 BYTES = 1 << 20  # of a block made of single messages, until which more are added
 LARGEST = 1 << 30  # bytes that anything compressed may say that it has
+_LARGEST_MESSAGE = 1 << 28  # bytes that one message may become
 _ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)
 
 
@@ -63,23 +64,29 @@ class Block:
             wanted &= self.log_times < end
         return self[wanted]
 
-    def decompressed(self) -> Block:
-        """Return the messages as they were before a recorder compressed each on its own.
+    def decompressed(self) -> Iterator[Block]:
+        """Yield the messages as they were before a recorder compressed each on its own.
 
         No serialisation begins as zstd does, so that no metadata has to say it. What can't be
-        decompressed becomes empty, which is no message of any type.
+        decompressed becomes empty, which is no message of any type. Little data may become much,
+        hence several blocks.
         """
         long = np.flatnonzero(self.sizes >= len(_ZSTD))
         heads = self.buffer[self.begins[long][:, None] + np.arange(len(_ZSTD))]
         compressed = set(long[(heads == _ZSTD).all(axis=1)].tolist())
         if not compressed:
-            return self
-        payloads = [
-            _decompressed(bytes(payload)) if row in compressed else payload
-            for row, payload in enumerate(self.payloads())
-        ]
-        plain = block_of(self.connections, self.log_times, payloads)
-        return replace(plain, earliest=self.earliest)
+            yield self
+            return
+        payloads: list[bytes | memoryview] = []
+        begin = size = 0
+        for row, payload in enumerate(self.payloads()):
+            payloads.append(_decompressed(bytes(payload)) if row in compressed else payload)
+            size += len(payloads[-1])
+            if size >= BYTES or row + 1 == len(self):
+                rows = slice(begin, row + 1)
+                plain = block_of(self.connections[rows], self.log_times[rows], payloads)
+                yield replace(plain, earliest=self.earliest)
+                payloads, begin, size = [], row + 1, 0
 
     def by_connection(self) -> Iterator[tuple[int, Block]]:
         """Yield the messages of each connection."""
@@ -193,4 +200,4 @@ def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:
 def _decompressed(payload: bytes) -> bytes:
     from trajeval_ros.io.compression import decompress
 
-    return decompress("zstd", payload, LARGEST)
+    return decompress("zstd", payload, _LARGEST_MESSAGE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,8 @@ from trajeval_ros.exceptions import InputError
 
 _PIECE = 1 << 20  # bytes
 _LARGEST_WINDOW = 1 << 27  # bytes, which is what `zstd --long` makes
+# A file may become so many bytes, and more if it isn't too many times its own size.
+_LARGEST_FILE, _LARGEST_RATIO = 1 << 30, 500
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
@@ -73,15 +74,24 @@ def decompress_file(path: Path, folder: Path) -> Path:
     """Return the decompressed copy of a file of zstd, made in a folder.
 
     Raises:
-        InputError: It is damaged from its beginning, or there is no room for it.
+        InputError: It is damaged from its beginning, there is no room for it, or it becomes larger
+            than any recording would.
     """
     import zstandard
 
+    limit = max(_LARGEST_FILE, _LARGEST_RATIO * path.stat().st_size)
     copy = folder / path.name.removesuffix(".zstd").removesuffix(".zst")
     reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
     with path.open("rb") as file, copy.open("wb") as plain:
         try:
-            shutil.copyfileobj(reader.stream_reader(file, read_across_frames=True), plain, _PIECE)
+            pieces = reader.stream_reader(file, read_across_frames=True)
+            while piece := pieces.read(_PIECE):
+                plain.write(piece)
+                if plain.tell() > limit:
+                    raise InputError(
+                        f"{path} becomes more than {_LARGEST_RATIO} times its size, which no "
+                        "recording does; if you trust it, decompress it with `zstd -d`"
+                    )
         except zstandard.ZstdError as error:
             if not plain.tell():
                 raise InputError(f"{path} can't be decompressed: {error}") from error

@@ -19,6 +19,7 @@ _UNKNOWN = -1  # counting reads the whole file
 _FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
 _LOG_MAGICS = (0x377F0682, 0x377F0683)
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
+_SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
 _FEW = 16  # rows, as long as nobody knows how large they are
 
 
@@ -118,6 +119,11 @@ class SqliteReader:
             ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
         except sqlite3.DatabaseError:
             return
+        # A row has several bytes, so that larger ids than these are leaps, or damage as well.
+        most = self._path.stat().st_size // _SMALLEST_ROW
+        if last and last > most:
+            self.damage.append(f"{self._path}: ids beyond {most} were not looked for")
+            last = most
         for key in range(1, (last or 0) + 1):
             yield from ((row[2], row[0]) for row in self._row(query, values, key))
 
