@@ -16,6 +16,7 @@ pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.report.comparison_figures import Box, box_plot
 from trajeval_ros.report.comparison_page import RunPage, render
 from trajeval_ros.report.matrix import Cell, Matrix
 
@@ -146,3 +147,34 @@ def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Pa
     assert pages[0] == pages[1]
     assert "1 failed or missing, which count as worse than all" in pages[0]
     assert '<span class="failed">failed</span>' in pages[0]
+
+
+def test_numbers_and_names_in_figures_are_whole() -> None:
+    series = [
+        (f"thr_0.00{place}5", [Box.of([0.005123 + 0.0002 * place, 0.005345])]) for place in (1, 2)
+    ]
+    drawn = box_plot("small", ["hall"], series, "", "position [m]")
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawn)
+    assert {"thr_0.0015", "thr_0.0025"} <= set(texts)
+    ticks = [text for text in texts if re.fullmatch(r"[0-9.]+", text)]
+    assert len(ticks) > 3
+    assert len(set(ticks)) == len(ticks)
+
+
+def test_a_tie_has_two_winners(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, algorithms=("one", "other"), trials=1)
+    config.write_text(config.read_text() + "common_time_span: true\n")
+    out = tmp_path / "out"
+    assert main(["compare", str(config), "--output", str(out), "--quiet"]) == 0
+    text = (out / "report.html").read_text()
+    assert "most often: one and other, on 2 of 2 sequences each." in text
+
+
+def test_runs_that_are_cut_are_counted_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_runs(tmp_path, trials=1)
+    config.write_text(config.read_text() + "common_time_span: true\n")
+    for said in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
+        assert main(["compare", str(config), "--output", str(tmp_path / "out")]) == 0
+        assert said in capsys.readouterr().out

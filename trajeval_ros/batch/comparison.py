@@ -48,6 +48,7 @@ class Progress:
         total: Runs to be evaluated, twice with a common time span.
         kept: Runs that were finished before.
         done: Runs that were evaluated.
+        new: Runs that were evaluated, once each.
         failed: Runs that could not be.
         running: Names of those being evaluated.
     """
@@ -55,6 +56,7 @@ class Progress:
     total: int = 0
     kept: int = 0
     done: int = 0
+    new: int = 0
     failed: int = 0
     running: list[str] = field(default_factory=list)
 
@@ -115,6 +117,7 @@ class _Batch:
         self.failures: dict[Run, str] = {}
         self.tasks: dict[Run, Task] = {}
         self.own_coverage: dict[Run, float] = {}
+        self._evaluated: set[Run] = set()
         self._start_pool = start_pool
         self._tell = tell
         for run in plan.runs:
@@ -191,6 +194,8 @@ class _Batch:
         else:
             write_record(self.records, task.key, outcome)
             self.progress.done += 1
+            self._evaluated.add(task.run)
+            self.progress.new = len(self._evaluated)
         self._tell(self.progress)
 
     def _fail(self, run: Run, reason: str) -> None:

@@ -78,23 +78,27 @@ def _findings(summary: Summary) -> list[str]:
     if len(trials) > _MOST_FIGURES:
         findings.append(f"Figures are of the first {_MOST_FIGURES} runs, numbers of all.")
     tables = matrices(summary)
-    if tables and len(summary.algorithms) > 1:
-        wins: dict[str, int] = defaultdict(int)
-        for (name, _), ranks in zip(tables[0].rows, tables[0].ranks(), strict=True):
-            wins[name] += ranks.count(1)
-        best = max(wins, key=lambda name: wins[name])
+    wins = {
+        name: ranks.count(1)
+        for table in tables[:1]
+        for (name, _), ranks in zip(table.rows, table.ranks(), strict=True)
+    }
+    most_wins = max(wins.values(), default=0)
+    if most_wins:
+        best = [name for name, count in wins.items() if count == most_wins]
         findings.append(
-            f"Smallest position ATE most often: {best}, on {wins[best]} of "
-            f"{_counted(summary.sequences, 'sequence')}."
+            f"Smallest position ATE most often: {' and '.join(best)}, on {most_wins} of "
+            f"{_counted(summary.sequences, 'sequence')}{' each' if len(best) > 1 else ''}."
         )
         coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))
         most = max(coverage, key=lambda name: coverage[name])
-        if coverage[best] < 0.9 * coverage[most]:
-            findings.append(
-                f"But {best} covers {coverage_text(coverage[best])} of the groundtruth's time and "
-                f"{most} {coverage_text(coverage[most])}: errors over a part compare only with "
-                "errors over the same part; --common-time-span compares these."
-            )
+        findings += [
+            f"But {name} covers {coverage_text(coverage[name])} of the groundtruth's time and "
+            f"{most} {coverage_text(coverage[most])}: errors over a part compare only with "
+            "errors over the same part; --common-time-span compares these."
+            for name in best
+            if coverage[name] < 0.9 * coverage[most]
+        ]
     return findings
 
 

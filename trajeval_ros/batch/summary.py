@@ -118,7 +118,7 @@ def definition(settings: dict[str, Any]) -> str:
     """Say in a sentence what all numbers of a comparison depend on."""
     modality = f" for {settings['modality']}" if settings["modality"] else ""
     states = settings["align_states"]
-    how = "all states" if states == "all" else f"the first {states} states"
+    how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
     span = (
         ", only the time that all runs of a sequence have" if settings["common_time_span"] else ""
     )

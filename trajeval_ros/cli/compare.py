@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import Gauge
@@ -177,7 +178,8 @@ def compare(
         with drawing("drawing the report") as advance:
             write_report(output, summary, local_pool(workers), advance)
     if not quiet:
-        _print(summary, progress, output)
+        with may_break():
+            _print(summary, progress, output)
     if before is not None:
         _judge(before, output, summary.title, quiet=quiet)
 
@@ -213,7 +215,8 @@ def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
     text = to_markdown(verdicts, title, remarks_on(values, now))
     write_text(folder / GATES_FILE, text)
     if not quiet:
-        print(f"\n{text}", end="")
+        with may_break():
+            print(f"\n{text}", end="")
     if any(verdict.fails for verdict in verdicts):
         raise typer.Exit(1)
 
@@ -244,6 +247,7 @@ def _write_tables(folder: Path, summary: Summary) -> None:
 
 def _print(summary: Summary, progress: Progress, folder: Path) -> None:
     from trajeval_ros.batch.summary import failures, matrices
+    from trajeval_ros.batch.table import OK
     from trajeval_ros.report.matrix import to_terminal
     from trajeval_ros.report.tables import console, show
 
@@ -251,9 +255,10 @@ def _print(summary: Summary, progress: Progress, folder: Path) -> None:
     for each in matrices(summary):
         show(terminal, to_terminal(each))
         terminal.print(f"{each.caption}\n", style="dim")
-    kept = f", {progress.kept} unchanged" if progress.kept else ""
+    unchanged = sum(trial.status == OK for trial in summary.trials) - progress.new
+    kept = f", {unchanged} unchanged" if unchanged else ""
     terminal.print(
-        f"{progress.done} runs evaluated{kept}; report.html, tables and runs.parquet: {folder}",
+        f"{progress.new} runs evaluated{kept}; report.html, tables and runs.parquet: {folder}",
         soft_wrap=True,
     )
     terminal.file.flush()

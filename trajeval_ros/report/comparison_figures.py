@@ -231,7 +231,8 @@ def _svg(figure: Figure, label: str, *, tight: bool = True) -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r"(\d\.\d\d)\d+", r"\1", text)
+    # Coordinates need no more digits. What stands between tags is text to be read.
+    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(\d\.\d\d)\d+", r"\1", tag[0]), text)
     # Else each of many figures brings the same ids of its parts, which nothing refers to.
     text = re.sub(r' id="[a-zA-Z0-9]*_[0-9]+"', "", text)
     for colour, of_page in _PAGE_COLOURS.items():
