@@ -11,6 +11,8 @@ from trajeval_ros.gauge import gauge_for
 from trajeval_ros.protocol import PROTOCOLS, Protocol
 from trajeval_ros.sub_trajectories import Length
 
+_INTERPOLATING = ("linear", "continuous")
+
 
 def protocol_named(name: str) -> Protocol:
     """Return a protocol by name.
@@ -41,6 +43,12 @@ def protocol_from(
 ) -> Protocol:
     """Return a protocol, or that of a name, with whatever else was said; None leaves it as is."""
     base = protocol_named(base) if isinstance(base, str) else base
+    method = association or base.association.method
+    if max_time_difference is not None and method in _INTERPOLATING:
+        raise SettingsError(
+            f"association {method} knows no max time difference, it evaluates groundtruth at the "
+            "estimate's stamps; use association nearest with it, or a max gap"
+        )
     rule = _replaced(
         base.association,
         method=association,

@@ -24,7 +24,7 @@ EPOCH_S = 1_700_000_000
 GRAVITY = 9.81
 GROUNDTRUTH_RATE_HZ = 200.0
 ESTIMATE_RATE_HZ = 20.0
-SHORTEST_S = 5.0
+SHORTEST_S, LONGEST_S = 5.0, 86_400.0
 _GROUNDTRUTH_JITTER_S = 20e-6
 _STAMP_DELAY_S = 100e-6
 _LONGEST_STAMP_DELAY_S = 1e-3
@@ -62,6 +62,18 @@ class Simulation:
     estimate: Trajectory
 
 
+def require_duration(duration_s: float) -> None:
+    """Refuse what is too short for what is in a flight, or too long for memory.
+
+    Raises:
+        SettingsError: It is.
+    """
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise SettingsError(
+            f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
+        )
+
+
 def simulate(
     seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: Drift | None = None
 ) -> Simulation:
@@ -69,17 +81,14 @@ def simulate(
 
     Args:
         seed: Chooses the flight, the frames, the clocks' jitter and the drift.
-        duration_s: Length of the flight, at least 5 s.
+        duration_s: Length of the flight, 5 s to a day.
         gap_s: How long the odometry is silent, once, near the middle of the flight.
         drift: How the odometry errs.
 
     Raises:
         SettingsError: A flight too short for what is in it.
     """
-    if not SHORTEST_S <= duration_s < np.inf:
-        raise SettingsError(
-            f"a simulated flight takes at least {SHORTEST_S:g} s, not {duration_s:g}"
-        )
+    require_duration(duration_s)
     if not 0.0 <= gap_s <= duration_s / 2.0:
         raise SettingsError(
             f"the gap must be from 0 to half of the flight's {duration_s:g} s, not {gap_s:g}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,7 @@ from trajeval_ros.cli.evaluator import evaluator
 from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.gauge_study import gauge_study
 from trajeval_ros.cli.info import info
+from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
 from trajeval_ros.cli.view import view
@@ -42,6 +44,7 @@ app.command(cls=RosCommand)(replay)
 app.command()(simulate)
 app.command()(view)
 
+_INTERRUPTED = 130
 # click's class of usage errors, which newer typer bundles and older typer imports.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
@@ -58,9 +61,12 @@ def _version(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status: 0, 1 unmet requirement, 2 bad input."""
+    status = None
+    if sys.stdout is None:  # closed, as by `>&-`
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - till the end
     try:
-        status = app(args=arguments, standalone_mode=False, prog_name="trajeval")
-        sys.stdout.flush()
+        with may_break():
+            status = app(args=arguments, standalone_mode=False, prog_name="trajeval")
     except TrajevalError as error:
         return _fail(str(error))
     except _UsageError as error:
@@ -68,16 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "trajeval"
         return _fail(f"{message.rstrip('.')} (try {command} --help)")
-    except BrokenPipeError:
-        # Whoever read the output has seen enough, as `head` does.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{(error.strerror or str(error)).lower()}")
     except (KeyboardInterrupt, typer.Abort):
+        status = _INTERRUPTED
+    if status == _INTERRUPTED:  # or so says typer, which catches Ctrl-C itself
         print("trajeval: interrupted", file=sys.stderr)
-        return 130
     return status if isinstance(status, int) else 0
 
 

@@ -12,7 +12,7 @@ from trajeval_ros.calibrated import Wanted, evaluate_calibrated
 from trajeval_ros.cli.calibration import parse_offset, parse_wanted
 from trajeval_ros.cli.consistency import CovarianceSettings
 from trajeval_ros.cli.names import names_of
-from trajeval_ros.cli.outcome import deliver
+from trajeval_ros.cli.outcome import deliver, refuse_inputs
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.probabilistic import CONTINUOUS, assessed, with_model
 from trajeval_ros.cli.progress import progress
@@ -301,6 +301,9 @@ def evaluate(
     requirements = [Requirement.parse(text) for text in require or []]
     pictures = Pictures(rrd=rrd, viewer=viewer, in_output=True)
     pictures.check()
+    refuse_inputs(
+        [rrd, None if json in (None, "-") else Path(json), output], [groundtruth, *estimate]
+    )
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0], strict=strict)
     runs: list[results.Run] = []

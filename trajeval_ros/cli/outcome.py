@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import re
 import shutil
 import sys
 import tempfile
@@ -14,13 +16,20 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from trajeval_ros.cli.pictures import Pictures
+from trajeval_ros.cli.pipes import may_break
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.io import results
+from trajeval_ros.io.sources import parse_source
 from trajeval_ros.requirement import Requirement
 
 if TYPE_CHECKING:
     from trajeval_ros.likelihood.assessment import Assessment
 
 _NO_PICTURES = Pictures()
+_OURS = re.compile(
+    "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
+    r"|likelihood_by_edge|(consistency|uncertainty_top)(_\d+)?)\.png"
+)
 _HAVE_FIGURES = find_spec("matplotlib") is not None
 
 
@@ -61,11 +70,13 @@ def deliver(
         _write_folder(output, result, runs, pictures)
     pictures.write(runs)
     if json == "-":
-        sys.stdout.write(results.to_json(result))
+        with may_break():
+            sys.stdout.write(results.to_json(result))
     elif json is not None:
         results.write_text(Path(json), results.to_json(result))
     if not quiet and json != "-":
-        _print(runs, output, gauge_given=gauge_given)
+        with may_break():
+            _print(runs, output, gauge_given=gauge_given)
         for line in failed:
             print(f"warning: {line}", file=sys.stderr)
     else:
@@ -80,10 +91,38 @@ def deliver(
         raise typer.Exit(1)
 
 
+def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> None:
+    """Refuse to write over what is to be read, before anything is.
+
+    Raises:
+        InputError: An output is an input.
+    """
+    inputs = [str(parse_source(source).path) for source in sources]
+    for output in filter(None, outputs):
+        for path in inputs:
+            with contextlib.suppress(OSError):  # a URL, or nothing there yet
+                if output.samefile(path):
+                    raise InputError(f"{output} is to be read, and would be written over")
+
+
 def _write_folder(
     folder: Path, result: dict[str, object], runs: Sequence[results.Run], pictures: Pictures
 ) -> None:
-    """Write everything under a temporary name first, so that nothing is ever half written."""
+    """Write everything under a temporary name first, so that nothing is ever half written.
+
+    Raises:
+        InputError: It can't be written.
+    """
+    try:
+        _fill(folder, result, runs, pictures)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"the folder {folder} can't be written: {reason}") from error
+
+
+def _fill(
+    folder: Path, result: dict[str, object], runs: Sequence[results.Run], pictures: Pictures
+) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     # A folder that exists may be a disk of its own, and the only place that can be written.
     beside = folder if folder.is_dir() else folder.parent
@@ -111,6 +150,10 @@ def _write_folder(
         pictures.write_into(temporary, runs)
         (temporary / "result.json").write_text(results.to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
+        # Figures of an evaluation before this one would pass for figures of this one.
+        for old in folder.glob("*.png"):
+            if _OURS.fullmatch(old.name):
+                old.unlink()
         for file in sorted(temporary.iterdir()):
             file.replace(folder / file.name)
     finally:

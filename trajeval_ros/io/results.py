@@ -290,16 +290,34 @@ def write_text(path: Path, text: str) -> None:
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` make a file under a temporary name beside `path`, then give it that name.
 
+    A link stays one: what it leads to is replaced. A pipe or a device is written to as it is.
+
     Raises:
         InputError: The file can't be written.
     """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name a file")
+    if path.exists() and not path.is_file():
+        _write(path, lambda: write(path))
+        return
+    if path.is_symlink():
+        path = path.resolve()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+
+    def write_and_rename() -> None:
         write(temporary)
         temporary.replace(path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path} can't be written: {reason}") from error
+
+    try:
+        _write(path, write_and_rename)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def _write(path: Path, act: Callable[[], object]) -> None:
+    try:
+        act()
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{path} can't be written: {reason}") from error

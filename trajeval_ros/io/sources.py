@@ -82,10 +82,14 @@ def parse_source(source: str) -> Source:
     """Take a SOURCE apart; the part before a colon is the path as soon as that exists.
 
     Raises:
-        InputError: There is no such path, or the frames aren't `PARENT.CHILD`.
+        InputError: There is no such file or directory, or the frames aren't `PARENT.CHILD`.
     """
+    if not source:
+        raise InputError("a source has no name; give a file, or BAG:TOPIC")
     path, rest = _split_url(source) if _URL.match(source) else _split_path(source)
     try:
+        if not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path} is a pipe or a device; write it to a file and name that")
         is_bag = path.is_dir() or _begins_as_bag(path)
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror or error}") from error

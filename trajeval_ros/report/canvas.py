@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import textwrap
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +27,12 @@ GROUNDTRUTH_COLOUR = "0.2"
 # Okabe and Ito's palette, which the colour-blind can tell apart, without the too light yellow.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _LINE_STYLES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
+
+# Fonts with Chinese, Japanese and Korean letters, on Linux, macOS and Windows.
+_MORE_LETTERS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Droid Sans Fallback",
+    "PingFang SC", "Hiragino Sans", "Microsoft YaHei", "Malgun Gothic",
+)  # fmt: skip
 
 MOST_POINTS = 20_000
 _LONGEST_NAME = 48
@@ -72,10 +80,22 @@ def house_style() -> Iterator[None]:
         raise InputError(
             "figures need matplotlib, which is not installed: pip install 'trajeval-ros[plot]'"
         ) from error
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # A name in letters that no font here has is drawn as boxes; nobody can mend that now.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
+        matplotlib.rcParams["font.family"] = _fonts()
         yield
+
+
+@functools.lru_cache(maxsize=1)
+def _fonts() -> list[str]:
+    """Return matplotlib's own font, and those that have more letters where they are installed."""
+    from matplotlib import font_manager
+
+    installed = set(font_manager.get_font_names())
+    return ["DejaVu Sans", *(name for name in _MORE_LETTERS if name in installed)]
 
 
 def new_figure(width_in: float, height_in: float, layout: str | None = None) -> Figure:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.simulation import EPOCH_S, SHORTEST_S, simulate
+from trajeval_ros.simulation import EPOCH_S, require_duration, simulate
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.motion import recorded
 from trajeval_ros.visual_inertial.sampler import Run, Sampler, solved
@@ -78,17 +78,14 @@ def fly(seed: int, duration_s: float, profile: Profile) -> Flight:
 
     Args:
         seed: Chooses the flight and the landmarks.
-        duration_s: Of the flight, at least 5 s.
+        duration_s: Of the flight, 5 s to a day.
         profile: Of the sensors.
 
     Raises:
         SettingsError: A flight too short, or too long to be solved where it must be.
         DegenerateGeometryError: The keyframes hardly see anything together.
     """
-    if not duration_s >= SHORTEST_S:
-        raise SettingsError(
-            f"a simulated flight takes at least {SHORTEST_S:g} s, not {duration_s:g}"
-        )
+    require_duration(duration_s)
     keyframes = round(duration_s * KEYFRAME_RATE_HZ) + 1
     if not profile.honest and keyframes > MOST_SOLVED:
         longest = (MOST_SOLVED - 1) / KEYFRAME_RATE_HZ

@@ -1,0 +1,146 @@
+"""Where `trajeval` writes to, and who reads it: pipes, devices, links, inputs, old figures."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from test_cli_evaluate import pair, refused, write_tum
+
+from trajeval_ros.cli.app import main
+
+__all__ = ["pair"]  # a fixture
+ROOT = Path(__file__).resolve().parent.parent
+needs_pipes = pytest.mark.skipif(os.name != "posix", reason="there are no named pipes")
+
+
+@needs_pipes
+@pytest.mark.parametrize(
+    ("more", "status"),
+    [
+        ([], 0),
+        (["--require", "ate.position_m.rmse < 1"], 0),
+        (["--require", "ate.position_m.rmse < 1e-9"], 1),
+        (["--json", "-"], 0),
+        (["--help"], 0),
+    ],
+)
+def test_who_reads_the_head_alone_gets_the_right_status(
+    more: list[str], status: int, pair: list[str]
+) -> None:
+    command = [sys.executable, "-m", "trajeval_ros", *pair, *more]
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, stdout=writing, stderr=subprocess.PIPE, env=environment, check=False, text=True
+    )
+    os.close(writing)
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr
+
+
+@needs_pipes
+def test_output_may_be_closed(pair: list[str], tmp_path: Path) -> None:
+    result = tmp_path / "result.json"
+    command = [sys.executable, "-m", "trajeval_ros", *pair, "--json", str(result)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        ["/bin/sh", "-c", 'exec "$@" >&-', "sh", *command],
+        env=environment,
+        check=False,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(result.read_text())["runs"]
+
+
+@needs_pipes
+def test_a_pipe_is_written_to_and_a_link_stays_one(pair: list[str], tmp_path: Path) -> None:
+    plain, pipe, link = (tmp_path / name for name in ("plain.json", "pipe", "link.json"))
+    assert main([*pair, "-q", "--json", str(plain)]) == 0
+    os.mkfifo(pipe)
+    heard: list[str] = []
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_text()))
+    reader.start()
+    assert main([*pair, "-q", "--json", str(pipe)]) == 0
+    reader.join()
+    assert pipe.is_fifo()
+    link.symlink_to("target.json")
+    assert main([*pair, "-q", "--json", str(link)]) == 0
+    assert link.is_symlink()
+    assert heard == [plain.read_text()] == [(tmp_path / "target.json").read_text()]
+    assert not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize("option", ["--json", "--rrd", "--output"])
+def test_an_input_is_never_written_over(
+    option: str, pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    if option == "--rrd":
+        pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
+    for source in (pair[2], pair[4]):
+        before = Path(source).read_bytes()
+        assert "is to be read" in refused([*pair, option, source], capsys)
+        assert Path(source).read_bytes() == before
+
+
+def test_a_folder_is_no_file(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "is a folder; name a file" in refused([*pair, "-q", "--json", str(tmp_path)], capsys)
+
+
+def test_figures_of_another_evaluation_do_not_stay(pair: list[str], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
+    out = tmp_path / "out"
+    more = ["--association", "continuous", "--groundtruth-noise", "0.01,1"]
+    assert main([*pair, *more, "--output", str(out), "-q"]) == 0
+    mine = out / "my_own.png"
+    mine.touch()
+    before = {path.name for path in out.iterdir()}
+    assert main([*pair, "--lengths", "none", "--output", str(out), "-q"]) == 0
+    gone = before - {path.name for path in out.iterdir()}
+    assert gone >= {"relative_error.png", "groundtruth_uncertainty.png", "mahalanobis.png"}
+    assert mine.exists()
+    assert (out / "absolute_error.png").exists()
+
+
+@needs_pipes
+def test_sources_must_be_files(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    assert "pipe or a device" in refused([*pair[:4], str(pipe)], capsys)
+    assert "a source has no name" in refused([*pair[:4], ""], capsys)
+
+
+def test_options_that_would_do_nothing_are_refused(
+    pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused([*pair, "--max-time-difference", "0.01"], capsys)
+    assert "association linear knows no max time difference" in said
+    more = ["--max-time-difference", "0.01", "--association", "nearest"]
+    assert main([*pair, *more, "-q"]) == 0
+
+
+def test_names_in_any_letters_are_drawn_without_complaint(
+    pair: list[str], tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
+    named = write_tum(tmp_path / "轨迹 $x_1$.txt", scale=1.01)
+    assert main([*pair[:4], str(named), "--output", str(tmp_path / "out"), "-q"]) == 0
+    assert [str(each.message) for each in recwarn] == []
+
+
+def test_a_flight_of_years_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for more in ([], ["--profile", "euroc"]):
+        command = ["simulate", str(tmp_path / "bag"), "--duration", "1e9", *more]
+        assert "takes 5 to 86400 s" in refused(command, capsys)
