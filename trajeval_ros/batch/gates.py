@@ -186,10 +186,12 @@ def require_same_settings(baseline: Values, now: Mapping[str, Any]) -> None:
     for name, value in now.items():
         before = baseline.settings.get(name)
         if before != value and name != "lengths":  # a length that is lacking is told by itself
-            was, is_now = ("no" if each is None else each for each in (before, value))
+            was, now_is = (
+                f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
+            )
             raise InputError(
-                f"the baseline was made with {was} {name} and this comparison with {is_now} "
-                f"{name}, so their numbers don't compare; make one of them anew"
+                f"the baseline was made with {was} and this comparison with {now_is}, so their "
+                "numbers don't compare; make one of them anew"
             )
 
 
