@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -136,6 +138,37 @@ def test_continuous_across_gaps_too(model: str) -> None:
     knots = fitted.samples.times[1:-1]
     near = jump(fitted.poses.at(knots - 1e-9), fitted.poses.at(knots + 1e-9))
     assert near < 1e-5  # it moves by some 1e-8 in between
+
+
+# The model of the paper has no second scale.
+@pytest.mark.parametrize("model", [name for name in UNCERTAIN if name != "paper"])
+def test_few_samples_between_gaps_are_believed(model: str) -> None:
+    seconds = np.r_[0:1500, 2100, 2700:2712, 3400, 3401, 4000:5500, 5990:6000] / 300.0
+    turn = np.stack([0.3 * np.sin(seconds), 0.2 * np.cos(0.7 * seconds), 0.8 * seconds], axis=1)
+    some = Trajectory(
+        (1e9 * seconds).astype(np.int64) + 10**18,
+        np.stack([np.sin(turn[:, 2]), np.cos(turn[:, 2]), turn[:, 0]], axis=1),
+        Rotation.from_rotvec(turn),
+    )
+    assert some.rotations is not None
+    fitted = fit_trajectory(some, model, Noise(0.005, 0.01))
+    belief = fitted.at(some.stamps)
+    apart = np.linalg.norm(belief.poses[:, :3, 3] - some.positions, axis=1)
+    assert apart.max() < 3.0 * 0.005
+    turned = some.rotations.inv() * Rotation.from_matrix(belief.poses[:, :3, :3])
+    assert turned.magnitude().max() < 3.0 * 0.01
+    knots = fitted.samples.times[1:-1]
+    near = jump(fitted.poses.at(knots - 1e-9), fitted.poses.at(knots + 1e-9))
+    assert near < 1e-5
+
+
+def test_recordings_with_many_gaps_are_believed(recording: Callable[[str], Trajectory]) -> None:
+    groundtruth = recording("tum/fr2_desk_groundtruth.txt").in_order()
+    noise = Noise(0.005, math.radians(1.0))
+    fitted = fit_trajectory(groundtruth, "matern", noise)
+    belief = fitted.at(groundtruth.stamps)
+    apart = np.linalg.norm(belief.poses[:, :3, 3] - groundtruth.positions, axis=1)
+    assert apart.max() < 3.0 * noise.position_m
 
 
 @pytest.mark.parametrize("model", UNCERTAIN)

@@ -51,6 +51,7 @@ class PiecewiseGP:
         *,
         joint: bool = False,
         size: int = SIZE,
+        breaks: Sequence[int] | Indices = (),
         hyperparameters: Sequence[Hyperparameters] | None = None,
     ) -> PiecewiseGP:
         """Fit the processes.
@@ -60,9 +61,11 @@ class PiecewiseGP:
             kernels: Forms to choose from, by the likelihood of the samples.
             joint: Use coordinates of se(3), as the paper does.
             size: Samples in a segment.
+            breaks: Samples after which no segment goes on, as of `Segments.of`.
             hyperparameters: Those to use, with the first kernel; by default the most likely ones.
         """
-        segments = Segments.of(samples, size, joint=joint)
+        after = np.asarray(breaks, dtype=np.int64)
+        segments = Segments.of(samples, size, joint=joint, breaks=after)
         sigmas = samples.noise.per_axis(samples.oriented)
         chosen = [(kernels[0], each) for each in hyperparameters or ()] or [
             most_likely(

@@ -22,11 +22,12 @@ SIZE = 20
 _SMALLEST = 6
 # Rotation vectors bend more the longer they are, and are of no use beyond pi.
 MOST_TURN_RAD = 2.0
+_NOWHERE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """S segments of n samples, each overlapping its neighbours by half.
+    """S segments of n samples, each overlapping its neighbours by half, if it has any.
 
     Attributes:
         rows: (S, n), indices of samples.
@@ -43,16 +44,25 @@ class Segments:
     joint: bool
 
     @classmethod
-    def of(cls, samples: Samples, size: int = SIZE, *, joint: bool = False) -> Segments:
+    def of(
+        cls,
+        samples: Samples,
+        size: int = SIZE,
+        *,
+        joint: bool = False,
+        breaks: Indices = _NOWHERE,
+    ) -> Segments:
         """Cut samples into segments, smaller ones where rotations would grow too large.
 
         Args:
             samples: At least two.
             size: n, even; all samples are one segment where there are no more.
             joint: Use coordinates of se(3), as the paper does.
+            breaks: Samples after which no segment goes on, if there is any run of n between them.
+                Shorter runs are in no segment.
         """
         while True:
-            rows = _rows(len(samples), size)
+            rows = _rows(len(samples), size, breaks)
             middle = rows[:, rows.shape[1] // 2]
             turns = lie.log(
                 se3.transposed(samples.poses[middle, None, :3, :3]) @ samples.poses[rows, :3, :3]
@@ -101,11 +111,14 @@ class Segments:
 
         From the start of a segment, its predecessor's say fades and its own grows, until the
         predecessor or the next segment's turn ends it: `min` keeps the last segment, which begins
-        out of step, from making a jump.
+        out of step, from making a jump. Across a break, the nearer one alone knows.
         """
         starts, ends = self.times[:, 0], self.times[:, -1]
-        second = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(self) - 1)
-        first = np.maximum(second - 1, 0)
+        begins_run = np.append(True, self.rows[1:, 0] > self.rows[:-1, -1])
+        before = np.append(starts[0], ends[:-1])
+        since = np.where(begins_run, 0.5 * (before + starts), starts)
+        second = np.clip(np.searchsorted(since, times, side="right") - 1, 0, len(self) - 1)
+        first = np.where(begins_run[second], second, second - 1)
         following = np.append(starts[1:], np.inf)
         begin = starts[second]
         end = np.minimum(ends[first], following[second])
@@ -120,7 +133,20 @@ def smooth_step(share: Array) -> Array:
     return step
 
 
-def _rows(count: int, size: int) -> Indices:
+def runs_between(count: int, breaks: Indices) -> tuple[Indices, Indices]:
+    """Return the first of the samples of each run, and how many there are."""
+    first = np.concatenate([[0], breaks + 1])
+    return first, np.diff(np.append(first, count))
+
+
+def _rows(count: int, size: int, breaks: Indices) -> Indices:
+    """Return the rows (S, n) of the segments of all runs that are long enough, or of the whole."""
+    runs = zip(*runs_between(count, breaks), strict=True)
+    long = [first + _rows_of_run(length, size) for first, length in runs if length >= size]
+    return np.concatenate(long or [_rows_of_run(count, size)])
+
+
+def _rows_of_run(count: int, size: int) -> Indices:
     """Return the rows (S, n) of the segments; the last one is shifted back to be full."""
     size = min(size, count)
     starts = np.arange(0, count - size + 1, max(size // 2, 1))

@@ -12,7 +12,7 @@ from trajeval_ros.continuous_time.blending import blended
 from trajeval_ros.continuous_time.kernels import Kernel
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Samples
-from trajeval_ros.continuous_time.segments import smooth_step
+from trajeval_ros.continuous_time.segments import runs_between, smooth_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -27,13 +27,16 @@ _RAMP = 0.1
 class TwoScaleGP:
     """A piecewise process, and a coarser one that takes over inside gaps.
 
-    At 200 Hz twenty samples span 0.1 s and know nothing of the speed a second away.
+    At 200 Hz twenty samples span 0.1 s and know nothing of the speed a second away, nor should
+    they: a segment across a gap would be pulled by a prior of millimetres to what is metres away
+    on the other side. The coarser one alone knows of runs that are shorter than a segment.
 
     Attributes:
         fine: Of all samples.
         coarse: Of thinned ones; None without gaps, or where samples are sparse already.
         times: (N,), seconds, of the samples.
         gaps: Indices of the samples that a gap follows for which the coarse one is meant.
+        short: (N,), whether a sample is in a run that is shorter than a segment.
         ramp_s: Longest time in which one takes over from the other.
     """
 
@@ -41,12 +44,12 @@ class TwoScaleGP:
     coarse: PiecewiseGP | None
     times: Array
     gaps: Indices
+    short: NDArray[np.bool_]
     ramp_s: float
 
     @classmethod
     def fit(cls, samples: Samples, kernels: Sequence[Kernel]) -> TwoScaleGP:
         """Fit both; arguments as of `PiecewiseGP.fit`."""
-        fine = PiecewiseGP.fit(samples, kernels)
         gaps, coarse, step = samples.gaps, None, 0.0
         if len(gaps):
             usual, lengths = samples.usual_step_s, np.diff(samples.times)[gaps]
@@ -55,7 +58,10 @@ class TwoScaleGP:
             gaps = gaps[lengths > step]
             if step > _WORTHWHILE * usual:
                 coarse = PiecewiseGP.fit(samples[thinned(samples, gaps, step)], kernels)
-        return cls(fine, coarse, samples.times, gaps, step)
+        fine = PiecewiseGP.fit(samples, kernels, breaks=() if coarse is None else gaps)
+        _, counts = runs_between(len(samples), gaps)
+        short = np.repeat(counts < fine.segments.rows.shape[1], counts)
+        return cls(fine, coarse, samples.times, gaps, short, step)
 
     def at(self, times: Array) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
@@ -63,16 +69,22 @@ class TwoScaleGP:
         if self.coarse is None:
             return belief
         before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, None)
-        inside = np.flatnonzero(np.isin(before, self.gaps))
-        start, end = self.times[before[inside]], self.times[before[inside] + 1]
-        # At once: what the fine one believes beyond a segment's length is its prior.
-        ramp = np.minimum(_RAMP * (end - start), self.ramp_s)
-        weight = smooth_step((times[inside] - start) / ramp)
-        weight *= smooth_step((end - times[inside]) / ramp)
+        in_gap = np.isin(before, self.gaps)
+        inside = np.flatnonzero(in_gap | self.short[before])
+        weight = self._weight(before[inside], times[inside], in_gap[inside])
         own = Belief(belief.poses[inside], belief.covariances[inside])
         mixed = blended(own, self.coarse.at(times[inside]), weight)
         belief.poses[inside], belief.covariances[inside] = mixed.poses, mixed.covariances
         return belief
+
+    def _weight(self, before: Indices, times: Array, in_gap: NDArray[np.bool_]) -> Array:
+        """Return the say of the coarse process at times (Q,) that follow the samples `before`."""
+        after = np.minimum(before + 1, len(self.times) - 1)
+        start, end = self.times[before], self.times[after]
+        # At once: what the fine one believes beyond a segment's length is its prior.
+        ramp = np.where(in_gap, np.minimum(_RAMP * (end - start), self.ramp_s), 1.0)
+        rise, fall = smooth_step((times - start) / ramp), smooth_step((end - times) / ramp)
+        return np.where(self.short[before], 1.0, rise) * np.where(self.short[after], 1.0, fall)
 
 
 def thinned(samples: Samples, gaps: Indices, step_s: float) -> Indices:
