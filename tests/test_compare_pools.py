@@ -116,6 +116,25 @@ def wait_for(what: Any, process: subprocess.Popen[str] | None = None) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc to look into")
+def test_ctrl_c_while_workers_start_is_one_line(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "trajeval_ros", "compare", str(write_runs(tmp_path, trials=20)),
+        "--workers", "2", "--output", str(tmp_path / "out"),
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        command,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    wait_for(lambda: len(children_of(process.pid)) > 1, process)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, said) == (130, "trajeval: interrupted\n")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc to look into")
 def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=30)
     out = tmp_path / "out"

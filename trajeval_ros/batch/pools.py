@@ -203,9 +203,7 @@ def _processes(workers: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     # Spawned, since a fork copies whatever threads and locks a notebook has open.
-    executor = ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_begin_worker
-    )
+    executor = _Processes(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
     try:
         yield executor
     finally:
@@ -215,6 +213,20 @@ def _processes(workers: int) -> Iterator[Executor]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+class _Processes(ProcessPoolExecutor):
+    """Processes that leave Ctrl-C to their parent, from their first moment on."""
+
+    def submit(self, *args: Any, **options: Any) -> Future[Any]:
+        """Hand something over: then processes are started, which inherit what is blocked."""
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(*args, **options)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*args, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin_worker() -> None:
