@@ -124,6 +124,39 @@ def test_missing_points_score_nothing() -> None:
     assert "4 points have no estimate, and are worth nothing" in found.warnings
 
 
+@given(seed=seeds, visited=st.sets(st.integers(0, 11), min_size=1, max_size=3))
+@pytest.mark.parametrize("method", ["evo", "nearest"])
+def test_a_point_with_several_poses_counts_once_by_the_nearest(
+    method: str, seed: int, visited: set[int]
+) -> None:
+    random = np.random.default_rng(seed)
+    times = np.arange(12, dtype=np.int64) * 60_000_000_000
+    control = Trajectory(times, random.uniform(-20.0, 20.0, (12, 3)))
+    # Three poses at each are fewer than the points; only the nearest in time is on the spot.
+    points = np.repeat(sorted(visited), 3)
+    late_s = np.tile(random.permutation([-0.3, 0.1, 0.5]), len(visited))
+    positions = control.positions[points] + np.where(late_s == 0.1, 0.0, 1.0)[:, None]
+    stamps = control.stamps[points] + np.round(late_s * 1e9).astype(np.int64)
+    protocol = dataclasses.replace(
+        HILTI,
+        gauge=Gauge.NONE,
+        lever_m=None,
+        association=dataclasses.replace(HILTI.association, method=method),
+    )
+    found = evaluate(control, Trajectory(stamps, positions), protocol).score
+    assert found is not None
+    assert (found.found[0], found.missing) == (len(visited), 12 - len(visited))
+    assert sum(found.found) == len(visited)
+    assert found.value == pytest.approx(100.0 * len(visited) / 12)
+
+
+def test_a_score_is_by_points_and_not_by_what_is_between_them() -> None:
+    assert dataclasses.replace(HILTI, association=AssociationRule("index")).score is not None
+    for method in ("linear", "continuous"):
+        with pytest.raises(SettingsError, match=f"association {method} takes poses between"):
+            dataclasses.replace(HILTI, association=AssociationRule(method))
+
+
 @pytest.mark.parametrize(
     ("error_m", "points"),
     [
@@ -287,4 +320,4 @@ def test_the_file_in_the_documentation_is_one(tmp_path: Path) -> None:
 def test_what_needs_the_whole_recording_is_refused_live(name: str) -> None:
     rule = AssociationRule()
     with pytest.raises(SettingsError, match="evaluate the recorded run"):
-        OnlineSettings(dataclasses.replace(PROTOCOLS[name], association=rule))
+        OnlineSettings(dataclasses.replace(PROTOCOLS[name], association=rule, score=None))

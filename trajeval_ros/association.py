@@ -88,6 +88,8 @@ class Association:
             out, except of method `continuous`, which pairs in them too.
         dropped: Number of estimated states that are in no pair, by reason.
         continuous: The groundtruth's model, of method `continuous`.
+        groundtruth_rows: (N,) which groundtruth state is in each pair; None where it is none of
+            the recorded ones, but one between them.
     """
 
     rule: AssociationRule
@@ -97,6 +99,7 @@ class Association:
     groundtruth_coverage: float
     dropped: dict[str, int]
     continuous: ContinuousTrajectory | None = None
+    groundtruth_rows: Indices | None = None
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -119,6 +122,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     if by_row:
         rule = dataclasses.replace(rule, method="index")
         truth, rows, dropped = _by_index(groundtruth, estimate)
+        truth_rows = rows
     elif rule.method == "linear":
         truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
     elif rule.method == "continuous":
@@ -144,6 +148,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         groundtruth_coverage=_groundtruth_coverage(groundtruth, stamps, truth_rows, rule),
         dropped=add_counts(estimate.dropped, dropped),
         continuous=continuous,
+        groundtruth_rows=truth_rows,
     )
 
 

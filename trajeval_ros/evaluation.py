@@ -157,10 +157,21 @@ def evaluate_pairs(
         warnings=(),
         score=None
         if protocol.score is None
-        else protocol.score.score(absolute.position_m, len(groundtruth)),
+        else protocol.score.score(
+            absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
+        ),
     )
     warnings = (*clock_hint(pairs, aligned), *warnings_of(evaluation))
     return dataclasses.replace(evaluation, warnings=warnings)
+
+
+def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
+    """Return, for each groundtruth state that is in a pair, the pair that is closest in time."""
+    points = pairs.groundtruth_rows
+    assert points is not None
+    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
+    closest_first = np.lexsort((apart, points))
+    return closest_first[np.unique(points[closest_first], return_index=True)[1]]
 
 
 def _align(pairs: Association, protocol: Protocol) -> Alignment:
