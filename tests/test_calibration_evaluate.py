@@ -16,6 +16,7 @@ from trajeval_ros.calibrated import Wanted, evaluate_calibrated
 from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.cli.app import main
 from trajeval_ros.evaluation import evaluate
+from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.trajectory import Trajectory
@@ -142,6 +143,53 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     known = Wanted(known=HandEye.of(None, np.array(FAULT.lever_m)), source="x.yaml")
     given = evaluate_calibrated(truth, estimate, protocol, known)
     assert given.after.position_m == pytest.approx(found.after.position_m, rel=0.05)
+
+
+def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
+    """Return exact positions of a marker, and poses of its body in a unit of `scale` metres."""
+    times = np.arange(0.0, 60.0, 0.05)
+    body = extent_m * np.column_stack(
+        [np.sin(0.2 * times), 0.8 * np.cos(0.17 * times), 0.2 * np.sin(0.31 * times)]
+    )
+    angles = np.column_stack([0.2 * times, 0.1 * np.sin(times), 0.1 * np.cos(times)])
+    turned = Rotation.from_euler("ZYX", angles)
+    stamps = np.rint(times * 1e9).astype(np.int64)
+    truth = Trajectory(stamps, body + turned.apply(FAULT.lever_m))
+    return truth, Trajectory(stamps, body / scale, turned)
+
+
+SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)
+LEVER = HandEye.of(None, np.array(FAULT.lever_m))
+
+
+@pytest.mark.parametrize("extent_m", [0.3, 4.0, 50.0])
+@pytest.mark.parametrize("scale", [1e-3, 0.05, 1.0, 1.3, 10.0, 500.0])
+def test_a_lever_arm_in_metres_fits_an_estimate_of_any_unit(extent_m: float, scale: float) -> None:
+    truth, estimate = swinging(extent_m, scale)
+    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    assert found.after.position_m < 1e-9
+    assert found.evaluation.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
+
+
+def test_the_marker_is_moved_by_the_alignment_s_own_scale() -> None:
+    truth, estimate = swinging(2.0, 7.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.02, (len(estimate), 3))
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
+    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    scale = found.evaluation.alignment.similarity.scale
+    again = evaluate(truth, LEVER.of_marker(estimate, scale), SIM3)
+    assert again.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
+
+
+def test_a_body_that_hardly_moves_has_no_scale_beside_its_lever_arm() -> None:
+    truth, estimate = swinging(1.0, 1.0)
+    assert estimate.rotations is not None
+    # The marker rests but for its noise, and the body swings about it.
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(estimate), 3))
+    truth = dataclasses.replace(truth, positions=noise)
+    about = dataclasses.replace(estimate, positions=-estimate.rotations.apply(FAULT.lever_m))
+    with pytest.raises(DegenerateGeometryError, match="no scale of the estimate agrees with"):
+        evaluate_calibrated(truth, about, SIM3, Wanted(known=LEVER, source="x.yaml"))
 
 
 def test_all_estimates_share_the_first_one_s_calibration(

@@ -9,17 +9,21 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
+
 from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
 from trajeval_ros.calibration.verdict import Parameter
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.exceptions import NoMatchError, SettingsError
+from trajeval_ros.evaluation import Evaluation, align_pairs, evaluate
+from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.trajectory import Trajectory
 
 # By how much the ATE may grow before that is said.
 _WORSE = 1.05
-_ROUNDS_OF_SCALE = 3
+# Each round leaves a share of the error as of the lever arm's swing in the marker's motion.
+_SAME_SCALE, _ROUNDS_OF_SCALE = 1e-10, 300
+_VANISHED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,13 +241,31 @@ def _with(
     if groundtruth.rotations is not None:
         body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
         return evaluate(body, estimate, protocol), False
-    scale = 1.0
-    # The lever arm is in metres and the estimate, under Sim(3), is not.
-    for _ in range(_ROUNDS_OF_SCALE if protocol.gauge.has_scale else 1):
-        marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
-        evaluation = evaluate(groundtruth, marker, protocol)
-        scale = evaluation.alignment.similarity.scale
-    return evaluation, True
+    scale = _scale(groundtruth, estimate, protocol, hand_eye) if protocol.gauge.has_scale else 1.0
+    marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
+    return evaluate(groundtruth, marker, protocol), True
+
+
+def _scale(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, hand_eye: HandEye
+) -> float:
+    """Return the scale that aligns the marker if the lever arm, in metres, is divided by it."""
+    body = evaluate(groundtruth, estimate, dataclasses.replace(protocol, lengths=()))
+    pairs, first = body.association, body.alignment.similarity.scale
+    scale = first
+    for _ in range(_ROUNDS_OF_SCALE):
+        if scale <= _VANISHED * first:
+            break
+        marker = hand_eye.of_marker(pairs.estimate, scale)
+        moved = dataclasses.replace(pairs, estimate=marker)
+        last, scale = scale, align_pairs(moved, protocol).similarity.scale
+        if abs(scale - last) <= _SAME_SCALE * scale:
+            return scale
+    raise DegenerateGeometryError(
+        f"no scale of {estimate.name or 'the estimate'} agrees with the lever arm of "
+        f"{np.linalg.norm(hand_eye.lever_m):.3g} m: the body moves too little beside it; leave "
+        "out --hand-eye, or use a gauge without scale"
+    )
 
 
 def _warnings(calibrated: Calibrated) -> list[str]:

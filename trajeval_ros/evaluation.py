@@ -127,7 +127,7 @@ def evaluate_pairs(
         InputError: The pairs lack what the protocol needs.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
     """
-    alignment = _align(pairs, protocol)
+    alignment = align_pairs(pairs, protocol)
     aligned = alignment.similarity.trajectory(pairs.estimate)
 
     if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
@@ -174,8 +174,13 @@ def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArr
     return closest_first[np.unique(points[closest_first], return_index=True)[1]]
 
 
-def _align(pairs: Association, protocol: Protocol) -> Alignment:
-    """Align by all matched states, or the first few: Table I of the tutorial."""
+def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
+    """Align by all matched states, or the first few: Table I of the tutorial.
+
+    Raises:
+        InputError: The states lack what the protocol's weights need.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge.
+    """
     truth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.align_states == 1:
         return align_first(
