@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,13 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.io.calibration_json import calibration_json
 from trajeval_ros.protocol import Protocol
+from trajeval_ros.report.calibration_lines import calibration_lines
 from trajeval_ros.trajectory import Trajectory
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
+LEVER_M = np.array(FAULT.lever_m)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 AUTO = Wanted(offset=True, hand_eye=True)
 
@@ -145,6 +149,40 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     assert given.after.position_m == pytest.approx(found.after.position_m, rel=0.05)
 
 
+def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
+    times = np.arange(0.0, 120.0, 0.02)
+    random = np.random.default_rng(0)
+    body = np.column_stack(
+        [
+            3.0 * np.sin(0.7 * times) + np.sin(1.9 * times),
+            2.0 * np.cos(0.9 * times),
+            np.sin(1.3 * times),
+        ]
+    )
+    yaw = 1.5 * np.sin(0.5 * times) + 0.8 * np.sin(2.1 * times)
+    turned = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0]))
+    shaken = Rotation.from_rotvec(random.normal(0.0, 1e-3, body.shape))
+    stamps = np.rint(times * 1e9).astype(np.int64)
+    drift = np.cumsum(random.normal(0.0, 2e-4, body.shape), axis=0)
+    marker = body + turned.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
+    found = evaluate_calibrated(
+        Trajectory(stamps, marker, turned * shaken),
+        Trajectory(stamps, body + drift, turned),
+        YAW,
+        Wanted(hand_eye=True),
+    )
+    assert found.lever_applied
+    assert not found.rotation_applied
+    assert found.parameters_applied == 2
+    written = calibration_json(found)["hand_eye"]["lever_arm"]
+    for name in ("sigma_m", "half_width_95_m"):
+        assert None not in written[name][:2]
+        assert written[name][2] is None
+    assert written["value_m"] == pytest.approx([*LEVER_M[:2], 0.0], abs=2e-3)
+    (line,) = (each for each in calibration_lines("", found) if "lever arm" in each)
+    assert re.search(r"m \+- 0\.000\d+ 0\.000\d+ \? \(95 %\)", line)
+
+
 def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
     """Return exact positions of a marker, and poses of its body in a unit of `scale` metres."""
     times = np.arange(0.0, 60.0, 0.05)
@@ -159,7 +197,7 @@ def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
 
 
 SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)
-LEVER = HandEye.of(None, np.array(FAULT.lever_m))
+LEVER = HandEye.of(None, LEVER_M)
 
 
 @pytest.mark.parametrize("extent_m", [0.3, 4.0, 50.0])

@@ -102,8 +102,11 @@ class Calibrated:
         """Degrees of freedom that were taken from the data and are in the numbers."""
         if self.calibration is None:
             return 0
-        estimated = 0 if self.wanted.known is not None else 3
-        return self.offset_applied + estimated * (self.rotation_applied + self.lever_applied)
+        count = int(self.offset_applied)
+        if self.wanted.known is None:
+            count += self.calibration.turn.seen if self.rotation_applied else 0
+            count += self.calibration.lever.seen if self.lever_applied else 0
+        return count
 
 
 def evaluate_calibrated(

@@ -58,7 +58,12 @@ def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
     if found.value is None or found.half_width_95 is None:
         return "unknown"
     value = " ".join(form.format(factor * each) for each in found.value)
-    return f"{value} {unit} +- {factor * float(found.half_width_95.max()):.2g} (95 %)"
+    widths = factor * found.half_width_95
+    if np.isnan(widths).any():
+        width = " ".join("?" if np.isnan(each) else f"{each:.2g}" for each in widths)
+    else:
+        width = f"{widths.max():.2g}"
+    return f"{value} {unit} +- {width} (95 %)"
 
 
 def _ate(calibrated: Calibrated) -> str:
