@@ -11,7 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from strategies import Pair, assert_same_numbers, make_element, make_pair, moved, pairs, seeds
+from strategies import (
+    Pair,
+    assert_same_numbers,
+    make_element,
+    make_groundtruth,
+    make_pair,
+    moved,
+    pairs,
+    seeds,
+)
 
 from trajeval_ros.alignment import align
 from trajeval_ros.association import AssociationRule
@@ -197,6 +206,20 @@ def test_a_lever_arm_needs_orientations() -> None:
     control, estimate, _ = surveyed()
     with pytest.raises(InputError, match="has no orientations, so no lever arm"):
         evaluate(control, dataclasses.replace(estimate, rotations=None), HILTI)
+
+
+@given(seed=seeds, lever=st.tuples(*[st.floats(-2.0, 2.0)] * 3))
+@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.YAW, Gauge.PLANAR, Gauge.SE3])
+def test_a_lever_arm_on_a_tilting_body_leaves_no_error(
+    gauge: Gauge, seed: int, lever: tuple[float, float, float]
+) -> None:
+    estimate = make_groundtruth(seed)
+    assert estimate.rotations is not None
+    tips = estimate.positions + estimate.rotations.apply(lever)
+    truth = dataclasses.replace(estimate, positions=tips, rotations=None, velocities=None)
+    found = evaluate(truth, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
+    assert found.ate["position_m"] is not None
+    assert found.ate["position_m"].max < 1e-9
 
 
 def test_a_file_is_a_protocol(tmp_path: Path) -> None:

@@ -101,12 +101,13 @@ def evaluate(
     protocol = protocol or Protocol()
     if protocol.in_order:
         groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
-    if protocol.gauge is Gauge.PLANAR:
-        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
     if protocol.lever_m is not None:
         # Surveyed points have no orientation, whatever their file says.
         groundtruth = dataclasses.replace(groundtruth, rotations=None)
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
+    if protocol.gauge is Gauge.PLANAR:
+        # After the lever arm, which a tilting body swings to the side.
+        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
 
     pairs = associate(groundtruth, estimate, protocol.association)
     return evaluate_pairs(pairs, groundtruth, estimate, protocol)
