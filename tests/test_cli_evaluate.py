@@ -69,6 +69,21 @@ def test_the_verdict_comes_first_then_the_tables(
     assert any("8 m" in line for line in lines)
 
 
+def test_a_diverged_estimate_is_evaluated_as_far_as_it_has_poses(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = np.loadtxt(pair[-1])
+    rows[-40:, 1:4] = 6.0 * 10.0 ** np.arange(0.0, 200.0, 5.0)[:, None]
+    diverged = tmp_path / "diverged.txt"
+    np.savetxt(diverged, rows, fmt="%.9f")
+    assert main([*pair[:-1], str(diverged), "--json", "-"]) == 0
+    run = json.loads(capsys.readouterr().out)["runs"][0]
+    beyond = int(np.count_nonzero(rows[:, 1] > 1e12))
+    assert run["association"]["dropped"] == {"not_finite": beyond}
+    assert run["association"]["pairs"] == len(rows) - beyond
+    assert np.isfinite(run["ate"]["position_m"]["rmse"])
+
+
 def test_without_a_gauge_the_default_is_announced(
     pair: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
