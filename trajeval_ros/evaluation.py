@@ -199,7 +199,8 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         for _ in range(2):  # the size of the errors, a part of the weights, depends on them
             moved = alignment.similarity.positions(q)
             error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
-            alignment = align(protocol.gauge, p, q, position_weights(covariances, error))
+            in_metres = alignment.similarity.scale**2 * covariances
+            alignment = align(protocol.gauge, p, q, position_weights(in_metres, error))
     return alignment
 
 
