@@ -98,6 +98,23 @@ def test_a_marker_and_its_clock_are_found_and_applied(
     assert found["ate"]["after"]["rotation_deg"] < 3.0
 
 
+@pytest.mark.parametrize("pairs", [0, 1, 2, 5])
+def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -> None:
+    truth, estimate = fly(5, 60.0)
+    # The estimate's first stamps are the groundtruth's last, by its own clock.
+    apart_ns = int(truth.stamps[-1] - estimate.stamps[0]) - round((pairs - 1) * 0.05 * 1e9)
+    apart = dataclasses.replace(estimate, stamps=estimate.stamps + apart_ns)
+    found = evaluate_calibrated(truth, apart, YAW, Wanted(offset=True))
+    assert found.offset_applied
+    assert found.calibration is not None
+    assert found.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
+    assert (found.before is None) == (pairs < YAW.gauge.minimum_states)
+    said = (
+        "before, no stamps matched, or too few to be aligned" in calibration_lines("", found)[-1]
+    )
+    assert said == (found.before is None)
+
+
 def test_nothing_is_calibrated_unless_asked_for(
     files: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,7 +78,7 @@ class Calibrated:
         hand_eye: What was applied; None for nothing.
         of_marker: Whether the errors are of the marker's position, since its groundtruth has no
             orientation that could tell the body's.
-        before: The errors without any of it; None if no poses matched.
+        before: The errors without any of it; None if no poses matched, or too few to be aligned.
         after: Those of `evaluation`.
         if_applied: Those with all that was asked for, significant or not; None if that is what
             was applied, or nothing was found.
@@ -222,7 +222,7 @@ class _Found:
 def _before(groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol) -> Ate | None:
     try:
         return Ate.of(evaluate(groundtruth, estimate, protocol))
-    except NoMatchError:
+    except (NoMatchError, DegenerateGeometryError):
         return None
 
 

@@ -71,7 +71,7 @@ def _ate(calibrated: Calibrated) -> str:
     of_whom = "marker" if calibrated.of_marker else "body"
     text = f"ATE of the {of_whom}: {_both(after)}"
     if before is None:
-        text += "; before, no stamps matched"
+        text += "; before, no stamps matched, or too few to be aligned"
     elif calibrated.offset_applied or calibrated.hand_eye is not None:
         text += f"; before, {_both(before)}"
     if anyway is not None:
