@@ -84,6 +84,26 @@ def test_a_diverged_estimate_is_evaluated_as_far_as_it_has_poses(
     assert np.isfinite(run["ate"]["position_m"]["rmse"])
 
 
+@pytest.mark.parametrize(
+    "lengths", ["2,8,16", "16,8,2", "8,1000,16,1s", "16,2s", "50%,16,1%", "1s,16"]
+)
+def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
+    pair: list[str], lengths: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*pair, "--lengths", lengths, "--json", "-"]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    drifts = {
+        each["length_m"]: each["position_percent"]["mean"]
+        for each in run["re"]["segments"]
+        if each.get("position_percent")
+    }
+    assert main([*pair, "--lengths", lengths]) == 0
+    said = re.search(r"drift (\S+) % of (\S+) m \(mean", capsys.readouterr().out)
+    assert said is not None
+    assert float(said[2]) == pytest.approx(max(drifts), rel=1e-3)
+    assert float(said[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
+
+
 def test_without_a_gauge_the_default_is_announced(
     pair: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,6 +88,12 @@ class Evaluation:
     warnings: tuple[str, ...]
     score: Score | None = None
 
+    @property
+    def longest(self) -> Segments | None:
+        """The longest sub-trajectories in metres that there are, whose mean is the drift."""
+        with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
+        return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
+
 
 def evaluate(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
