@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -83,6 +84,20 @@ def test_components_along_what_is_hidden_have_no_standard_deviation(
     np.testing.assert_array_equal(np.isnan(found.sigma), ~known)
     np.testing.assert_array_equal(np.isnan(found.half_width_95), ~known)
     np.testing.assert_allclose(found.sigma[known], np.sqrt(np.diag(covariance))[known])
+
+
+@given(st.floats(0.0, 3.5))
+def test_chance_is_said_in_plain_per_cent(sigmas: float) -> None:
+    one = Directions(np.eye(1), np.ones(1))
+    found = judge(
+        np.array([1e-3 * sigmas]), np.array([[1e-6]]), 0.0, one, 12, widest=1.0, unit="s"
+    )
+    assert found.chance is not None
+    if found.status == "insignificant":
+        said = found.reason.removeprefix("no more than chance gives in ")
+        number = said.removesuffix(" % of cases")
+        assert re.fullmatch(r"100|[1-9][0-9]|[0-9](\.[0-9]+)?", number)
+        assert float(number) == pytest.approx(100.0 * found.chance, rel=0.05)
 
 
 def test_positions_alone_show_no_rotation() -> None:

@@ -126,7 +126,9 @@ def judge(
             reason = "by chance in fewer than one of a million cases"
     else:
         status = INSIGNIFICANT
-        reason = f"no more than chance gives in {100.0 * by_chance:.2g} % of cases"
+        percent = 100.0 * by_chance
+        told = f"{percent:.0f}" if percent >= 10.0 else f"{percent:.2g}"
+        reason = f"no more than chance gives in {told} % of cases"
     if hidden:
         reason += f"; nothing shows it along {hidden}, where it is taken as 0"
     return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)
