@@ -182,9 +182,29 @@ def test_requirements_decide_the_exit_status(
     assert (bound.split()[0] in capsys.readouterr().err) == (status == 1)
 
 
+@pytest.mark.parametrize("length", ["8m", "2.5m", "10%", "12.5%", "1s", "0.5s", "pooled"])
+def test_every_relative_error_can_be_required(
+    pair: list[str], length: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lengths = ["8m", "2.5m", "10%", "12.5%", "1s", "0.5s"]
+    asked = [*pair, "--lengths", ",".join(lengths)]
+    assert main([*asked, "--json", "-"]) == 0
+    errors = json.loads(capsys.readouterr().out)["runs"][0]["re"]
+    of_length = dict(zip(lengths, errors["segments"], strict=True)) | {"pooled": errors["pooled"]}
+    metric = "rotation_deg" if length.endswith("s") else "position_percent"
+    mean = of_length[length][metric]["mean"]
+    path = f"re.{length.replace('.', '_')}.{metric}.mean"
+    for factor, status in ((1.001, 0), (0.999, 1)):
+        bound = f"{path} < {factor * mean:.9f}"
+        assert main([*asked, "--quiet", "--require", bound]) == status
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (["--require", "re.9m.position_m.rmse < 1"], "results have no '9m'"),
+        (["--require", "re.10%.position_m.rmse < 1"], "results have no '10%'"),
+        (["--require", "re.poled.position_percent.rmse < 1"], "did you mean 'pooled'"),
         (["--require", "ate.position.rmse < 1"], "did you mean 'position_m'"),
         (["--require", "ate.position_m < 1"], "is no number; add one of rmse"),
         (["--require", "nonsense"], "write it as"),
