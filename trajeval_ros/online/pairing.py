@@ -253,11 +253,6 @@ class PairingBuffer:
         return len(self._waiting)
 
     @property
-    def newest_groundtruth(self) -> int | None:
-        """Stamp of the newest groundtruth state, nanoseconds."""
-        return self._truth.newest if len(self._truth) else None
-
-    @property
     def groundtruth_time(self) -> int:
         """Sum of the groundtruth's steps that are no gaps, nanoseconds."""
         return self._forgotten_time + time_without_gaps(self._truth.held[0], self.max_gap_s)
