@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros import se3
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.similarity import Similarity
@@ -108,6 +109,11 @@ def make_element(gauge: Gauge, seed: int, *, reach_m: float = 100.0) -> Similari
     if gauge.has_scale:
         scale = float(np.exp(random.uniform(-1.5, 1.5)))
     return Similarity(rotation, translation, scale)
+
+
+def as_matrix(element: Similarity) -> Array:
+    """Return a gauge element as a matrix (4, 4)."""
+    return se3.poses(element.linear, element.translation)
 
 
 def moved(trajectory: Trajectory, element: Similarity) -> Trajectory:

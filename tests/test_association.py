@@ -270,6 +270,37 @@ def test_keyframes_far_apart_cover_the_time_between_them() -> None:
     assert sparse.groundtruth_coverage > 0.95
 
 
+@pytest.mark.parametrize(
+    "truth_ms",
+    [
+        1000.0 * np.arange(201),  # nothing but gaps
+        np.arange(0, 200_001, 10)[np.arange(0, 200_001, 10) % 2000 <= 1000],  # 1 s on, 1 s off
+        500.0 * np.arange(401) + 10.0 * np.random.default_rng(1).standard_normal(401),
+    ],
+    ids=["gaps", "on and off", "jittered"],
+)
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.5, 1.0])
+def test_a_model_s_pairs_cover_their_share_of_all_the_groundtruth_s_time(
+    truth_ms: np.ndarray, share: float
+) -> None:
+    truth = at(truth_ms)
+    first, last = truth_ms[0], truth_ms[-1]
+    pairs = associate(
+        truth,
+        at(np.arange(first, first + share * (last - first), 50.0)),
+        AssociationRule("continuous", model="linear"),
+    )
+    assert pairs.groundtruth_coverage == pytest.approx(share, abs=0.001)
+
+
+def test_a_groundtruth_state_in_many_pairs_is_covered_once() -> None:
+    truth = at(1000.0 * np.arange(100))
+    pairs = associate(truth, at(40.0 * np.arange(99)), AssociationRule("evo", 2.0))
+    used = set(rows(pairs.groundtruth))
+    assert len(pairs) > 10 * len(used)
+    assert pairs.groundtruth_coverage == len(used) / len(truth)
+
+
 @pytest.mark.parametrize("method", ["linear", "nearest", "rpg", "evo"])
 @pytest.mark.parametrize(
     ("truth", "estimate", "cause"),

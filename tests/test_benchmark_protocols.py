@@ -11,7 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from strategies import Pair, assert_same_numbers, make_element, make_pair, moved, pairs, seeds
+from strategies import (
+    Pair,
+    assert_same_numbers,
+    make_element,
+    make_groundtruth,
+    make_pair,
+    moved,
+    pairs,
+    seeds,
+)
 
 from trajeval_ros.alignment import align
 from trajeval_ros.association import AssociationRule
@@ -124,6 +133,39 @@ def test_missing_points_score_nothing() -> None:
     assert "4 points have no estimate, and are worth nothing" in found.warnings
 
 
+@given(seed=seeds, visited=st.sets(st.integers(0, 11), min_size=1, max_size=3))
+@pytest.mark.parametrize("method", ["evo", "nearest"])
+def test_a_point_with_several_poses_counts_once_by_the_nearest(
+    method: str, seed: int, visited: set[int]
+) -> None:
+    random = np.random.default_rng(seed)
+    times = np.arange(12, dtype=np.int64) * 60_000_000_000
+    control = Trajectory(times, random.uniform(-20.0, 20.0, (12, 3)))
+    # Three poses at each are fewer than the points; only the nearest in time is on the spot.
+    points = np.repeat(sorted(visited), 3)
+    late_s = np.tile(random.permutation([-0.3, 0.1, 0.5]), len(visited))
+    positions = control.positions[points] + np.where(late_s == 0.1, 0.0, 1.0)[:, None]
+    stamps = control.stamps[points] + np.round(late_s * 1e9).astype(np.int64)
+    protocol = dataclasses.replace(
+        HILTI,
+        gauge=Gauge.NONE,
+        lever_m=None,
+        association=dataclasses.replace(HILTI.association, method=method),
+    )
+    found = evaluate(control, Trajectory(stamps, positions), protocol).score
+    assert found is not None
+    assert (found.found[0], found.missing) == (len(visited), 12 - len(visited))
+    assert sum(found.found) == len(visited)
+    assert found.value == pytest.approx(100.0 * len(visited) / 12)
+
+
+def test_a_score_is_by_points_and_not_by_what_is_between_them() -> None:
+    assert dataclasses.replace(HILTI, association=AssociationRule("index")).score is not None
+    for method in ("linear", "continuous"):
+        with pytest.raises(SettingsError, match=f"association {method} takes poses between"):
+            dataclasses.replace(HILTI, association=AssociationRule(method))
+
+
 @pytest.mark.parametrize(
     ("error_m", "points"),
     [
@@ -164,6 +206,20 @@ def test_a_lever_arm_needs_orientations() -> None:
     control, estimate, _ = surveyed()
     with pytest.raises(InputError, match="has no orientations, so no lever arm"):
         evaluate(control, dataclasses.replace(estimate, rotations=None), HILTI)
+
+
+@given(seed=seeds, lever=st.tuples(*[st.floats(-2.0, 2.0)] * 3))
+@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.YAW, Gauge.PLANAR, Gauge.SE3])
+def test_a_lever_arm_on_a_tilting_body_leaves_no_error(
+    gauge: Gauge, seed: int, lever: tuple[float, float, float]
+) -> None:
+    estimate = make_groundtruth(seed)
+    assert estimate.rotations is not None
+    tips = estimate.positions + estimate.rotations.apply(lever)
+    truth = dataclasses.replace(estimate, positions=tips, rotations=None, velocities=None)
+    found = evaluate(truth, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
+    assert found.ate["position_m"] is not None
+    assert found.ate["position_m"].max < 1e-9
 
 
 def test_a_file_is_a_protocol(tmp_path: Path) -> None:
@@ -287,4 +343,4 @@ def test_the_file_in_the_documentation_is_one(tmp_path: Path) -> None:
 def test_what_needs_the_whole_recording_is_refused_live(name: str) -> None:
     rule = AssociationRule()
     with pytest.raises(SettingsError, match="evaluate the recorded run"):
-        OnlineSettings(dataclasses.replace(PROTOCOLS[name], association=rule))
+        OnlineSettings(dataclasses.replace(PROTOCOLS[name], association=rule, score=None))

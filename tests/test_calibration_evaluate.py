@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,15 @@ from trajeval_ros.calibrated import Wanted, evaluate_calibrated
 from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.cli.app import main
 from trajeval_ros.evaluation import evaluate
+from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.io.calibration_json import calibration_json
 from trajeval_ros.protocol import Protocol
+from trajeval_ros.report.calibration_lines import calibration_lines
 from trajeval_ros.trajectory import Trajectory
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
+LEVER_M = np.array(FAULT.lever_m)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 AUTO = Wanted(offset=True, hand_eye=True)
 
@@ -93,6 +98,23 @@ def test_a_marker_and_its_clock_are_found_and_applied(
     assert found["ate"]["after"]["rotation_deg"] < 3.0
 
 
+@pytest.mark.parametrize("pairs", [0, 1, 2, 5])
+def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -> None:
+    truth, estimate = fly(5, 60.0)
+    # The estimate's first stamps are the groundtruth's last, by its own clock.
+    apart_ns = int(truth.stamps[-1] - estimate.stamps[0]) - round((pairs - 1) * 0.05 * 1e9)
+    apart = dataclasses.replace(estimate, stamps=estimate.stamps + apart_ns)
+    found = evaluate_calibrated(truth, apart, YAW, Wanted(offset=True))
+    assert found.offset_applied
+    assert found.calibration is not None
+    assert found.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
+    assert (found.before is None) == (pairs < YAW.gauge.minimum_states)
+    said = (
+        "before, no stamps matched, or too few to be aligned" in calibration_lines("", found)[-1]
+    )
+    assert said == (found.before is None)
+
+
 def test_nothing_is_calibrated_unless_asked_for(
     files: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,6 +164,87 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     known = Wanted(known=HandEye.of(None, np.array(FAULT.lever_m)), source="x.yaml")
     given = evaluate_calibrated(truth, estimate, protocol, known)
     assert given.after.position_m == pytest.approx(found.after.position_m, rel=0.05)
+
+
+def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
+    times = np.arange(0.0, 120.0, 0.02)
+    random = np.random.default_rng(0)
+    body = np.column_stack(
+        [
+            3.0 * np.sin(0.7 * times) + np.sin(1.9 * times),
+            2.0 * np.cos(0.9 * times),
+            np.sin(1.3 * times),
+        ]
+    )
+    yaw = 1.5 * np.sin(0.5 * times) + 0.8 * np.sin(2.1 * times)
+    turned = Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0]))
+    shaken = Rotation.from_rotvec(random.normal(0.0, 1e-3, body.shape))
+    stamps = np.rint(times * 1e9).astype(np.int64)
+    drift = np.cumsum(random.normal(0.0, 2e-4, body.shape), axis=0)
+    marker = body + turned.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
+    found = evaluate_calibrated(
+        Trajectory(stamps, marker, turned * shaken),
+        Trajectory(stamps, body + drift, turned),
+        YAW,
+        Wanted(hand_eye=True),
+    )
+    assert found.lever_applied
+    assert not found.rotation_applied
+    assert found.parameters_applied == 2
+    written = calibration_json(found)["hand_eye"]["lever_arm"]
+    for name in ("sigma_m", "half_width_95_m"):
+        assert None not in written[name][:2]
+        assert written[name][2] is None
+    assert written["value_m"] == pytest.approx([*LEVER_M[:2], 0.0], abs=2e-3)
+    (line,) = (each for each in calibration_lines("", found) if "lever arm" in each)
+    assert re.search(r"m \+- 0\.000\d+ 0\.000\d+ \? \(95 %\)", line)
+
+
+def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
+    """Return exact positions of a marker, and poses of its body in a unit of `scale` metres."""
+    times = np.arange(0.0, 60.0, 0.05)
+    body = extent_m * np.column_stack(
+        [np.sin(0.2 * times), 0.8 * np.cos(0.17 * times), 0.2 * np.sin(0.31 * times)]
+    )
+    angles = np.column_stack([0.2 * times, 0.1 * np.sin(times), 0.1 * np.cos(times)])
+    turned = Rotation.from_euler("ZYX", angles)
+    stamps = np.rint(times * 1e9).astype(np.int64)
+    truth = Trajectory(stamps, body + turned.apply(FAULT.lever_m))
+    return truth, Trajectory(stamps, body / scale, turned)
+
+
+SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)
+LEVER = HandEye.of(None, LEVER_M)
+
+
+@pytest.mark.parametrize("extent_m", [0.3, 4.0, 50.0])
+@pytest.mark.parametrize("scale", [1e-3, 0.05, 1.0, 1.3, 10.0, 500.0])
+def test_a_lever_arm_in_metres_fits_an_estimate_of_any_unit(extent_m: float, scale: float) -> None:
+    truth, estimate = swinging(extent_m, scale)
+    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    assert found.after.position_m < 1e-9
+    assert found.evaluation.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
+
+
+def test_the_marker_is_moved_by_the_alignment_s_own_scale() -> None:
+    truth, estimate = swinging(2.0, 7.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.02, (len(estimate), 3))
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
+    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    scale = found.evaluation.alignment.similarity.scale
+    again = evaluate(truth, LEVER.of_marker(estimate, scale), SIM3)
+    assert again.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
+
+
+def test_a_body_that_hardly_moves_has_no_scale_beside_its_lever_arm() -> None:
+    truth, estimate = swinging(1.0, 1.0)
+    assert estimate.rotations is not None
+    # The marker rests but for its noise, and the body swings about it.
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(estimate), 3))
+    truth = dataclasses.replace(truth, positions=noise)
+    about = dataclasses.replace(estimate, positions=-estimate.rotations.apply(FAULT.lever_m))
+    with pytest.raises(DegenerateGeometryError, match="no scale of the estimate agrees with"):
+        evaluate_calibrated(truth, about, SIM3, Wanted(known=LEVER, source="x.yaml"))
 
 
 def test_all_estimates_share_the_first_one_s_calibration(

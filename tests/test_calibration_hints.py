@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from calibration_flights import Fault, fly
+from scipy.spatial.transform import Rotation
 from test_calibration_recovery import RECORDINGS
 
 from trajeval_ros.association import AssociationRule
@@ -57,6 +58,29 @@ def test_keyframes_get_no_hint(recording: Recording, run: str, trial: int) -> No
     truth = recording(f"euroc/groundtruth/{run}.txt")
     estimate = recording(f"euroc/vislam_ba/{run}_trial{trial}.txt")
     assert not hints(evaluate(truth, estimate, YAW))
+
+
+@pytest.mark.parametrize("stamps", [1, 2, 30])
+def test_many_pairs_of_few_stamps_show_no_clock(stamps: int) -> None:
+    # A burst of groundtruth about each estimated state; far more of these stand alone.
+    burst = np.arange(-30, 31, dtype=np.int64) * 10**6
+    times = np.arange(stamps, dtype=np.int64) * 10**9
+    truth_times = (times[:, None] + burst).ravel()
+    alone = np.arange(1, 61 * stamps + 10, dtype=np.int64) * 10**9 + times[-1]
+
+    def moving(times: np.ndarray) -> Trajectory:
+        seconds = times / 1e9
+        positions = np.column_stack([np.sin(seconds), np.cos(0.7 * seconds), 0.1 * seconds])
+        turns = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
+        return Trajectory(times, positions, Rotation.from_rotvec(turns))
+
+    protocol = dataclasses.replace(
+        YAW, gauge=Gauge.NONE, association=AssociationRule("evo", 0.05), in_order=False
+    )
+    found = evaluate(moving(truth_times), moving(np.concatenate([times, alone])), protocol)
+    assert len(found.association) == 61 * stamps
+    assert len(set(found.association.estimate.stamps.tolist())) == stamps
+    assert not hints(found)
 
 
 def test_clocks_apart_are_noticed_by_turning() -> None:

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from calibration_flights import Fault, fly
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from strategies import seeds
 
 from trajeval_ros.calibration.calibrate import Systematic, calibrate
+from trajeval_ros.calibration.observability import Directions
+from trajeval_ros.calibration.verdict import judge
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.trajectory import Trajectory
@@ -49,6 +56,48 @@ def test_one_axis_hides_the_lever_arm_along_it() -> None:
     assert found.lever.value[2] == pytest.approx(0.0, abs=1e-3)
     assert np.count_nonzero(found.lever.reliability < 0.5) == 1
     assert "along z" in found.lever.reason
+
+
+@given(seed=seeds, hidden=st.integers(0, 2))
+def test_components_along_what_is_hidden_have_no_standard_deviation(
+    seed: int, hidden: int
+) -> None:
+    random = np.random.default_rng(seed)
+    turned = Rotation.random(random_state=random.integers(2**31)).as_matrix()
+    # Half of the time an axis is hidden to a degree or so, else a direction between the axes.
+    directions = Rotation.from_rotvec(random.normal(0.0, 0.02, 3)).as_matrix()
+    if random.uniform() < 0.5:
+        directions = turned
+    reliability = np.ones(3)
+    reliability[hidden] = 0.1
+    deviations = random.uniform(1e-3, 1e-2, 3)
+    deviations[hidden] = 0.0
+    covariance = (directions.T * deviations**2) @ directions
+    value = directions[np.arange(3) != hidden].sum(axis=0)
+    found = judge(
+        value, covariance, 0.0, Directions(directions, reliability), 12, widest=0.1, unit="m"
+    )
+    assert found.sigma is not None
+    assert found.half_width_95 is not None
+    assert found.seen == 2
+    known = np.abs(directions[hidden]) < np.sqrt(1.0 - 0.97**2)
+    np.testing.assert_array_equal(np.isnan(found.sigma), ~known)
+    np.testing.assert_array_equal(np.isnan(found.half_width_95), ~known)
+    np.testing.assert_allclose(found.sigma[known], np.sqrt(np.diag(covariance))[known])
+
+
+@given(st.floats(0.0, 3.5))
+def test_chance_is_said_in_plain_per_cent(sigmas: float) -> None:
+    one = Directions(np.eye(1), np.ones(1))
+    found = judge(
+        np.array([1e-3 * sigmas]), np.array([[1e-6]]), 0.0, one, 12, widest=1.0, unit="s"
+    )
+    assert found.chance is not None
+    if found.status == "insignificant":
+        said = found.reason.removeprefix("no more than chance gives in ")
+        number = said.removesuffix(" % of cases")
+        assert re.fullmatch(r"100|[1-9][0-9]|[0-9](\.[0-9]+)?", number)
+        assert float(number) == pytest.approx(100.0 * found.chance, rel=0.05)
 
 
 def test_positions_alone_show_no_rotation() -> None:

@@ -69,6 +69,41 @@ def test_the_verdict_comes_first_then_the_tables(
     assert any("8 m" in line for line in lines)
 
 
+def test_a_diverged_estimate_is_evaluated_as_far_as_it_has_poses(
+    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = np.loadtxt(pair[-1])
+    rows[-40:, 1:4] = 6.0 * 10.0 ** np.arange(0.0, 200.0, 5.0)[:, None]
+    diverged = tmp_path / "diverged.txt"
+    np.savetxt(diverged, rows, fmt="%.9f")
+    assert main([*pair[:-1], str(diverged), "--json", "-"]) == 0
+    run = json.loads(capsys.readouterr().out)["runs"][0]
+    beyond = int(np.count_nonzero(rows[:, 1] > 1e12))
+    assert run["association"]["dropped"] == {"not_finite": beyond}
+    assert run["association"]["pairs"] == len(rows) - beyond
+    assert np.isfinite(run["ate"]["position_m"]["rmse"])
+
+
+@pytest.mark.parametrize(
+    "lengths", ["2,8,16", "16,8,2", "8,1000,16,1s", "16,2s", "50%,16,1%", "1s,16"]
+)
+def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
+    pair: list[str], lengths: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*pair, "--lengths", lengths, "--json", "-"]) == 0
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    drifts = {
+        each["length_m"]: each["position_percent"]["mean"]
+        for each in run["re"]["segments"]
+        if each.get("position_percent")
+    }
+    assert main([*pair, "--lengths", lengths]) == 0
+    said = re.search(r"drift (\S+) % of (\S+) m \(mean", capsys.readouterr().out)
+    assert said is not None
+    assert float(said[2]) == pytest.approx(max(drifts), rel=1e-3)
+    assert float(said[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
+
+
 def test_without_a_gauge_the_default_is_announced(
     pair: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,9 +182,29 @@ def test_requirements_decide_the_exit_status(
     assert (bound.split()[0] in capsys.readouterr().err) == (status == 1)
 
 
+@pytest.mark.parametrize("length", ["8m", "2.5m", "10%", "12.5%", "1s", "0.5s", "pooled"])
+def test_every_relative_error_can_be_required(
+    pair: list[str], length: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lengths = ["8m", "2.5m", "10%", "12.5%", "1s", "0.5s"]
+    asked = [*pair, "--lengths", ",".join(lengths)]
+    assert main([*asked, "--json", "-"]) == 0
+    errors = json.loads(capsys.readouterr().out)["runs"][0]["re"]
+    of_length = dict(zip(lengths, errors["segments"], strict=True)) | {"pooled": errors["pooled"]}
+    metric = "rotation_deg" if length.endswith("s") else "position_percent"
+    mean = of_length[length][metric]["mean"]
+    path = f"re.{length.replace('.', '_')}.{metric}.mean"
+    for factor, status in ((1.001, 0), (0.999, 1)):
+        bound = f"{path} < {factor * mean:.9f}"
+        assert main([*asked, "--quiet", "--require", bound]) == status
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (["--require", "re.9m.position_m.rmse < 1"], "results have no '9m'"),
+        (["--require", "re.10%.position_m.rmse < 1"], "results have no '10%'"),
+        (["--require", "re.poled.position_percent.rmse < 1"], "did you mean 'pooled'"),
         (["--require", "ate.position.rmse < 1"], "did you mean 'position_m'"),
         (["--require", "ate.position_m < 1"], "is no number; add one of rmse"),
         (["--require", "nonsense"], "write it as"),

@@ -90,6 +90,13 @@ def test_coverage(share: float, text: str) -> None:
     assert coverage_text(share) == text
 
 
+@given(st.integers(0, 100), st.floats(1e-6, 1.0 - 1e-6))
+def test_coverage_is_all_or_nothing_only_if_it_is(percent: int, more: float) -> None:
+    assert coverage_text(percent / 100) == f"{percent} %"
+    if percent < 100:
+        assert coverage_text((percent + more) / 100) == f"{max(percent, 1)} %"
+
+
 NAMES = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), min_size=1, max_size=20)
 
 

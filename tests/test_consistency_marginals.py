@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from consistency_runs import aligned_run, some_covariance, trajectory_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from strategies import make_groundtruth
 from visual_inertial_scenes import frobenius, scene_of
 
+from trajeval_ros.consistency.judgement import Aligned, judge_marginals
 from trajeval_ros.consistency.marginals import (
     about_world_axes,
     initial_uncertainty,
@@ -22,6 +26,7 @@ from trajeval_ros.consistency.nees import diagonal_blocks
 from trajeval_ros.consistency.transformation import Transformation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.similarity import Similarity
 from trajeval_ros.visual_inertial.covariance import fixed_covariance
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 
@@ -72,6 +77,16 @@ def test_covariances_that_say_something() -> None:
     # Of the first pose zero is an answer: the estimator's world begins there.
     assert unknown_covariances(_spoilt(0, 0.0)) == ""
     assert is_covariance(_good().astype(np.float32).astype(float)).all()
+
+
+@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.YAW])
+def test_a_single_pair_is_told_so_and_nothing_of_its_covariance(gauge: Gauge) -> None:
+    run = dataclasses.replace(make_groundtruth(0, 2), covariances=_good(2))
+    two = Aligned(run, run, Similarity.identity(), gauge, 1)
+    assert judge_marginals(two, from_the_start=True).per_pose is not None
+    one = dataclasses.replace(two, groundtruth=run[:1], estimate=run[:1])
+    with pytest.raises(InputError, match="one pair of states says nothing about consistency"):
+        judge_marginals(one, from_the_start=True)
 
 
 @given(st.integers(0, 1000))

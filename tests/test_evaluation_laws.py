@@ -75,9 +75,10 @@ def test_no_metric_sees_the_gauge_in_the_tutorials_forms(
 def test_weighted_alignment_does_not_see_the_gauge(gauge: Gauge, pair: Pair, seed: int) -> None:
     protocol = dataclasses.replace(BASE, gauge=gauge, align_weights="covariance")
     element = make_element(gauge, seed)
-    scaled = dataclasses.replace(
-        moved(pair.estimate, element), covariances=pair.estimate.covariances
-    )
+    assert pair.estimate.covariances is not None
+    # Turned, too, but only their traces weigh.
+    covariances = element.scale**2 * pair.estimate.covariances
+    scaled = dataclasses.replace(moved(pair.estimate, element), covariances=covariances)
     before = evaluate(pair.groundtruth, pair.estimate, protocol)
     assert_same_numbers(before, evaluate(pair.groundtruth, scaled, protocol))
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from flights import fly
 from hypothesis import given, settings
-from strategies import make_element, seeds
+from strategies import as_matrix, make_element, seeds
 
 from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import act, as_element
+from trajeval_ros.likelihood.alignments import act
 from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
@@ -43,7 +43,7 @@ def alignment(estimate: np.ndarray, gauge: Gauge) -> np.ndarray:
 def test_no_frame_matters(gauge: Gauge, seed: int) -> None:
     groundtruth = JointGroundtruth.of(MODEL, TIMES, Noise(0.005, 0.003))
     estimate = poses_of(1)
-    moved = act(as_element(make_element(gauge, seed)), estimate)
+    moved = act(as_matrix(make_element(gauge, seed)), estimate)
     here, there = (
         joint_log_likelihood(groundtruth, each, gauge, alignment(each, gauge))
         for each in (estimate, moved)

@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
-from strategies import make_element, seeds
+from strategies import as_matrix, make_element, seeds
 
 from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.likelihood import first_order, relative
-from trajeval_ros.likelihood.alignments import act, as_element
+from trajeval_ros.likelihood.alignments import act
 from trajeval_ros.likelihood.chain import gauge_chain
 from trajeval_ros.likelihood.marginal import (
     generalised_absolute_error,
@@ -175,9 +175,9 @@ def test_no_frame_and_no_order_matters(gauge: Gauge, seed: int) -> None:
     random = np.random.default_rng(seed)
     belief, estimate = drawn(20, seed, 0.02)
     expected = score(belief, estimate, gauge)
-    element = as_element(make_element(gauge, seed))
+    element = as_matrix(make_element(gauge, seed))
     assert score(belief, act(element, estimate), gauge) == pytest.approx(expected, abs=1e-8)
-    rigid = as_element(make_element(Gauge.YAW if gauge is Gauge.YAW else Gauge.SE3, seed))
+    rigid = as_matrix(make_element(Gauge.YAW if gauge is Gauge.YAW else Gauge.SE3, seed))
     reframed = Belief(act(rigid, belief.poses), belief.covariances)
     assert score(reframed, estimate, gauge) == pytest.approx(expected, abs=1e-8)
     order = random.permutation(20)
@@ -208,7 +208,7 @@ def test_millimetres_change_a_score_by_a_constant() -> None:
 def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, seed: int) -> None:
     belief, estimate = drawn(8, seed, 0.3)
     residuals = Residuals(belief, estimate, gauge, density=density)
-    element = as_element(make_element(gauge, seed, reach_m=0.3))
+    element = as_matrix(make_element(gauge, seed, reach_m=0.3))
     near = residuals.chart.elements(np.full((1, residuals.chart.dimension), 0.03))[0]
     if gauge is not Gauge.TRANSLATION:
         near = near @ generalised_absolute_error(residuals, "laplace").mode.element

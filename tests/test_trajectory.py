@@ -10,8 +10,14 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
+from trajeval_ros.association import AssociationRule, associate
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.transforms import Edge
+from trajeval_ros.online.pairing import POSITION, PairingBuffer, states
 from trajeval_ros.trajectory import Trajectory, add_counts, travelled_distance
+
+# A position and a factor of a quaternion that no robot has, finite or not.
+WILD = [(1e13, 1.0), (-1e100, 1.0), (1e200, 1.0), (1.0, 1e160), (1.0, 1e300)]
 
 
 def stamps(count: int) -> np.ndarray:
@@ -36,8 +42,49 @@ def test_rows_that_are_no_poses_are_dropped_and_counted_by_reason() -> None:
     assert read.dropped == {"half_a_line": 2, "not_finite": 2, "zero_quaternion": 1}
 
 
+@pytest.mark.parametrize("row", WILD, ids=str)
+def test_numbers_too_large_to_be_squared_are_no_pose(row: tuple[float, float]) -> None:
+    position, factor = row
+    positions, quaternions = np.ones((4, 3)), np.tile([0.0, 0.6, 0.0, 0.8], (4, 1))
+    positions[1, 2] = position
+    quaternions[1] *= factor
+    read = Trajectory.from_columns(stamps(4), positions, quaternions)
+    assert read.dropped == {"not_finite": 1}
+    assert read.quaternions is not None
+    np.testing.assert_allclose(np.linalg.norm(read.quaternions, axis=1), 1.0)
+    rows = states(positions, quaternions)
+    assert np.isnan(rows[1, POSITION]).all()
+    np.testing.assert_array_equal(np.delete(rows, 1, 0)[:, POSITION], read.positions)
+    numbers = np.hstack([positions, quaternions])
+    assert len(Edge.from_columns(stamps(5)[1:], numbers, False).stamps) == 3
+    if factor == 1.0:
+        with pytest.raises(InputError, match="beyond 1e\\+12 m"):
+            Trajectory(stamps(4), positions).require_usable()
+
+
+@given(seed=seeds)
+def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    truth = make_groundtruth(seed)
+    positions, quaternions = truth.positions.copy(), truth.quaternions
+    assert quaternions is not None
+    strange = [0.0, 1e-7, 1e-5, 1e11, 1e13, -1e100, 1e160, np.inf, np.nan]
+    for column in (positions, quaternions):
+        some = random.integers(0, len(truth), 20)
+        column[some] = random.choice(strange, (20, 1))
+    read = Trajectory.from_columns(truth.stamps, positions, quaternions)
+    pairs = associate(truth, read, AssociationRule())
+    buffer = PairingBuffer()
+    buffer.add_groundtruth(truth.stamps, states(truth.positions, truth.quaternions))
+    buffer.add_estimate(truth.stamps, states(positions, quaternions))
+    live = buffer.take(at_end=True)
+    np.testing.assert_array_equal(live.stamps, pairs.estimate.stamps)
+    np.testing.assert_array_equal(live.estimate[:, POSITION], pairs.estimate.positions)
+    assert {reason: n for reason, n in buffer.dropped.items() if n} == pairs.dropped
+
+
 @pytest.mark.parametrize("column", ["velocities", "gyroscope_biases", "accelerometer_biases"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
 def test_columns_that_are_not_finite_throughout_are_left_out_and_said_so(
     column: str, value: float
 ) -> None:

@@ -84,9 +84,12 @@ class Association:
         groundtruth: N groundtruth states at the pairs' stamps.
         estimate: N estimated states, in their own frame.
         estimate_coverage: Share of the estimate's usable states that are in a pair.
-        groundtruth_coverage: Share of the groundtruth's time that pairs span, gaps left out.
+        groundtruth_coverage: Share of the groundtruth's time that pairs span; its gaps are left
+            out, except of method `continuous`, which pairs in them too.
         dropped: Number of estimated states that are in no pair, by reason.
         continuous: The groundtruth's model, of method `continuous`.
+        groundtruth_rows: (N,) which groundtruth state is in each pair; None where it is none of
+            the recorded ones, but one between them.
     """
 
     rule: AssociationRule
@@ -96,6 +99,7 @@ class Association:
     groundtruth_coverage: float
     dropped: dict[str, int]
     continuous: ContinuousTrajectory | None = None
+    groundtruth_rows: Indices | None = None
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -113,11 +117,12 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     estimate.require_usable()
     offset = round(rule.time_offset_s * NANOSECONDS)
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + offset)
-    continuous = None
+    continuous = truth_rows = None
     by_row = rule.method == "index" or not (groundtruth.stamped and estimate.stamped)
     if by_row:
         rule = dataclasses.replace(rule, method="index")
         truth, rows, dropped = _by_index(groundtruth, estimate)
+        truth_rows = rows
     elif rule.method == "linear":
         truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
     elif rule.method == "continuous":
@@ -140,14 +145,10 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         groundtruth=dataclasses.replace(truth, stamps=stamps),
         estimate=dataclasses.replace(pairs, stamps=stamps),
         estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
-        groundtruth_coverage=coverage_of(
-            stamps,
-            time_without_gaps(np.sort(groundtruth.stamps), rule.max_gap_s),
-            len(groundtruth),
-            rule.max_gap_s,
-        ),
+        groundtruth_coverage=_groundtruth_coverage(groundtruth, stamps, truth_rows, rule),
         dropped=add_counts(estimate.dropped, dropped),
         continuous=continuous,
+        groundtruth_rows=truth_rows,
     )
 
 
@@ -372,17 +373,33 @@ def _distinct(rows: Indices, count: int) -> int:
     return int(np.count_nonzero(named))
 
 
+def _groundtruth_coverage(
+    groundtruth: Trajectory, stamps: Indices, truth_rows: Indices | None, rule: AssociationRule
+) -> float:
+    """Return what pairs at stamps (N,), of these groundtruth rows (N,) if of any, cover."""
+    times = np.sort(groundtruth.stamps)
+    if rule.method == "continuous":
+        time = int(times[-1] - times[0])
+    else:
+        time = time_without_gaps(times, rule.max_gap_s)
+    if truth_rows is not None:
+        # A state that several pairs share is covered once.
+        stamps = stamps[np.unique(truth_rows, return_index=True)[1]]
+    return coverage_of(stamps, time, len(groundtruth), rule.max_gap_s)
+
+
 def coverage_of(
     pair_stamps: Indices, truth_time: int, truth_count: int, max_gap_s: float
 ) -> float:
-    """Return the share of the groundtruth's time, gaps left out, that pairs span.
+    """Return the share of the groundtruth's time that pairs span.
 
     Pairs no further apart than the maximum gap, or than twice the usual step of sparse keyframes,
     span the time between them. Of groundtruth that is all gaps, it is the share of states.
 
     Args:
         pair_stamps: (N,) of the pairs, nanoseconds.
-        truth_time: Sum of the groundtruth's steps that are no gaps, nanoseconds.
+        truth_time: The groundtruth's time that pairs can span, nanoseconds: the sum of its steps
+            that are no gaps, or all of it where gaps are paired in.
         truth_count: Number of groundtruth states.
         max_gap_s: Longest step that is no gap.
     """

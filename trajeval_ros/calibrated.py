@@ -9,17 +9,21 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
+
 from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
 from trajeval_ros.calibration.verdict import Parameter
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.exceptions import NoMatchError, SettingsError
+from trajeval_ros.evaluation import Evaluation, align_pairs, evaluate
+from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
 from trajeval_ros.protocol import Protocol
 from trajeval_ros.trajectory import Trajectory
 
 # By how much the ATE may grow before that is said.
 _WORSE = 1.05
-_ROUNDS_OF_SCALE = 3
+# Each round leaves a share of the error as of the lever arm's swing in the marker's motion.
+_SAME_SCALE, _ROUNDS_OF_SCALE = 1e-10, 300
+_VANISHED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class Calibrated:
         hand_eye: What was applied; None for nothing.
         of_marker: Whether the errors are of the marker's position, since its groundtruth has no
             orientation that could tell the body's.
-        before: The errors without any of it; None if no poses matched.
+        before: The errors without any of it; None if no poses matched, or too few to be aligned.
         after: Those of `evaluation`.
         if_applied: Those with all that was asked for, significant or not; None if that is what
             was applied, or nothing was found.
@@ -98,8 +102,11 @@ class Calibrated:
         """Degrees of freedom that were taken from the data and are in the numbers."""
         if self.calibration is None:
             return 0
-        estimated = 0 if self.wanted.known is not None else 3
-        return self.offset_applied + estimated * (self.rotation_applied + self.lever_applied)
+        count = int(self.offset_applied)
+        if self.wanted.known is None:
+            count += self.calibration.turn.seen if self.rotation_applied else 0
+            count += self.calibration.lever.seen if self.lever_applied else 0
+        return count
 
 
 def evaluate_calibrated(
@@ -215,7 +222,7 @@ class _Found:
 def _before(groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol) -> Ate | None:
     try:
         return Ate.of(evaluate(groundtruth, estimate, protocol))
-    except NoMatchError:
+    except (NoMatchError, DegenerateGeometryError):
         return None
 
 
@@ -237,13 +244,31 @@ def _with(
     if groundtruth.rotations is not None:
         body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
         return evaluate(body, estimate, protocol), False
-    scale = 1.0
-    # The lever arm is in metres and the estimate, under Sim(3), is not.
-    for _ in range(_ROUNDS_OF_SCALE if protocol.gauge.has_scale else 1):
-        marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
-        evaluation = evaluate(groundtruth, marker, protocol)
-        scale = evaluation.alignment.similarity.scale
-    return evaluation, True
+    scale = _scale(groundtruth, estimate, protocol, hand_eye) if protocol.gauge.has_scale else 1.0
+    marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
+    return evaluate(groundtruth, marker, protocol), True
+
+
+def _scale(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, hand_eye: HandEye
+) -> float:
+    """Return the scale that aligns the marker if the lever arm, in metres, is divided by it."""
+    body = evaluate(groundtruth, estimate, dataclasses.replace(protocol, lengths=()))
+    pairs, first = body.association, body.alignment.similarity.scale
+    scale = first
+    for _ in range(_ROUNDS_OF_SCALE):
+        if scale <= _VANISHED * first:
+            break
+        marker = hand_eye.of_marker(pairs.estimate, scale)
+        moved = dataclasses.replace(pairs, estimate=marker)
+        last, scale = scale, align_pairs(moved, protocol).similarity.scale
+        if abs(scale - last) <= _SAME_SCALE * scale:
+            return scale
+    raise DegenerateGeometryError(
+        f"no scale of {estimate.name or 'the estimate'} agrees with the lever arm of "
+        f"{np.linalg.norm(hand_eye.lever_m):.3g} m: the body moves too little beside it; leave "
+        "out --hand-eye, or use a gauge without scale"
+    )
 
 
 def _warnings(calibrated: Calibrated) -> list[str]:

@@ -212,7 +212,7 @@ def differences_at_ends(
     first, last = _between(truth.quaternions, other.quaternions)
     # The alignment is eq. (19), for yaw with the rotation of eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
-    alignment = _twist(first) if about_gravity else first
+    alignment = lie.heading(first) if about_gravity else first
     # eq. (14) with the first state's alignment, relative to that state's position.
     step = scale * lie.rotate(alignment, other.positions[1] - other.positions[0])
     # R (R_a R')^T, with R R'^T at hand for both states.
@@ -232,18 +232,6 @@ def _fitted(
     turned = lie.multiply(alignment, other.quaternions[ends])
     between = lie.multiply(truth.quaternions[ends], lie.conjugate(turned))
     return truth.positions[ends] - aligned, between, alignment
-
-
-def _twist(quaternions: Array) -> Array:
-    """Return the rotation about z that is closest to each of the rotations: eq. (20)."""
-    twist = quaternions * np.array([0.0, 0.0, 1.0, 1.0])
-    length = np.sqrt(np.einsum("ni,ni->n", twist, twist))
-    # Half a turn about a level axis leaves the yaw open; none is as good as any.
-    open_yaw = length < 1e-9
-    twist[open_yaw] = [0.0, 0.0, 0.0, 1.0]
-    length[open_yaw] = 1.0
-    unit: Array = twist / length[:, None]
-    return unit
 
 
 def _euler_in_estimate_world(

@@ -88,6 +88,12 @@ class Evaluation:
     warnings: tuple[str, ...]
     score: Score | None = None
 
+    @property
+    def longest(self) -> Segments | None:
+        """The longest sub-trajectories in metres that there are, whose mean is the drift."""
+        with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
+        return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
+
 
 def evaluate(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
@@ -101,12 +107,13 @@ def evaluate(
     protocol = protocol or Protocol()
     if protocol.in_order:
         groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
-    if protocol.gauge is Gauge.PLANAR:
-        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
     if protocol.lever_m is not None:
         # Surveyed points have no orientation, whatever their file says.
         groundtruth = dataclasses.replace(groundtruth, rotations=None)
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
+    if protocol.gauge is Gauge.PLANAR:
+        # After the lever arm, which a tilting body swings to the side.
+        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
 
     pairs = associate(groundtruth, estimate, protocol.association)
     return evaluate_pairs(pairs, groundtruth, estimate, protocol)
@@ -127,7 +134,7 @@ def evaluate_pairs(
         InputError: The pairs lack what the protocol needs.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
     """
-    alignment = _align(pairs, protocol)
+    alignment = align_pairs(pairs, protocol)
     aligned = alignment.similarity.trajectory(pairs.estimate)
 
     if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
@@ -157,14 +164,30 @@ def evaluate_pairs(
         warnings=(),
         score=None
         if protocol.score is None
-        else protocol.score.score(absolute.position_m, len(groundtruth)),
+        else protocol.score.score(
+            absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
+        ),
     )
     warnings = (*clock_hint(pairs, aligned), *warnings_of(evaluation))
     return dataclasses.replace(evaluation, warnings=warnings)
 
 
-def _align(pairs: Association, protocol: Protocol) -> Alignment:
-    """Align by all matched states, or the first few: Table I of the tutorial."""
+def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
+    """Return, for each groundtruth state that is in a pair, the pair that is closest in time."""
+    points = pairs.groundtruth_rows
+    assert points is not None
+    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
+    closest_first = np.lexsort((apart, points))
+    return closest_first[np.unique(points[closest_first], return_index=True)[1]]
+
+
+def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
+    """Align by all matched states, or the first few: Table I of the tutorial.
+
+    Raises:
+        InputError: The states lack what the protocol's weights need.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge.
+    """
     truth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.align_states == 1:
         return align_first(
@@ -182,7 +205,8 @@ def _align(pairs: Association, protocol: Protocol) -> Alignment:
         for _ in range(2):  # the size of the errors, a part of the weights, depends on them
             moved = alignment.similarity.positions(q)
             error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
-            alignment = align(protocol.gauge, p, q, position_weights(covariances, error))
+            in_metres = alignment.similarity.scale**2 * covariances
+            alignment = align(protocol.gauge, p, q, position_weights(in_metres, error))
     return alignment
 
 

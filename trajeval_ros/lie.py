@@ -49,7 +49,8 @@ def heading(quaternion: Array) -> Array:
     """Return the rotations about z nearest to unit quaternions (N, 4): their yaw alone."""
     turned: Array = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
     length = np.hypot(turned[:, 2], turned[:, 3])
-    # Upside down there is no yaw: z and w vanish together.
+    # Half a turn about a level axis leaves the yaw open: z and w vanish together, and none is as
+    # good as any.
     turned[length < 1e-9], length[length < 1e-9] = [0.0, 0.0, 0.0, 1.0], 1.0
     turned /= length[:, None]
     return turned

@@ -70,6 +70,11 @@ class Protocol:
                 "RE form fitted aligns by yaw and position, and gauge "
                 f"{self.gauge.value} doesn't: use gauge yaw, or RE form gauge"
             )
+        if self.score is not None and self.association.method in ("linear", "continuous"):
+            raise SettingsError(
+                "a score is by the groundtruth's own points, and association "
+                f"{self.association.method} takes poses between them; use nearest or evo"
+            )
         if self.lever_m is not None and self.gauge.has_scale:
             raise SettingsError(
                 "the protocol's lever arm is in metres and gauge sim3 has none; use se3 or yaw"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -20,8 +20,8 @@ class Requirement:
     """A bound on one number of every run in a result.
 
     Attributes:
-        path: Keys from the run down, joined by dots. A sub-trajectory length is a key of `re`:
-            `re.8m.position_percent.mean`, `re.1s.rotation_deg.p95`.
+        path: Keys from the run down, joined by dots. A sub-trajectory length, as asked for, is a
+            key of `re`: `re.8m.position_percent.mean`, `re.10%.rotation_deg.p95`.
         comparison: `<`, `<=`, `>` or `>=`.
         bound: What the number is compared with.
     """
@@ -47,8 +47,12 @@ class Requirement:
         """Write it as `parse` reads it."""
         return f"{self.path} {self.comparison} {self.bound:g}"
 
-    def unmet(self, run: Mapping[str, Any]) -> str:
+    def unmet(self, run: Mapping[str, Any], lengths: Sequence[str]) -> str:
         """Return why a run of a result doesn't meet it; empty if it does.
+
+        Args:
+            run: One of the result's `runs`.
+            lengths: Of its sub-trajectories, as asked for: "8m", "10%".
 
         Raises:
             SettingsError: The path names nothing that results have.
@@ -57,7 +61,7 @@ class Requirement:
         for key in self.path.split("."):
             if value is None:
                 break
-            value = self._step(value, key)
+            value = self._step(value, key, lengths)
         if value is None:
             return f"{self} can't hold: {self.path} was not computed"
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -67,20 +71,18 @@ class Requirement:
             return ""
         return f"{self} does not hold: it is {value:.6g}"
 
-    def _step(self, value: Any, key: str) -> Any:
+    def _step(self, value: Any, key: str, lengths: Sequence[str]) -> Any:
         known = value
         if isinstance(value, Mapping) and "segments" in value:
-            known = {segment_key(each): each for each in value["segments"]}
+            # A dot in a length would part it.
+            names = [length.replace(".", "_") for length in lengths]
+            known = {
+                **dict(zip(names, value["segments"], strict=True)),
+                "pooled": value["pooled"],
+            }
         if not isinstance(known, Mapping) or key not in known:
             names = list(known) if isinstance(known, Mapping) else []
             near = get_close_matches(key, names, n=1) or names[:1]
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise SettingsError(f"results have no {key!r} in {self.path!r}{hint}")
         return known[key]
-
-
-def segment_key(segment: Mapping[str, Any]) -> str:
-    """Return the name of a length in a requirement's path: 8m or 1s."""
-    if "length_m" in segment:
-        return f"{segment['length_m']:g}m".replace(".", "_")
-    return f"{segment['duration_s']:g}s".replace(".", "_")

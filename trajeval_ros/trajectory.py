@@ -14,6 +14,9 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 
 NANOSECONDS = 1_000_000_000
+# Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
+_LARGEST = 1e12
+_SHORTEST = 1e-6  # of a quaternion
 # Reasons for dropping what was no state of its own, and counts in no coverage.
 NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
 _COLUMNS = ("positions", "velocities", "gyroscope_biases", "accelerometer_biases", "covariances")
@@ -88,19 +91,17 @@ class Trajectory:
             quaternions: (N, 4), xyzw, of any length but zero; None for a position-only sensor.
             **columns: Any other attribute of `Trajectory`.
 
-        Rows with a NaN or infinity in position or quaternion are dropped as `not_finite`,
-        quaternions of (nearly) zero length as `zero_quaternion`. Velocities or biases that aren't
-        finite throughout are left out, with a note. A covariance that is not finite stays, for
-        whoever uses it to judge.
+        Rows with a NaN or infinity in position or quaternion, or with what is too large to be
+        squared, are dropped as `not_finite`, quaternions of (nearly) zero length as
+        `zero_quaternion`: see `judge_poses`. Velocities or biases that aren't finite throughout
+        are left out, with a note. A covariance that is not finite stays, for whoever uses it to
+        judge.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
-        finite = np.isfinite(position_rows).all(axis=1)
-        nonzero = np.ones(len(stamps), dtype=bool)
         quaternion_rows: NDArray[np.float64] | None = None
         if quaternions is not None:
             quaternion_rows = np.asarray(quaternions, dtype=np.float64)
-            finite &= np.isfinite(quaternion_rows).all(axis=1)
-            nonzero = np.einsum("ni,ni->n", quaternion_rows, quaternion_rows) > 1e-12
+        finite, nonzero = judge_poses(position_rows, quaternion_rows)
         keep = finite & nonzero
         dropped = {
             "not_finite": int(np.count_nonzero(~finite)),
@@ -125,7 +126,8 @@ class Trajectory:
         bad = [
             name
             for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
-            if (column := getattr(self, name)) is not None and not np.isfinite(column).all()
+            if (column := getattr(self, name)) is not None
+            and not (np.abs(column) <= _LARGEST).all()
         ]
         if not bad:
             return self
@@ -208,8 +210,32 @@ class Trajectory:
         if not len(self):
             why = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
             raise InputError(f"{name} has no usable pose" + (f" (dropped: {why})" if why else ""))
-        if not np.isfinite(self.positions).all():
-            raise InputError(f"{name} has positions that are not finite; drop those states")
+        if not judge_poses(self.positions)[0].all():
+            raise InputError(
+                f"{name} has positions that are not finite, or beyond {_LARGEST:g} m; drop those "
+                "states"
+            )
+
+
+def judge_poses(
+    positions: NDArray[np.float64], quaternions: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which rows are finite, (N,), and which have a quaternion of some length, (N,).
+
+    An estimate that has diverged may have numbers that are finite, but whose squares are not: they
+    count as infinite, too.
+
+    Args:
+        positions: (N, 3), metres.
+        quaternions: (N, 4); None where there are none.
+    """
+    finite = np.logical_and.reduce(np.abs(positions) <= _LARGEST, axis=1)
+    if quaternions is None:
+        return finite, np.ones(len(positions), dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squared_length = np.einsum("ni,ni->n", quaternions, quaternions)
+    finite &= np.isfinite(squared_length)
+    return finite, squared_length > _SHORTEST**2
 
 
 def travelled_distance(positions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import lie
-from trajeval_ros.calibration.clock import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.calibration.clock import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.fit import Fit, fit
 from trajeval_ros.calibration.increments import (
     HORIZON_S,
@@ -118,8 +118,8 @@ def calibrate(
         gauge: Whether there is a scale between the two, and whether their worlds share gravity;
             it changes nothing else.
         around_s: Where to search the offset, seconds to be added to the estimate's stamps.
-        search_s: How far from there; None for everywhere. Where the two don't meet within the
-            range it is everywhere, too: clocks of different epochs.
+        search_s: How far from there; None for everywhere. Where the two can't meet for long
+            enough within the range it is everywhere, too: clocks of different epochs.
         with_skew: Fit the clocks' skew, too.
         systematic: What real runs hide from standard deviations; None for the usual.
         horizon_s: Length of the increments.
@@ -136,7 +136,7 @@ def calibrate(
         if len(side.in_order()) < 2:
             raise InputError(f"the {side.name or name} has fewer than two poses")
     reach = np.inf if search_s is None else search_s
-    if _apart(groundtruth, estimate, around_s) > reach:
+    if _apart(groundtruth, estimate, around_s) > reach - OVERLAP_S:
         search_s = None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
     # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.

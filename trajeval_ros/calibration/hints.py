@@ -58,7 +58,8 @@ def _guess(pairs: Association) -> OffsetGuess:
     stamps = pairs.estimate.stamps
     middle = (int(stamps.min()) + int(stamps.max())) // 2
     near = np.abs(stamps - middle) <= round(_LONGEST_S / 2.0 * NANOSECONDS)
-    if np.count_nonzero(near) < _FEWEST_STATES:
+    # Pairs of many to one may share a stamp.
+    if len(np.unique(stamps[near])) < _FEWEST_STATES:
         return OffsetGuess(0.0, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
     return guess_offset(pairs.groundtruth[near], pairs.estimate[near])
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.calibration.observability import Directions
+from trajeval_ros.calibration.observability import LEAST_RELIABILITY, Directions
 
 Array = NDArray[np.float64]
 
@@ -31,8 +31,9 @@ class Parameter:
     Attributes:
         value: (k,): seconds; seconds per second; a rotation vector, rad; or metres. None if
             nothing is known.
-        sigma: (k,), standard deviations; None if nothing is known.
-        half_width_95: (k,), of the 95 % interval.
+        sigma: (k,), standard deviations; None if nothing is known, NaN of a component of which
+            a direction that can't be seen makes a part.
+        half_width_95: (k,), of the 95 % interval; NaN likewise.
         reliability: (k,), of the principal directions; empty if nothing is known.
         status: `significant`, `insignificant`, `weak` (less precise than is of use) or
             `unobservable`.
@@ -52,6 +53,11 @@ class Parameter:
     def is_significant(self) -> bool:
         """Whether it is observable, precise, and there."""
         return self.status == SIGNIFICANT
+
+    @property
+    def seen(self) -> int:
+        """Number of principal directions that can be seen: the degrees of freedom of the value."""
+        return int(np.count_nonzero(self.reliability >= LEAST_RELIABILITY))
 
 
 def unobservable(reason: str, reliability: Array | None = None) -> Parameter:
@@ -105,6 +111,8 @@ def judge(
     statistic = float(axes @ value @ np.linalg.solve(within, axes @ value)) / len(axes)
     by_chance = float(fdtrc(len(axes), blocks - 1, statistic))
     sigma = np.sqrt(np.maximum(np.diag(axes.T @ within @ axes), 0.0))
+    # What a hidden direction adds to a component could be anything.
+    sigma[np.linalg.norm(axes, axis=0) <= _NAMED_AXIS] = np.nan
     half_width = quantile * float(np.sqrt(np.linalg.eigvalsh(shown)[-1]))
     if half_width > widest:
         status = WEAK
@@ -118,7 +126,9 @@ def judge(
             reason = "by chance in fewer than one of a million cases"
     else:
         status = INSIGNIFICANT
-        reason = f"no more than chance gives in {100.0 * by_chance:.2g} % of cases"
+        percent = 100.0 * by_chance
+        told = f"{percent:.0f}" if percent >= 10.0 else f"{percent:.2g}"
+        reason = f"no more than chance gives in {told} % of cases"
     if hidden:
         reason += f"; nothing shows it along {hidden}, where it is taken as 0"
     return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)

@@ -57,11 +57,12 @@ def deliver(
         pictures: For Rerun.
     """
     # A requirement that names nothing is a mistake to be told before anything is written.
+    lengths = result["provenance"]["settings"]["lengths"]
     unmet = [
         f"{run['estimate']['name']}: {why}"
         for run in result["runs"]
         for requirement in requirements
-        if (why := requirement.unmet(run))
+        if (why := requirement.unmet(run, lengths))
     ]
     failed = [f"{each['name']}: {each['reason']}" for each in result["failed"]]
     if requirements:

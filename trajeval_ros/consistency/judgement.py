@@ -198,10 +198,11 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
             f"{name} has no covariances, or only zeros, which means unknown; give a joint "
             "covariance with --covariance FILE.npz, or use --covariance none"
         )
+    # Before the covariances, of which those of a single pair would read as all unknown.
+    transformation, errors = aligned.transformation(), aligned.errors()
     why = unknown_covariances(covariances)
     if why:
         raise InputError(f"the covariances of {name} can't be used: {why}; use --covariance none")
-    transformation, errors = aligned.transformation(), aligned.errors()
     blocks = carried(covariances, aligned.similarity, POSE_DOF)
     statement = BOUND_STATEMENT
     if aligned.gauge is Gauge.NONE:

@@ -120,7 +120,7 @@ def upper_bounds(covariances: Array, transformation: Transformation) -> Array:
     orbit = transformation.orbit[:, :6]
     if not open_:
         return covariances
-    pull = transformation.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
+    pull = transformation.pull
     shares = pull @ covariances @ np.swapaxes(pull, 1, 2)
     # How far the gauge moves the poses, squared, is what a share's size is measured by.
     metric = np.einsum("nik,nil->kl", orbit[:, :3], orbit[:, :3]) / count

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.io.hand_eye_file import hand_eye_json
@@ -115,5 +117,8 @@ def _verdict(found: Parameter, applied: bool) -> dict[str, Any]:
     }
 
 
-def _list(column: Any) -> list[float] | None:
-    return None if column is None else column.tolist()
+def _list(column: NDArray[np.float64] | None) -> list[float | None] | None:
+    """Return the components, null where one is not known."""
+    if column is None:
+        return None
+    return [None if math.isnan(each) else each for each in column.tolist()]

@@ -70,7 +70,10 @@ def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
     )
     if not len(trajectory):
         count = columns.untimed + len(stamps)
-        raise InputError(f"{path}: none of its {count} rows is a pose (NaN or zero quaternions)")
+        raise InputError(
+            f"{path}: none of its {count} rows is a pose (NaN, zero quaternions, or positions out "
+            "of this world)"
+        )
     return trajectory
 
 

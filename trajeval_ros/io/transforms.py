@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trajeval_ros import lie
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.checks import nearest, times
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.trajectory import NANOSECONDS, judge_poses
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -50,9 +50,10 @@ class Edge:
         Transforms that aren't poses or have no time are left out, of several with the same stamp
         all but the last.
         """
+        finite, turned = judge_poses(numbers[:, :3], numbers[:, 3:])
+        usable = finite & turned & (is_static | times(stamps))
+        stamps, numbers = stamps[usable], numbers[usable]
         lengths = np.linalg.norm(numbers[:, 3:], axis=1)
-        usable = np.isfinite(numbers).all(axis=1) & (lengths > 1e-6) & (is_static | times(stamps))
-        stamps, numbers, lengths = stamps[usable], numbers[usable], lengths[usable]
         everything = cls(stamps, numbers[:, :3], numbers[:, 3:] / lengths[:, None], is_static)
         return everything[np.arange(len(stamps))[-1:] if is_static else _last_of_each(stamps)]
 

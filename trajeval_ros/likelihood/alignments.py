@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from trajeval_ros import lie, se3
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
 
 Array = NDArray[np.float64]
 
@@ -30,17 +29,6 @@ def act(elements: Array, poses: Array) -> Array:
     moved = elements @ poses
     moved[..., :3, :3] /= scales(elements)[..., None, None]
     return moved
-
-
-def as_similarity(element: Array) -> Similarity:
-    """Return one element (4, 4) as a similarity."""
-    scale = float(scales(element))
-    return Similarity(element[:3, :3] / scale, element[:3, 3], scale)
-
-
-def as_element(similarity: Similarity) -> Array:
-    """Return a similarity as an element (4, 4)."""
-    return se3.poses(similarity.linear, similarity.translation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import lie
 from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
-from trajeval_ros.trajectory import NANOSECONDS, travelled_distance
+from trajeval_ros.trajectory import NANOSECONDS, judge_poses, travelled_distance
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -44,16 +44,18 @@ class Pairs(NamedTuple):
 def states(
     positions: Floats, quaternions: Floats | None = None, velocities: Floats | None = None
 ) -> Floats:
-    """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3)."""
+    """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3).
+
+    What is no pose for the readers is dropped by `PairingBuffer`: rows that aren't finite have no
+    position here (NaN), and infinity stands for quaternions of no length.
+    """
+    finite, turned = judge_poses(positions, quaternions)
     rows = np.full((len(positions), WIDTH), np.nan)
-    rows[:, POSITION] = positions
+    rows[finite, POSITION] = positions[finite]
     if quaternions is not None:
-        lengths = np.sqrt(np.einsum("ni,ni->n", quaternions, quaternions))
-        # Quaternions of no length become NaN, which `add` drops; -q is the same rotation as q.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rows[:, QUATERNION] = np.where(
-                lengths[:, None] > 1e-6, quaternions / lengths[:, None], np.inf
-            )
+        with np.errstate(all="ignore"):
+            lengths = np.sqrt(np.einsum("ni,ni->n", quaternions, quaternions))
+            rows[:, QUATERNION] = np.where(turned[:, None], quaternions / lengths[:, None], np.inf)
     if velocities is not None:
         rows[:, VELOCITY] = velocities
     return rows
@@ -249,11 +251,6 @@ class PairingBuffer:
     def waiting(self) -> int:
         """Number of estimated states that wait for groundtruth."""
         return len(self._waiting)
-
-    @property
-    def newest_groundtruth(self) -> int | None:
-        """Stamp of the newest groundtruth state, nanoseconds."""
-        return self._truth.newest if len(self._truth) else None
 
     @property
     def groundtruth_time(self) -> int:

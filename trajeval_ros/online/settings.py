@@ -35,10 +35,10 @@ class OnlineSettings:
                 f"association {method} can't be live: which pairs are closest shows at the end "
                 "of a recording; use linear"
             )
-        if self.protocol.re_form == "fitted" or self.protocol.lever_m or self.protocol.score:
+        if self.protocol.re_form == "fitted" or self.protocol.lever_m:
             raise SettingsError(
-                "RE form fitted, a protocol's lever arm and its score need the whole recording; "
-                "evaluate the recorded run"
+                "RE form fitted and a protocol's lever arm need the whole recording; evaluate the "
+                "recorded run"
             )
         if self.freeze and self.protocol.align_states is not None:
             raise SettingsError("align states is either a number or frozen, not both")

@@ -58,7 +58,12 @@ def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
     if found.value is None or found.half_width_95 is None:
         return "unknown"
     value = " ".join(form.format(factor * each) for each in found.value)
-    return f"{value} {unit} +- {factor * float(found.half_width_95.max()):.2g} (95 %)"
+    widths = factor * found.half_width_95
+    if np.isnan(widths).any():
+        width = " ".join("?" if np.isnan(each) else f"{each:.2g}" for each in widths)
+    else:
+        width = f"{widths.max():.2g}"
+    return f"{value} {unit} +- {width} (95 %)"
 
 
 def _ate(calibrated: Calibrated) -> str:
@@ -66,7 +71,7 @@ def _ate(calibrated: Calibrated) -> str:
     of_whom = "marker" if calibrated.of_marker else "body"
     text = f"ATE of the {of_whom}: {_both(after)}"
     if before is None:
-        text += "; before, no stamps matched"
+        text += "; before, no stamps matched, or too few to be aligned"
     elif calibrated.offset_applied or calibrated.hand_eye is not None:
         text += f"; before, {_both(before)}"
     if anyway is not None:

@@ -15,6 +15,7 @@ from trajeval_ros.report.tables import new_table
 if TYPE_CHECKING:
     from rich.table import Table
 
+_ROUNDING = 1e-9  # of per cent: 100 * 0.29 is 28.999999999999996
 _LATEX = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "–": "--", "†": r"$^\dagger$", "×": r"$\times$",
@@ -87,7 +88,8 @@ def number_text(value: float) -> str:
 
 def coverage_text(share: float) -> str:
     """Return a share as whole per cent, of which 100 means all and 0 nothing."""
-    return f"{min(max(100.0 * share, 0.0), 100.0):.0f} %"
+    whole = math.floor(100.0 * share + _ROUNDING)
+    return f"{min(max(whole, 1 if share > 0.0 else 0), 100)} %"
 
 
 def to_terminal(matrix: Matrix) -> Table:

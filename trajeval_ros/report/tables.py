@@ -112,11 +112,12 @@ def _score(evaluation: Evaluation) -> list[str]:
 
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories that there are, in words."""
-    for segment in reversed(evaluation.segments or ()):
-        drift = segment.statistics["position_percent"]
-        if drift is not None:
-            return f"); drift {drift.mean:.3g} % of {segment.length_m:.4g} m (mean"
-    return ""
+    longest = evaluation.longest
+    if longest is None:
+        return ""
+    drift = longest.statistics["position_percent"]
+    assert drift is not None
+    return f"); drift {drift.mean:.3g} % of {longest.length_m:.4g} m (mean"
 
 
 def _dropped(evaluation: Evaluation) -> str:

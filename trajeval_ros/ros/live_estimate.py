@@ -27,7 +27,7 @@ from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.timing import Latency
-from trajeval_ros.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.trajectory import NANOSECONDS, add_counts, judge_poses
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -144,7 +144,9 @@ class LiveEstimate:
             return None
         position, covariance = pose.positions[0], pose.covariances[0]
         # The first of a run may be zero, hence this one twice.
-        if not np.isfinite(position).all() or unknown_covariances(pose.covariances.repeat(2, 0)):
+        if not judge_poses(pose.positions)[0][0] or unknown_covariances(
+            pose.covariances.repeat(2, 0)
+        ):
             return None
         return int(pose.stamps[0]) + self._offset_ns, position, covariance[:3, :3]
 

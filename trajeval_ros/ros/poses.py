@@ -133,13 +133,9 @@ class PoseStream:
         for _, frame, child_frame in columns.frames:
             self._see_frames(frame, child_frame)
         stamps, states_ = columns.stamps, states(columns.positions, columns.quaternions)
-        if columns.quaternions is not None:
-            # `states` takes them for quaternions of no length, which are counted apart.
-            turned = np.isfinite(columns.quaternions).all(axis=1)
-            states_[~turned, POSITION] = np.nan
-            if columns.body_velocities is not None:
-                usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
-                states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
+        if columns.quaternions is not None and columns.body_velocities is not None:
+            usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
+            states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
         timed = stamps != 0  # a stamp that nobody has set
         told.drop("zero_stamp", int(np.count_nonzero(~timed)))
         return States(stamps[timed], states_[timed], columns.rows[timed])

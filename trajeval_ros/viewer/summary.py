@@ -163,11 +163,12 @@ def _rmse(evaluation: Evaluation, metric: str) -> float | None:
 
 
 def _drift(evaluation: Evaluation) -> str:
-    for segment in reversed(evaluation.segments or ()):
-        drift = segment.statistics["position_percent"]
-        if drift is not None:
-            return f"{drift.mean:.2f} % of {segment.length_m:.4g} m"
-    return NOTHING
+    longest = evaluation.longest
+    if longest is None:
+        return NOTHING
+    drift = longest.statistics["position_percent"]
+    assert drift is not None
+    return f"{drift.mean:.2f} % of {longest.length_m:.4g} m"
 
 
 def _verdict(consistency: Consistency | None) -> str:
