@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,6 +62,35 @@ def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
     fed(clock, *fly(1, 40.0, "static"))
     assert clock.report.status == "unobservable"
     assert clock.report.offset_s is None
+
+
+def still(like: Trajectory, place: float) -> Trajectory:
+    """Return poses that are exactly the same all the time."""
+    count = len(like.stamps)
+    return Trajectory.from_columns(
+        like.stamps, np.full((count, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    )
+
+
+@pytest.mark.parametrize("gauge", [Gauge.SE3, Gauge.YAW, Gauge.SIM3])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda truth, estimate: (still(truth, 0.0), still(estimate, 0.0)),
+        lambda truth, estimate: (still(truth, 2.0), still(estimate, 0.3)),
+        lambda truth, estimate: (truth, still(estimate, 0.0)),
+        lambda truth, estimate: (
+            truth,
+            dataclasses.replace(estimate, positions=1e200 * estimate.positions),
+        ),
+    ],
+    ids=["at rest at the origin", "at rest", "identity", "wild"],
+)
+def test_what_nothing_can_be_known_from_is_unobservable(gauge: Gauge, spoil: Any) -> None:
+    clock = OnlineClock(gauge)
+    fed(clock, *spoil(*fly(1, 40.0)))
+    assert clock.report.status == "unobservable"
+    assert clock.report.reason
 
 
 def test_positions_alone_have_a_clock_too() -> None:
