@@ -166,6 +166,25 @@ def test_a_signal_ends_it_with_everything_written(
     assert not {each for each in left if each.startswith(".")}
 
 
+def test_a_defect_is_told_and_what_was_paired_is_written(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    # In every tick from some time on, and so in the last one too.
+    (tmp_path / "sitecustomize.py").write_text(
+        "from trajeval_ros.online.clock import OnlineClock\n"
+        "def update(clock, *, at_end=False):\n"
+        "    return clock.span_s > 5.0 and 1 // 0\n"
+        "OnlineClock.update = update\n"
+    )
+    spoiled = {**environment, "PYTHONPATH": f"{tmp_path}:{environment['PYTHONPATH']}"}
+    with evaluating(tmp_path / "out", spoiled, gauge="yaw", lengths="8") as evaluator:
+        replay(flight, environment, "--rate", 8)
+        assert evaluator.process.wait(PATIENCE_S) == 1
+    assert "ZeroDivisionError" in evaluator.said
+    assert evaluator.run_of(ODOMETRY)["association"]["pairs"] == pairs_on_disk(evaluator) > 50
+    assert (evaluator.folder / "errors.npz").exists()
+
+
 def test_without_groundtruth_there_is_no_result(
     flight: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:

@@ -56,7 +56,13 @@ class EvaluatorNode(Node):  # type: ignore[misc]
     def finish(self) -> bool:
         """Evaluate what is left, and write everything; returns whether it was written."""
         self._line.clear()
-        self._run.drain(self._simulated_ns())
+        try:
+            self._run.drain(self._simulated_ns())
+        finally:
+            written = self._write()
+        return written
+
+    def _write(self) -> bool:
         for each in self._picture.close():
             self.get_logger().warning(each)
         troubles = self._run.close()
