@@ -17,6 +17,8 @@ from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.online.pairing import Limits
+from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.live_run import LiveRun
@@ -54,7 +56,13 @@ class Live:
     """A live run that is fed by hand."""
 
     def __init__(
-        self, folder: Path, kind: str, *, find_offset: bool = False, **words: Any
+        self,
+        folder: Path,
+        kind: str,
+        *,
+        find_offset: bool = False,
+        limits: Limits | None = None,
+        **words: Any,
     ) -> None:
         folder.mkdir(parents=True)
         self.folder = folder
@@ -63,22 +71,25 @@ class Live:
         self.run = LiveRun(
             cast("Side", self.truth),
             [cast("Side", self.estimate)],
-            OnlineSettings(protocol=protocol_from("default", **words)),
+            OnlineSettings(protocol=protocol_from("default", **words), limits=limits or Limits()),
             words,
             folder,
             find_offset=find_offset,
         )
         self._now_ns = 0
 
-    def feed(self, messages: Sequence[Message]) -> None:
-        """Let messages arrive together."""
+    def feed(self, messages: Sequence[Message]) -> list[Update]:
+        """Let messages arrive together; returns what was published of them."""
         for topic, _, logged, payload in messages:
             side = self.truth if topic == TRUTH else self.estimate
             side.queue.append(payload)
             self._now_ns = logged
         self.run.take(self._now_ns)
-        for estimate, _ in self.run.update():
+        updates = []
+        for estimate, update in self.run.update():
             estimate.digest()
+            updates.append(update)
+        return updates
 
     def end(self) -> None:
         self.run.conclude(self._now_ns)

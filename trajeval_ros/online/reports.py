@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from trajeval_ros.alignment import Alignment
 from trajeval_ros.online.relative import RelativeEnd, RunningErrors
@@ -26,6 +27,13 @@ class Update:
     position_m: float | None = None
     rotation_deg: float | None = None
     ends: tuple[RelativeEnd, ...] = ()
+
+
+def united(updates: Sequence[Update]) -> Update:
+    """Return several updates, in order, as one."""
+    newest = next((each for each in reversed(updates) if each.stamp is not None), Update())
+    ends = tuple(end for each in updates for end in each.ends)
+    return replace(newest, pairs=sum(each.pairs for each in updates), ends=ends)
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,15 +154,17 @@ class LiveRun:
     def _decide(self, *, at_end: bool = False) -> None:
         """Go on by one clock for all estimates, once that of the first is known, or a minute on.
 
-        Estimates with clocks of their own couldn't be ranked.
+        Estimates with clocks of their own couldn't be ranked. A path's clock is never known.
         """
-        known = self.estimates[0].clock.report
-        spent = max(each.clock.span_s for each in self.estimates) >= _DECISION_S
-        if not self.holds or not (known.is_significant or spent or at_end):
+        first = self.estimates[0]
+        known = first.clock.report
+        spent = max(each.held_s for each in self.estimates) >= _DECISION_S
+        settled = known.is_significant or first.revised is not None
+        if not self.holds or not (settled or spent or at_end):
             return
         self.holds = False
         offset_s = 0.0
-        name = self.estimates[0].name
+        name = first.name
         if known.is_significant and known.offset_s is not None:
             offset_s = known.offset_s
             self._about_clocks = (
@@ -170,7 +172,7 @@ class LiveRun:
                 f"{known.span_s:.0f} s of {name} (+- {known.half_width_95_s:.2g} s, 95 %)"
             )
         else:
-            self._about_clocks = f"no time offset is applied: that of {name} {known.reason}"
+            self._about_clocks = f"no time offset is applied ({name}: {known.reason})"
         self.words = {**self.words, "time_offset": offset_s}
         for each in self.estimates:
             each.release(offset_s)
