@@ -113,6 +113,29 @@ def test_a_publisher_may_change_its_quality_of_service(
     assert 0.0 < run["ate"]["position_m"]["rmse"] < 0.1
 
 
+def test_topics_that_are_exchanged_by_remapping_stay_so(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    exchanged = ["-r", f"{TRUTH}:={ODOMETRY}", "-r", f"{ODOMETRY}:={TRUTH}"]
+    with evaluating(tmp_path / "out", environment, *exchanged, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(ODOMETRY, PoseStamped),
+            "estimate": peer.publisher(TRUTH, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        assert evaluator.end() == 0
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+    truth, run = evaluator.result["groundtruth"], evaluator.run_of(TRUTH)
+    assert (truth["source"], truth["poses"]) == (ODOMETRY, 400)
+    assert run["estimate"]["poses"] == 80
+
+
 def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
     flight: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
