@@ -453,6 +453,22 @@ def test_what_cannot_be_live_is_refused_with_the_reason() -> None:
             Window.parse(text)
 
 
+@pytest.mark.parametrize("text", ["99999999999s", "1000000001m", "9" * 20, "9" * 400])
+def test_a_window_longer_than_any_run_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match="longer than 1e\\+09"):
+        Window.parse(text)
+
+
+@pytest.mark.parametrize("unit", ["s", "m", ""])
+def test_the_longest_window_is_the_whole_run(unit: str) -> None:
+    evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse(f"1000000000{unit}")))
+    groundtruth, estimate = make_pair(1, 200)
+    evaluator.add_groundtruth(groundtruth.stamps, rows_of(groundtruth))
+    evaluator.add_estimate(estimate.stamps, rows_of(estimate))
+    evaluator.update(at_end=True)
+    assert evaluator.snapshot().window_pairs == evaluator.pairs > 90
+
+
 @pytest.mark.parametrize("text", ["0", "30s", "50m", "500", "2.5m"])
 def test_windows_are_written_as_they_are_read(text: str) -> None:
     assert str(Window.parse(text)) == text
