@@ -17,7 +17,7 @@ from trajeval_ros.errors import absolute_errors
 from trajeval_ros.evaluation import evaluate_pairs
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
-from trajeval_ros.online.pairing import Limits, Pairs, states
+from trajeval_ros.online.pairing import Limits, PairingBuffer, Pairs, states
 from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import Window
 from trajeval_ros.protocol import PROTOCOLS
@@ -367,6 +367,37 @@ def test_what_waits_is_bounded_and_counted() -> None:
     assert snapshot.dropped == {"waited_too_long": 900}
     assert snapshot.alignment is None
     assert snapshot.warming_up == "no pair yet"
+
+
+def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
+    buffer = PairingBuffer()
+    stamps = (np.arange(3000) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(3000), np.zeros((3000, 2))]))
+    told = []
+    for _ in range(2):
+        for part in np.array_split(np.arange(3000), 600):
+            buffer.add_groundtruth(stamps[part], rows[part])
+            buffer.add_estimate(stamps[part], rows[part])
+            buffer.take()
+        told.append((buffer.groundtruth_path_m, buffer.groundtruth_time, buffer.groundtruth_count))
+    assert told[0] == (pytest.approx(59.98), int(stamps[-1]), 3000)
+    assert told[1] == told[0]
+    again = buffer.groundtruth_dropped
+    assert again["too_late"] + again["duplicate_stamp"] == 3000
+    assert sum(buffer.dropped.values()) == 3000
+
+
+def test_a_late_groundtruth_state_adds_no_path() -> None:
+    buffer = PairingBuffer(limits=Limits(groundtruth_s=1.0))
+    stamps = (np.arange(500) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(500), np.zeros((500, 2))]))
+    buffer.add_groundtruth(stamps, rows)
+    buffer.take()
+    buffer.add_groundtruth(stamps[:400] + 1, rows[:400])
+    buffer.take()
+    assert buffer.groundtruth_path_m == pytest.approx(0.02 * 499)
+    assert buffer.groundtruth_time == stamps[-1]
+    assert buffer.groundtruth_dropped == {"too_late": 400}
 
 
 @pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
