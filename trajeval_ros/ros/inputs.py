@@ -70,19 +70,23 @@ class TopicInput:
 
     Attributes:
         topic: Its name after remapping.
+        is_static: Whether it carries static transforms, which nobody needs to publish.
         type: Of its messages; empty until somebody publishes it.
         losses: Messages that were published and never arrived.
     """
 
-    def __init__(self, node: Node, topic: str, types: Sequence[str]) -> None:
+    def __init__(
+        self, node: Node, topic: str, types: Sequence[str], *, is_static: bool = False
+    ) -> None:
         """Begin to look for publishers.
 
         Args:
             node: Subscribes.
             topic: A name, as a user gives it.
             types: Those that can be read.
+            is_static: See the attribute.
         """
-        self.topic = node.resolve_topic_name(topic)
+        self.topic, self.is_static = node.resolve_topic_name(topic), is_static
         self.type = ""
         self.losses = Losses()
         # What a node is asked for it remaps itself; a name that is remapped already could become
@@ -99,7 +103,7 @@ class TopicInput:
         """Connect to the publishers that there are now; returns what to tell, mostly nothing."""
         publishers = publishers_of(self._node, self._name, self._types)
         if not publishers:
-            return self._remind()
+            return "" if self.is_static else self._remind()
         profile = matching(publishers)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
@@ -122,10 +126,6 @@ class TopicInput:
         offer = f"{profile.reliability.name.lower()}, {profile.durability.name.lower()}"
         verb = "subscribed anew" if again else "subscribed"
         return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
-
-    def match_silently(self) -> str:
-        """Connect likewise to a topic that nobody needs to publish."""
-        return self.match() if publishers_of(self._node, self._name, self._types) else ""
 
     def take(self) -> Taken:
         """Return what has arrived since the last call."""
