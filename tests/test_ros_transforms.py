@@ -10,6 +10,7 @@ from ros_bags import POSE, TRANSFORMS, Message, messages_of, transforms_message,
 from ros_processes import (
     TRUTH,
     Evaluator,
+    Peer,
     assert_same,
     evaluating,
     offline,
@@ -139,6 +140,25 @@ def test_static_transforms_may_be_beside_or_outside_a_namespace(
     recorded = offline(bag, tmp_path, TRUTH, [estimate], *options)
     assert recorded["runs"][0]["association"]["pairs"] > 300
     assert_same(evaluator.result, recorded)
+
+
+def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
+    flight: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from rclpy.serialization import deserialize_message
+    from tf2_msgs.msg import TFMessage
+
+    mounted = transforms_message(("base", "camera", 0, (0.1, 0.0, 0.05), (0.5, -0.5, 0.5, 0.5)))
+    publishers = [peer.publisher("/tf_static", TFMessage, latched=each) for each in (True, False)]
+    publishers[0].publish(deserialize_message(mounted, TFMessage))
+    with evaluating(
+        tmp_path / "out", environment, estimates=[ESTIMATE], gauge="yaw", lengths="none"
+    ) as evaluator:
+        replay(flight, environment, "--rate", 8, "--topic", TRUTH, "--topic", "/tf")
+        assert evaluator.end() == 0
+    for each in publishers:
+        peer.node.destroy_publisher(each)
+    assert evaluator.run_of(ESTIMATE)["association"]["pairs"] > 500
 
 
 def test_a_frame_that_is_not_there_is_named(

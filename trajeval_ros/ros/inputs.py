@@ -104,7 +104,7 @@ class TopicInput:
         publishers = publishers_of(self._node, self._name, self._types)
         if not publishers:
             return "" if self.is_static else self._remind()
-        profile = matching(publishers)
+        profile = matching(publishers, is_static=self.is_static)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
         joined = len(publishers) > max(1, self._publishers)
