@@ -13,13 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message, write_messages
-from ros_processes import assert_same, offline
+from ros_processes import assert_same, offline, until
 from strategies import make_pair, seeds
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.ros.folder import Finisher
 from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.poses import PoseStream
@@ -240,6 +241,28 @@ def test_a_folder_without_a_run_is_one_sentence(
     assert said.out == ""
     assert said.err.count("\n") <= 3
     assert complaint in " ".join(said.err.split())
+
+
+def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, folder = tmp_path / "program", tmp_path / "out"
+    folder.mkdir()
+    program.write_text(
+        '#!/bin/sh\ncase "$*" in *--json*)\n'
+        f'touch "{folder}/.result.json.$$.part" "{folder}/.other.json.1.part"\n'
+        "exec sleep 600;; esac\necho trajeval: full >&2\nexit 2\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(program))
+    finisher = Finisher(folder)
+    finisher.save()
+    until(lambda: len(list(folder.iterdir())) == 2, "it writes")
+    finisher.finish_alone()
+    assert [each.name for each in folder.iterdir()] == [".other.json.1.part"]
+    assert finisher.is_busy
+    until(finisher.poll, "all is written, or not")
+    assert finisher.trouble == "full"
 
 
 def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

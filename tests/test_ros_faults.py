@@ -208,6 +208,32 @@ def test_a_defect_is_told_and_what_was_paired_is_written(
     assert (evaluator.folder / "errors.npz").exists()
 
 
+def test_a_reset_subscribes_at_once_and_tells_of_results_that_can_t_be_written(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from std_srvs.srv import Trigger
+
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(TRUTH, PoseStamped),
+            "estimate": peer.publisher(ODOMETRY, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        (evaluator.folder / "errors.npz").mkdir()
+        told = f"subscribed to {TRUTH}"
+        assert evaluator.said.count(told) == 1
+        assert peer.ask("/evaluator/reset", Trigger).success
+        assert evaluator.said.count(told) == 2
+        evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")
+        evaluator.end()
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+
+
 def test_without_groundtruth_there_is_no_result(
     flight: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:

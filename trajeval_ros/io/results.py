@@ -287,13 +287,18 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
+def temporary_name(name: str, process: int) -> str:
+    """Return what a file is called while a process, by its number, writes it."""
+    return f".{name}.{process}.part"
+
+
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` make a file under a temporary name beside `path`, then give it that name.
 
     Raises:
         InputError: The file can't be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(temporary_name(path.name, os.getpid()))
     try:
         write(temporary)
         temporary.replace(path)

@@ -15,7 +15,7 @@ from trajeval_ros.online.jumps import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.diagnostics import diagnose
-from trajeval_ros.ros.folder import make_folder
+from trajeval_ros.ros.folder import Finisher, make_folder
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.outputs import Outputs
@@ -48,6 +48,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._snapshot_at = 0.0
         self._saved_at = time.monotonic()
         self._saved = Future()
+        self._ended: list[Finisher] = []  # of runs before a reset, still writing
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
@@ -131,9 +132,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def report(self) -> None:
         """Match publishers, look for jumps, and publish what is about the window."""
-        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
-            for each in side.match():
-                self._log(each, warn=not each.startswith("subscribed"))
+        self._match()
         for estimate in self._run.estimates:
             for jump in estimate.digest():
                 self._tell_of_jump(estimate, jump)
@@ -160,6 +159,11 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 )
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
+
+    def _match(self) -> None:
+        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
+            for each in side.match():
+                self._log(each, warn=not each.startswith("subscribed"))
 
     def tell(self) -> None:
         """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
@@ -204,6 +208,10 @@ class EvaluatorNode(Node):  # type: ignore[misc]
     def _autosave(self) -> None:
         if self._run.finisher.poll():
             self._tell_saved()
+        for each in self._ended:
+            if each.poll() and each.trouble:
+                self._log(f"results can't be written to {each.folder}: {each.trouble}", warn=True)
+        self._ended = [each for each in self._ended if each.is_busy]
         period = self._values["autosave_period"]
         if period and time.monotonic() >= self._saved_at + period and self._run.finisher.is_due:
             self._begin_to_save()
@@ -235,8 +243,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             response.message = self._why_no_pair()
             return response
         await self._saved
+        result = finisher.folder / "result.json"
+        if finisher is not self._run.finisher:
+            response.message = f"~/reset came before {result} was written, which it is now"
+            return response
         response.success = not finisher.trouble
-        response.message = finisher.trouble or str(finisher.folder / "result.json")
+        response.message = finisher.trouble or str(result)
         return response
 
     def _reset(self, request: Any, response: Any) -> Any:
@@ -253,10 +265,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._log(trouble, warn=True)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
+        self._match()
         self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
         if ended.has_pairs:
             ended.finisher.finish_alone()
+            self._ended.append(ended.finisher)
         self._tell_saved()
         response.success = True
         response.message = (
