@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -241,6 +242,30 @@ def test_a_folder_without_a_run_is_one_sentence(
     assert said.out == ""
     assert said.err.count("\n") <= 3
     assert complaint in " ".join(said.err.split())
+
+
+def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
+    pair = make_pair(8, COUNT, smooth=True)
+    count = len(pair.estimate)
+    undated = dataclasses.replace(pair.estimate, stamps=np.zeros(count, np.int64))
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages_of(pair.groundtruth, TRUTH, POSE))
+    feed = messages_of(undated, ESTIMATE, ODOM)
+    stream = live.estimate.stream
+    live.feed(feed[:9])
+    assert stream.trouble == ""
+    live.feed(feed[9:10])
+    assert stream.trouble == "/vio: no message gives a pose: 10 zero stamp"
+    live.feed(feed[10:])
+    assert stream.news == ["/vio: no message gives a pose: 10 zero stamp"]
+    assert live.run.why_no_pair().endswith(
+        f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
+    )
+    live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))
+    assert stream.trouble == ""
+    live.feed(feed[:1])  # one of them among others
+    assert stream.trouble == ""
+    live.end()
 
 
 def test_what_is_being_written_is_given_up_when_all_is_to_be_written(

@@ -50,8 +50,10 @@ def pairs_on_disk(evaluator: Evaluator) -> int:
     return len(read_pairs(file).stamps)
 
 
-def publish(publishers: dict[str, Any], begin_s: float, seconds: float) -> None:
-    """Publish a groundtruth and an estimate that goes in circles with it."""
+def publish(
+    publishers: dict[str, Any], begin_s: float, seconds: float, *, dated: bool = True
+) -> None:
+    """Publish a groundtruth and an estimate, with its stamps or without, that circles with it."""
     from geometry_msgs.msg import PoseStamped
 
     for step in range(round(seconds * 100)):
@@ -65,6 +67,8 @@ def publish(publishers: dict[str, Any], begin_s: float, seconds: float) -> None:
         publishers["truth"].publish(message)
         if step % 5 == 0:
             place.x += 0.1 * np.sin(2.0 * t)
+            if not dated:
+                message.header.stamp.sec = message.header.stamp.nanosec = 0
             publishers["estimate"].publish(message)
 
 
@@ -245,6 +249,37 @@ def test_without_groundtruth_there_is_no_result(
     assert len(told) == 1
     assert re.search(rf"0 poses on {TRUTH}, 1\d\d poses on {ODOMETRY}", told[0])
     assert not (evaluator.folder / "result.json").exists()
+
+
+def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseStamped
+
+    told = peer.hear("/diagnostics", DiagnosticArray)
+
+    def newest() -> Any:
+        return told[-1].status[0] if told and told[-1].status else None
+
+    trouble = f"{ODOMETRY}: no message gives a pose: 80 zero stamp"
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(TRUTH, PoseStamped),
+            "estimate": peer.publisher(ODOMETRY, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0, dated=False)
+        peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
+        values = {each.key: each.value for each in newest().values}
+        assert newest().level == b"\x01"
+        assert values["dropped"] == "80 zero stamp"
+        assert evaluator.end() == 2
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+    assert evaluator.said.count("no message gives a pose") == 1
+    assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from trajeval_ros.diagnosis import reasons
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
 from trajeval_ros.online.reports import Update
@@ -146,6 +147,31 @@ class LiveRun:
         sides = (self.groundtruth, estimate.side)
         return next((each.source for each in sides if each.silent_s is None), "")
 
+    def groundtruth_dropped(self, estimate: LiveEstimate) -> dict[str, int]:
+        """Return the number of groundtruth states that an estimate can't use, by reason."""
+        return add_counts(
+            self.groundtruth.stream.told.dropped, estimate.evaluator.buffer.groundtruth_dropped
+        )
+
+    def why_no_pair(self) -> str:
+        """Return what has come instead of what makes pairs."""
+        dropped = [
+            self.groundtruth_dropped(self.estimates[0]),
+            *(
+                add_counts(each.stream.told.dropped, each.evaluator.buffer.dropped)
+                for each in self.estimates
+            ),
+        ]
+        sides = [self.groundtruth, *(each.side for each in self.estimates)]
+        counts = [
+            f"{side.stream.told.poses} poses on {side.source}"
+            + (f" ({reasons(of)})" if of else "")
+            for side, of in zip(sides, dropped, strict=True)
+        ]
+        return "no pair of estimate and groundtruth was made, so there is no result: " + ", ".join(
+            counts
+        )
+
     @property
     def has_pairs(self) -> bool:
         """Whether there is anything to evaluate."""
@@ -194,7 +220,7 @@ class LiveRun:
                 "time_without_gaps_ns": buffer.groundtruth_time,
                 "frame": truth.frame,
                 "child_frame": truth.child_frame,
-                "dropped": add_counts(truth.dropped, buffer.groundtruth_dropped),
+                "dropped": self.groundtruth_dropped(estimate),
                 "notes": list(truth.notes),
             },
             "live": {

@@ -70,7 +70,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for each in troubles:
             self.get_logger().error(each)
         if not self._run.has_pairs:
-            self.get_logger().error(self._why_no_pair())
+            self.get_logger().error(self._run.why_no_pair())
             return False
         return self._run.finisher.finish(quiet=False) and not troubles
 
@@ -240,7 +240,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             await self._saved
         finisher = self._run.finisher
         if not self._begin_to_save():
-            response.message = self._why_no_pair()
+            response.message = self._run.why_no_pair()
             return response
         await self._saved
         result = finisher.folder / "result.json"
@@ -329,16 +329,6 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             f"{seconds(jump.stamp)}: has it restarted with a new origin? One alignment can't fit "
             "the parts on both sides; ~/reset begins anew",
             warn=True,
-        )
-
-    def _why_no_pair(self) -> str:
-        run = self._run
-        counts = [
-            f"{each.stream.told.poses} poses on {each.source}"
-            for each in (run.groundtruth, *(other.side for other in run.estimates))
-        ]
-        return "no pair of estimate and groundtruth was made, so there is no result: " + ", ".join(
-            counts
         )
 
     def _warn_of_unknown_parameters(self) -> None:
