@@ -245,6 +245,21 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     assert rotation.mean == pytest.approx(errors.rotation_deg.mean(), rel=1e-9)
 
 
+def test_groundtruth_coverage_is_of_the_whole_run_or_not_told() -> None:
+    groundtruth, estimate = make_pair(5, 600)
+    whole, sliding, later = (
+        OnlineEvaluator(OnlineSettings(window=Window.parse(text))) for text in ("0", "2s", "2s")
+    )
+    for each in (whole, sliding, later):
+        feed(each, groundtruth, estimate)
+    later.change(whole.settings)
+    recorded = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association
+    coverage = whole.snapshot().groundtruth_coverage
+    assert coverage == pytest.approx(recorded.groundtruth_coverage, rel=1e-9)
+    assert sliding.snapshot().groundtruth_coverage is None
+    assert later.snapshot().groundtruth_coverage is None
+
+
 def test_memory_does_not_grow_with_the_run() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse("10s")))
     sizes = []

@@ -325,7 +325,9 @@ class OnlineEvaluator:
         return self._count / states if states else None
 
     def _groundtruth_coverage(self) -> float | None:
-        if not self.buffer.groundtruth_count:
+        """Return it if the store has all pairs; of the newest ones it would fall all the time."""
+        is_whole = self.settings.window.is_whole_run and not self.store.begin
+        if not is_whole or not self.buffer.groundtruth_count:
             return None
         return coverage_of(
             self.store.stamps(),

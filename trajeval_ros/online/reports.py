@@ -50,7 +50,8 @@ class Snapshot:
         window_pairs: Number of pairs in the window.
         relative: Errors of sub-trajectories so far, by length.
         estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
-        groundtruth_coverage: Share of the groundtruth's time that the window's store spans.
+        groundtruth_coverage: Share of the groundtruth's time that pairs span; None unless the
+            window is the whole run, and has been so from the beginning.
         dropped: Estimated states in no pair, by reason.
         waiting: Estimated states that wait for groundtruth.
     """
