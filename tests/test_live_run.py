@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -18,6 +20,7 @@ from ros_processes import assert_same, offline, until
 from strategies import make_pair, seeds
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.io import pair_file
 from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
@@ -207,6 +210,27 @@ def _pairs_of(feed: Sequence[Message], folder: Path) -> int:
     live = Live(folder / "alone", ODOM)
     live.feed(feed)
     return live.run.estimates[0].evaluator.pairs
+
+
+def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    first, rest = messages(6)[:120], messages(6)[120:]
+    with monkeypatch.context() as patch:
+        patch.setattr(pair_file, "_MOST_WAITING", 2000)
+        patch.setattr("os.write", full)
+        for batch in batches(first, range(5, 120, 5)):
+            live.feed(batch)
+    live.feed(rest)
+    live.end()
+    [run] = live.result["runs"]
+    [told] = [each for each in run["warnings"] if "pairs are missing" in each]
+    assert told.endswith("since the disk took no more: no space left on device")
+
+
+def full(*_: object) -> int:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Path) -> None:

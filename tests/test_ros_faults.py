@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import shutil
 import signal
@@ -280,6 +281,43 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
             peer.node.destroy_publisher(each)
     assert evaluator.said.count("no message gives a pose") == 1
     assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
+
+
+def test_save_tells_why_a_path_can_t_be_written(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path as PathMessage
+    from std_srvs.srv import Trigger
+
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        slam = PathSender(peer.publisher(ODOMETRY, PathMessage))
+        truth = peer.publisher(TRUTH, PoseStamped)
+        for each in (slam.publisher, truth):
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish({"truth": truth, "estimate": slam}, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        (evaluator.folder / "vio_odometry.revised.npz").mkdir()
+        saved = peer.ask("/evaluator/save", Trigger)
+        assert not saved.success
+        assert "vio_odometry.revised.npz can't be written: is a directory" in saved.message
+        evaluator.end()
+        for each in (slam.publisher, truth):
+            peer.node.destroy_publisher(each)
+
+
+class PathSender:
+    """Publishes poses as a path that grows."""
+
+    def __init__(self, publisher: Any) -> None:
+        from nav_msgs.msg import Path as PathMessage
+
+        self.publisher, self._path = publisher, PathMessage()
+
+    def publish(self, pose: Any) -> None:
+        self._path.header = pose.header
+        self._path.poses.append(copy.deepcopy(pose))
+        self.publisher.publish(self._path)
 
 
 @pytest.fixture

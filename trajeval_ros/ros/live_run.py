@@ -99,19 +99,16 @@ class LiveRun:
         for each in self.estimates:
             each.write_state(self._state(each))
 
-    def save(self) -> bool:
-        """Begin to write result.json; returns whether that is possible by now.
+    def save(self) -> None:
+        """Begin to write result.json; there are pairs, and nothing is being written.
 
         Raises:
             InputError: The disk takes no more.
         """
-        if not self.has_pairs or self.finisher.is_busy:
-            return False
         self.write_states()
         for each in self.estimates:
             each.write_revised()
         self.finisher.save()
-        return True
 
     def drain(self, now_ns: int | None) -> None:
         """Take and evaluate the last messages, those still on their way included."""
@@ -248,7 +245,7 @@ class LiveRun:
         if estimate.writer.lost:
             warnings.append(
                 f"{estimate.writer.lost} pairs are missing, since the disk took no more: "
-                f"{estimate.writer.trouble}"
+                f"{estimate.writer.why_lost}"
             )
         return warnings
 

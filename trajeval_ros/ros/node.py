@@ -216,15 +216,17 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         if period and time.monotonic() >= self._saved_at + period and self._run.finisher.is_due:
             self._begin_to_save()
 
-    def _begin_to_save(self) -> bool:
+    def _begin_to_save(self) -> str:
+        """Begin to write result.json; returns why it can't be written, empty if it can."""
+        if not self._run.has_pairs:
+            return self._run.why_no_pair()
+        self._saved_at = time.monotonic()
         try:
-            begun = self._run.save()
+            self._run.save()
         except TrajevalError as error:
             self._log(str(error), warn=True)
-            begun = False
-        if begun:
-            self._saved_at = time.monotonic()
-        return begun
+            return str(error)
+        return ""
 
     def _tell_saved(self) -> None:
         """Let those go on who wait until something is written."""
@@ -239,8 +241,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         while self._run.finisher.is_busy:  # with what was there before the newest pairs
             await self._saved
         finisher = self._run.finisher
-        if not self._begin_to_save():
-            response.message = self._run.why_no_pair()
+        response.message = self._begin_to_save()
+        if response.message:
             return response
         await self._saved
         result = finisher.folder / "result.json"
