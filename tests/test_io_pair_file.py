@@ -206,6 +206,22 @@ def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
         writer.close()
 
 
+def test_why_pairs_were_lost_is_known_when_the_disk_is_well_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pair_file, "_MOST_WAITING", 1200)
+    writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
+    disk = Disk(0)
+    monkeypatch.setattr(os, "write", disk)
+    for place in range(4):
+        writer.append(*chunk(place, 3))
+    disk.room = 10**6
+    writer.write()
+    assert (writer.trouble, writer.lost) == ("", 6)
+    assert writer.why_lost == "no space left on device"
+    writer.close()
+
+
 def test_a_disk_that_is_full_from_the_start_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from calibration_flights import Fault, fly
-from ros_bags import ODOM, POSE, Message, messages_of, write_messages
+from ros_bags import ODOM, PATH, POSE, Message, messages_of, write_messages
 from ros_processes import assert_same, offline
-from test_live_run import ESTIMATE, TRUTH, Live
+from strategies import make_pair
+from test_live_run import ESTIMATE, TRUTH, Live, path_messages
 
 from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.online.clock import ClockReport, OnlineClock
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.pairing import Limits, states
 from trajeval_ros.trajectory import Trajectory
 
 
@@ -61,6 +63,35 @@ def test_nothing_is_said_too_early_or_of_what_doesn_t_move() -> None:
     fed(clock, *fly(1, 40.0, "static"))
     assert clock.report.status == "unobservable"
     assert clock.report.offset_s is None
+
+
+def still(like: Trajectory, place: float) -> Trajectory:
+    """Return poses that are exactly the same all the time."""
+    count = len(like.stamps)
+    return Trajectory.from_columns(
+        like.stamps, np.full((count, 3), place), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    )
+
+
+@pytest.mark.parametrize("gauge", [Gauge.SE3, Gauge.YAW, Gauge.SIM3])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda truth, estimate: (still(truth, 0.0), still(estimate, 0.0)),
+        lambda truth, estimate: (still(truth, 2.0), still(estimate, 0.3)),
+        lambda truth, estimate: (truth, still(estimate, 0.0)),
+        lambda truth, estimate: (
+            truth,
+            dataclasses.replace(estimate, positions=1e200 * estimate.positions),
+        ),
+    ],
+    ids=["at rest at the origin", "at rest", "identity", "wild"],
+)
+def test_what_nothing_can_be_known_from_is_unobservable(gauge: Gauge, spoil: Any) -> None:
+    clock = OnlineClock(gauge)
+    fed(clock, *spoil(*fly(1, 40.0)))
+    assert clock.report.status == "unobservable"
+    assert clock.report.reason
 
 
 def test_positions_alone_have_a_clock_too() -> None:
@@ -150,6 +181,83 @@ def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
     (found,) = live.result["runs"]
     assert found["association"]["time_offset_s"] == 0.0
     assert any("no time offset is applied" in each for each in found["warnings"])
+
+
+def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
+    pair = make_pair(3, 160, smooth=True)
+    feed = [
+        *messages_of(pair.groundtruth, TRUTH, POSE),
+        *path_messages(pair.estimate, 7),
+    ]
+    feed.sort(key=lambda each: each[2])
+    write_messages(tmp_path / "bag", feed)
+    live = Live(tmp_path / "live", PATH, find_offset=True)
+    live.feed(feed[:100])
+    assert not live.run.holds
+    assert live.run.has_pairs
+    live.feed(feed[100:])
+    live.end()
+    (found,) = live.result["runs"]
+    assert any(
+        "no time offset is applied (vio: a path is revised" in each for each in found["warnings"]
+    )
+    options = ("--gauge", "yaw", "--lengths", "2,4")
+    (recorded,) = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *options)["runs"]
+    assert_same(found["ate"], recorded["ate"])
+
+
+def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
+    feed = messages(0.1, 140.0)
+    later = feed[0][2] + 100 * 10**9
+    feed = [each for each in feed if each[0] == TRUTH or each[2] > later]
+    write_messages(tmp_path / "bag", feed)
+    live = Live(tmp_path / "live", ODOM, find_offset=True)
+    alone = [each for each in feed if each[2] < later]
+    for part in np.array_split(np.arange(len(alone)), 100):
+        live.feed([alone[row] for row in part])
+    assert live.run.holds
+    assert live.run.estimates[0].held_s == 0.0
+    live.feed(feed[len(alone) :])
+    assert not live.run.holds
+    live.end()
+    (found,) = live.result["runs"]
+    offset_s = found["association"]["time_offset_s"]
+    assert offset_s == pytest.approx(0.1, abs=5e-3)
+    options = ("--time-offset", repr(offset_s), "--gauge", "yaw", "--lengths", "2,4")
+    recorded = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *options)["runs"][0]
+    assert_same({**found, "warnings": []}, {**recorded, "warnings": []})
+
+
+@pytest.mark.parametrize("alone", [TRUTH, ESTIMATE])
+def test_no_side_is_waited_for_longer_than_a_minute(tmp_path: Path, alone: str) -> None:
+    feed = messages(0.1, 70.0)
+    begin = next(each[2] for each in feed if each[0] == ESTIMATE) + 5 * 10**9
+    live = run(
+        tmp_path / "live",
+        [each for each in feed if each[0] == alone or each[2] < begin],
+        find_offset=True,
+    )
+    assert not live.run.holds
+    live.end()
+    (found,) = live.result["runs"]
+    assert any("no time offset is applied (vio: " in each for each in found["warnings"])
+
+
+def test_nothing_of_what_is_held_is_dropped(tmp_path: Path) -> None:
+    feed = messages(0.0, 62.0)
+    live = Live(tmp_path / "live", ODOM, find_offset=True, limits=Limits(waiting_states=300))
+    updates = [
+        update
+        for part in np.array_split(np.arange(len(feed)), 100)
+        for update in live.feed([feed[row] for row in part])
+    ]
+    assert not live.run.holds
+    live.end()
+    (found,) = live.result["runs"]
+    assert found["association"]["pairs"] > 1200
+    assert found["association"]["dropped"] == {}
+    ends = [end.stamp for update in updates for end in update.ends]
+    assert min(ends) < feed[0][2] + 20 * 10**9
 
 
 def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path) -> None:

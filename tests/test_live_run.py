@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import errno
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -13,11 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message, write_messages
-from ros_processes import assert_same, offline
+from ros_processes import assert_same, offline, until
 from strategies import make_pair, seeds
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.io import pair_file
+from trajeval_ros.online.pairing import Limits
+from trajeval_ros.online.reports import Update
 from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.ros.folder import Finisher
 from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.poses import PoseStream
@@ -54,7 +61,13 @@ class Live:
     """A live run that is fed by hand."""
 
     def __init__(
-        self, folder: Path, kind: str, *, find_offset: bool = False, **words: Any
+        self,
+        folder: Path,
+        kind: str,
+        *,
+        find_offset: bool = False,
+        limits: Limits | None = None,
+        **words: Any,
     ) -> None:
         folder.mkdir(parents=True)
         self.folder = folder
@@ -63,22 +76,25 @@ class Live:
         self.run = LiveRun(
             cast("Side", self.truth),
             [cast("Side", self.estimate)],
-            OnlineSettings(protocol=protocol_from("default", **words)),
+            OnlineSettings(protocol=protocol_from("default", **words), limits=limits or Limits()),
             words,
             folder,
             find_offset=find_offset,
         )
         self._now_ns = 0
 
-    def feed(self, messages: Sequence[Message]) -> None:
-        """Let messages arrive together."""
+    def feed(self, messages: Sequence[Message]) -> list[Update]:
+        """Let messages arrive together; returns what was published of them."""
         for topic, _, logged, payload in messages:
             side = self.truth if topic == TRUTH else self.estimate
             side.queue.append(payload)
             self._now_ns = logged
         self.run.take(self._now_ns)
-        for estimate, _ in self.run.update():
+        updates = []
+        for estimate, update in self.run.update():
             estimate.digest()
+            updates.append(update)
+        return updates
 
     def end(self) -> None:
         self.run.conclude(self._now_ns)
@@ -196,6 +212,27 @@ def _pairs_of(feed: Sequence[Message], folder: Path) -> int:
     return live.run.estimates[0].evaluator.pairs
 
 
+def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    first, rest = messages(6)[:120], messages(6)[120:]
+    with monkeypatch.context() as patch:
+        patch.setattr(pair_file, "_MOST_WAITING", 2000)
+        patch.setattr("os.write", full)
+        for batch in batches(first, range(5, 120, 5)):
+            live.feed(batch)
+    live.feed(rest)
+    live.end()
+    [run] = live.result["runs"]
+    [told] = [each for each in run["warnings"] if "pairs are missing" in each]
+    assert told.endswith("since the disk took no more: no space left on device")
+
+
+def full(*_: object) -> int:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     live.feed(messages(7))
@@ -229,6 +266,52 @@ def test_a_folder_without_a_run_is_one_sentence(
     assert said.out == ""
     assert said.err.count("\n") <= 3
     assert complaint in " ".join(said.err.split())
+
+
+def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
+    pair = make_pair(8, COUNT, smooth=True)
+    count = len(pair.estimate)
+    undated = dataclasses.replace(pair.estimate, stamps=np.zeros(count, np.int64))
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages_of(pair.groundtruth, TRUTH, POSE))
+    feed = messages_of(undated, ESTIMATE, ODOM)
+    stream = live.estimate.stream
+    live.feed(feed[:9])
+    assert stream.trouble == ""
+    live.feed(feed[9:10])
+    assert stream.trouble == "/vio: no message gives a pose: 10 zero stamp"
+    live.feed(feed[10:])
+    assert stream.news == ["/vio: no message gives a pose: 10 zero stamp"]
+    assert live.run.why_no_pair().endswith(
+        f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
+    )
+    live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))
+    assert stream.trouble == ""
+    live.feed(feed[:1])  # one of them among others
+    assert stream.trouble == ""
+    live.end()
+
+
+def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, folder = tmp_path / "program", tmp_path / "out"
+    folder.mkdir()
+    program.write_text(
+        '#!/bin/sh\ncase "$*" in *--json*)\n'
+        f'touch "{folder}/.result.json.$$.part" "{folder}/.other.json.1.part"\n'
+        "exec sleep 600;; esac\necho trajeval: full >&2\nexit 2\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(program))
+    finisher = Finisher(folder)
+    finisher.save()
+    until(lambda: len(list(folder.iterdir())) == 2, "it writes")
+    finisher.finish_alone()
+    assert [each.name for each in folder.iterdir()] == [".other.json.1.part"]
+    assert finisher.is_busy
+    until(finisher.poll, "all is written, or not")
+    assert finisher.trouble == "full"
 
 
 def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from trajeval_ros.errors import absolute_errors
 from trajeval_ros.evaluation import evaluate_pairs
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
-from trajeval_ros.online.pairing import Limits, Pairs, states
+from trajeval_ros.online.pairing import Limits, PairingBuffer, Pairs, states
 from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import Window
 from trajeval_ros.protocol import PROTOCOLS
@@ -245,6 +245,21 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     assert rotation.mean == pytest.approx(errors.rotation_deg.mean(), rel=1e-9)
 
 
+def test_groundtruth_coverage_is_of_the_whole_run_or_not_told() -> None:
+    groundtruth, estimate = make_pair(5, 600)
+    whole, sliding, later = (
+        OnlineEvaluator(OnlineSettings(window=Window.parse(text))) for text in ("0", "2s", "2s")
+    )
+    for each in (whole, sliding, later):
+        feed(each, groundtruth, estimate)
+    later.change(whole.settings)
+    recorded = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association
+    coverage = whole.snapshot().groundtruth_coverage
+    assert coverage == pytest.approx(recorded.groundtruth_coverage, rel=1e-9)
+    assert sliding.snapshot().groundtruth_coverage is None
+    assert later.snapshot().groundtruth_coverage is None
+
+
 def test_memory_does_not_grow_with_the_run() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse("10s")))
     sizes = []
@@ -369,6 +384,37 @@ def test_what_waits_is_bounded_and_counted() -> None:
     assert snapshot.warming_up == "no pair yet"
 
 
+def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
+    buffer = PairingBuffer()
+    stamps = (np.arange(3000) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(3000), np.zeros((3000, 2))]))
+    told = []
+    for _ in range(2):
+        for part in np.array_split(np.arange(3000), 600):
+            buffer.add_groundtruth(stamps[part], rows[part])
+            buffer.add_estimate(stamps[part], rows[part])
+            buffer.take()
+        told.append((buffer.groundtruth_path_m, buffer.groundtruth_time, buffer.groundtruth_count))
+    assert told[0] == (pytest.approx(59.98), int(stamps[-1]), 3000)
+    assert told[1] == told[0]
+    again = buffer.groundtruth_dropped
+    assert again["too_late"] + again["duplicate_stamp"] == 3000
+    assert sum(buffer.dropped.values()) == 3000
+
+
+def test_a_late_groundtruth_state_adds_no_path() -> None:
+    buffer = PairingBuffer(limits=Limits(groundtruth_s=1.0))
+    stamps = (np.arange(500) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(500), np.zeros((500, 2))]))
+    buffer.add_groundtruth(stamps, rows)
+    buffer.take()
+    buffer.add_groundtruth(stamps[:400] + 1, rows[:400])
+    buffer.take()
+    assert buffer.groundtruth_path_m == pytest.approx(0.02 * 499)
+    assert buffer.groundtruth_time == stamps[-1]
+    assert buffer.groundtruth_dropped == {"too_late": 400}
+
+
 @pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
 def test_a_snapshot_before_the_first_pair_has_no_errors(window: str) -> None:
     snapshot = OnlineEvaluator(OnlineSettings(window=Window.parse(window))).snapshot()
@@ -451,6 +497,22 @@ def test_what_cannot_be_live_is_refused_with_the_reason() -> None:
     for text in ("", "-5s", "5 km", "5s5"):
         with pytest.raises(SettingsError, match="no window"):
             Window.parse(text)
+
+
+@pytest.mark.parametrize("text", ["99999999999s", "1000000001m", "9" * 20, "9" * 400])
+def test_a_window_longer_than_any_run_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match="longer than 1e\\+09"):
+        Window.parse(text)
+
+
+@pytest.mark.parametrize("unit", ["s", "m", ""])
+def test_the_longest_window_is_the_whole_run(unit: str) -> None:
+    evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse(f"1000000000{unit}")))
+    groundtruth, estimate = make_pair(1, 200)
+    evaluator.add_groundtruth(groundtruth.stamps, rows_of(groundtruth))
+    evaluator.add_estimate(estimate.stamps, rows_of(estimate))
+    evaluator.update(at_end=True)
+    assert evaluator.snapshot().window_pairs == evaluator.pairs > 90
 
 
 @pytest.mark.parametrize("text", ["0", "30s", "50m", "500", "2.5m"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import shutil
 import signal
@@ -50,8 +51,10 @@ def pairs_on_disk(evaluator: Evaluator) -> int:
     return len(read_pairs(file).stamps)
 
 
-def publish(publishers: dict[str, Any], begin_s: float, seconds: float) -> None:
-    """Publish a groundtruth and an estimate that goes in circles with it."""
+def publish(
+    publishers: dict[str, Any], begin_s: float, seconds: float, *, dated: bool = True
+) -> None:
+    """Publish a groundtruth and an estimate, with its stamps or without, that circles with it."""
     from geometry_msgs.msg import PoseStamped
 
     for step in range(round(seconds * 100)):
@@ -65,6 +68,8 @@ def publish(publishers: dict[str, Any], begin_s: float, seconds: float) -> None:
         publishers["truth"].publish(message)
         if step % 5 == 0:
             place.x += 0.1 * np.sin(2.0 * t)
+            if not dated:
+                message.header.stamp.sec = message.header.stamp.nanosec = 0
             publishers["estimate"].publish(message)
 
 
@@ -111,6 +116,29 @@ def test_a_publisher_may_change_its_quality_of_service(
     assert run["association"]["pairs"] == 160
     assert run["live"]["messages_lost"] == 0
     assert 0.0 < run["ate"]["position_m"]["rmse"] < 0.1
+
+
+def test_topics_that_are_exchanged_by_remapping_stay_so(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    exchanged = ["-r", f"{TRUTH}:={ODOMETRY}", "-r", f"{ODOMETRY}:={TRUTH}"]
+    with evaluating(tmp_path / "out", environment, *exchanged, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(ODOMETRY, PoseStamped),
+            "estimate": peer.publisher(TRUTH, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        assert evaluator.end() == 0
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+    truth, run = evaluator.result["groundtruth"], evaluator.run_of(TRUTH)
+    assert (truth["source"], truth["poses"]) == (ODOMETRY, 400)
+    assert run["estimate"]["poses"] == 80
 
 
 def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
@@ -166,6 +194,51 @@ def test_a_signal_ends_it_with_everything_written(
     assert not {each for each in left if each.startswith(".")}
 
 
+def test_a_defect_is_told_and_what_was_paired_is_written(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    # In every tick from some time on, and so in the last one too.
+    (tmp_path / "sitecustomize.py").write_text(
+        "from trajeval_ros.online.clock import OnlineClock\n"
+        "def update(clock, *, at_end=False):\n"
+        "    return clock.span_s > 5.0 and 1 // 0\n"
+        "OnlineClock.update = update\n"
+    )
+    spoiled = {**environment, "PYTHONPATH": f"{tmp_path}:{environment['PYTHONPATH']}"}
+    with evaluating(tmp_path / "out", spoiled, gauge="yaw", lengths="8") as evaluator:
+        replay(flight, environment, "--rate", 8)
+        assert evaluator.process.wait(PATIENCE_S) == 1
+    assert "ZeroDivisionError" in evaluator.said
+    assert evaluator.run_of(ODOMETRY)["association"]["pairs"] == pairs_on_disk(evaluator) > 50
+    assert (evaluator.folder / "errors.npz").exists()
+
+
+def test_a_reset_subscribes_at_once_and_tells_of_results_that_can_t_be_written(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from std_srvs.srv import Trigger
+
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(TRUTH, PoseStamped),
+            "estimate": peer.publisher(ODOMETRY, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        (evaluator.folder / "errors.npz").mkdir()
+        told = f"subscribed to {TRUTH}"
+        assert evaluator.said.count(told) == 1
+        assert peer.ask("/evaluator/reset", Trigger).success
+        assert evaluator.said.count(told) == 2
+        evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")
+        evaluator.end()
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+
+
 def test_without_groundtruth_there_is_no_result(
     flight: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -177,6 +250,74 @@ def test_without_groundtruth_there_is_no_result(
     assert len(told) == 1
     assert re.search(rf"0 poses on {TRUTH}, 1\d\d poses on {ODOMETRY}", told[0])
     assert not (evaluator.folder / "result.json").exists()
+
+
+def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseStamped
+
+    told = peer.hear("/diagnostics", DiagnosticArray)
+
+    def newest() -> Any:
+        return told[-1].status[0] if told and told[-1].status else None
+
+    trouble = f"{ODOMETRY}: no message gives a pose: 80 zero stamp"
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        publishers = {
+            "truth": peer.publisher(TRUTH, PoseStamped),
+            "estimate": peer.publisher(ODOMETRY, PoseStamped),
+        }
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish(publishers, 1000.0, 4.0, dated=False)
+        peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
+        values = {each.key: each.value for each in newest().values}
+        assert newest().level == b"\x01"
+        assert values["dropped"] == "80 zero stamp"
+        assert evaluator.end() == 2
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+    assert evaluator.said.count("no message gives a pose") == 1
+    assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
+
+
+def test_save_tells_why_a_path_can_t_be_written(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path as PathMessage
+    from std_srvs.srv import Trigger
+
+    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
+        slam = PathSender(peer.publisher(ODOMETRY, PathMessage))
+        truth = peer.publisher(TRUTH, PoseStamped)
+        for each in (slam.publisher, truth):
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        publish({"truth": truth, "estimate": slam}, 1000.0, 4.0)
+        until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
+        (evaluator.folder / "vio_odometry.revised.npz").mkdir()
+        saved = peer.ask("/evaluator/save", Trigger)
+        assert not saved.success
+        assert "vio_odometry.revised.npz can't be written: is a directory" in saved.message
+        evaluator.end()
+        for each in (slam.publisher, truth):
+            peer.node.destroy_publisher(each)
+
+
+class PathSender:
+    """Publishes poses as a path that grows."""
+
+    def __init__(self, publisher: Any) -> None:
+        from nav_msgs.msg import Path as PathMessage
+
+        self.publisher, self._path = publisher, PathMessage()
+
+    def publish(self, pose: Any) -> None:
+        self._path.header = pose.header
+        self._path.poses.append(copy.deepcopy(pose))
+        self.publisher.publish(self._path)
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ def test_drawn_numbers_are_the_published_ones(
         listening({**topics, length: FLOAT}, environment, tmp_path) as received,
         evaluating(tmp_path / "out", environment, gauge="yaw", rerun="file") as evaluator,
     ):
-        replay(flights / "mcap", environment, "--rate", 4)
+        replay(flights / "mcap", environment, "--rate", 2)
         assert evaluator.end() == 0
         assert "Rerun" not in evaluator.said
     picture = Rrd(tmp_path / "out" / "run.rrd")

@@ -10,6 +10,7 @@ from ros_bags import POSE, TRANSFORMS, Message, messages_of, transforms_message,
 from ros_processes import (
     TRUTH,
     Evaluator,
+    Peer,
     assert_same,
     evaluating,
     offline,
@@ -35,12 +36,12 @@ ESTIMATE, MARKER = "/tf:map.camera", "/tf:world.marker"
 SECOND = 10**9
 
 
-def edge(parent: str, child: str, poses: Trajectory) -> list[Message]:
-    """Return a trajectory as transforms on /tf, logged at their stamps."""
+def edge(parent: str, child: str, poses: Trajectory, topic: str = "/tf") -> list[Message]:
+    """Return a trajectory as transforms, logged at their stamps."""
     assert poses.quaternions is not None
     rows = zip(poses.stamps.tolist(), poses.positions, poses.quaternions, strict=True)
     return [
-        ("/tf", TRANSFORMS, stamp, transforms_message((parent, child, stamp, place, turn)))
+        (topic, TRANSFORMS, stamp, transforms_message((parent, child, stamp, place, turn)))
         for stamp, place, turn in rows
     ]
 
@@ -72,7 +73,12 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def evaluate_live(
-    bag: Path, environment: dict[str, str], folder: Path, groundtruth: str
+    bag: Path,
+    environment: dict[str, str],
+    folder: Path,
+    groundtruth: str,
+    estimate: str = ESTIMATE,
+    static: tuple[str, ...] = ("/tf_static",),
 ) -> Evaluator:
     """Evaluate a bag that another process plays; slower where a machine is too busy."""
     rate = 8.0
@@ -81,16 +87,17 @@ def evaluate_live(
             folder / f"rate_{rate:g}",
             environment,
             groundtruth=groundtruth,
-            estimates=[ESTIMATE],
+            estimates=[estimate],
             gauge="yaw",
             lengths="4,8",
             window="0",
         ) as evaluator:
-            played = {"/tf", "/tf_static", groundtruth.partition(":")[0]}
+            sources = {each.partition(":")[0] for each in (groundtruth, estimate)}
+            played = {*sources, *static}
             topics = [word for topic in played for word in ("--topic", topic)]
             replay(bag, environment, "--rate", rate, *topics)
             assert evaluator.end() == 0
-        live = evaluator.run_of(ESTIMATE)["live"]
+        live = evaluator.run_of(estimate)["live"]
         if not live["messages_lost"] + live["groundtruth_messages_lost"]:
             return evaluator
         assert rate > 1.0, f"messages are lost at rate {rate:g}"
@@ -107,6 +114,51 @@ def test_live_is_offline(
     )
     assert recorded["runs"][0]["association"]["pairs"] > 600
     assert_same(evaluator.result, recorded)
+
+
+def test_static_transforms_may_be_beside_or_outside_a_namespace(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    source, bag = simulate(7, 20.0), tmp_path / "bag"
+    truth, begin = source.groundtruth[::4], int(source.groundtruth.stamps[0])
+    straight = (0.0, 0.0, 0.0, 1.0)
+    inner = transforms_message(("base", "mount", 0, (0.1, 0.0, 0.05), (0.5, -0.5, 0.5, 0.5)))
+    outer = transforms_message(("mount", "camera", 0, (0.0, 0.2, 0.0), straight))
+    write_messages(
+        bag,
+        [
+            *messages_of(truth, TRUTH, POSE),
+            *edge("map", "base", source.estimate, "/robot/tf"),
+            ("/robot/tf_static", TRANSFORMS, begin, inner),
+            ("/tf_static", TRANSFORMS, begin, outer),
+        ],
+    )
+    estimate = "/robot/tf:map.camera"
+    static = ("/robot/tf_static", "/tf_static")
+    evaluator = evaluate_live(bag, environment, tmp_path, TRUTH, estimate, static)
+    options = ["--gauge", "yaw", "--lengths", "4,8"]
+    recorded = offline(bag, tmp_path, TRUTH, [estimate], *options)
+    assert recorded["runs"][0]["association"]["pairs"] > 300
+    assert_same(evaluator.result, recorded)
+
+
+def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
+    flight: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from rclpy.serialization import deserialize_message
+    from tf2_msgs.msg import TFMessage
+
+    mounted = transforms_message(("base", "camera", 0, (0.1, 0.0, 0.05), (0.5, -0.5, 0.5, 0.5)))
+    publishers = [peer.publisher("/tf_static", TFMessage, latched=each) for each in (True, False)]
+    publishers[0].publish(deserialize_message(mounted, TFMessage))
+    with evaluating(
+        tmp_path / "out", environment, estimates=[ESTIMATE], gauge="yaw", lengths="none"
+    ) as evaluator:
+        replay(flight, environment, "--rate", 8, "--topic", TRUTH, "--topic", "/tf")
+        assert evaluator.end() == 0
+    for each in publishers:
+        peer.node.destroy_publisher(each)
+    assert evaluator.run_of(ESTIMATE)["association"]["pairs"] > 500
 
 
 def test_a_frame_that_is_not_there_is_named(

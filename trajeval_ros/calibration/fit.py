@@ -158,7 +158,8 @@ def _inverse(hessian: Array) -> Array:
     Scaled to a unit diagonal first, so that the units of the columns don't matter.
     """
     diagonal = np.diag(hessian)
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-30 * max(float(diagonal.max()), 1e-300)))
+    # Of what doesn't move, all of it is zero.
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-30 * float(diagonal.max()), 1e-300)))
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
     known = values > _SINGULAR
     vectors = scale[:, None] * vectors[:, known]

@@ -44,6 +44,7 @@ class PairWriter:
         path: The file.
         trouble: Why the last chunks are not on disk yet; empty if they are.
         lost: Number of pairs that will never be in the file.
+        why_lost: Why the last of these won't.
     """
 
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
@@ -53,7 +54,7 @@ class PairWriter:
             InputError: It can't be made.
         """
         self.path = path
-        self.trouble = ""
+        self.trouble = self.why_lost = ""
         self.lost = 0
         self._waiting = bytearray()
         self._length = 0  # of the whole chunks on disk
@@ -81,6 +82,7 @@ class PairWriter:
         body = text + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING:
             self.lost += len(stamps)
+            self.why_lost = self.trouble
         else:
             self._waiting += _HEAD.pack(_MAGIC, len(rows), len(text), zlib.crc32(body)) + body
         self.write()

@@ -287,6 +287,11 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
+def temporary_name(name: str, process: int) -> str:
+    """Return what a file is called while a process, by its number, writes it."""
+    return f".{name}.{process}.part"
+
+
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` make a file under a temporary name beside `path`, then give it that name.
 
@@ -302,7 +307,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         return
     if path.is_symlink():
         path = path.resolve()
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(temporary_name(path.name, os.getpid()))
 
     def write_and_rename() -> None:
         write(temporary)

@@ -107,15 +107,20 @@ class OnlineClock:
 
     def _estimated(self, span_s: float) -> ClockReport:
         try:
-            found = calibrate(
-                _trajectory(self._truth),
-                _trajectory(self._estimate),
-                self._gauge,
-                systematic=self._systematic,
-                most_increments=_INCREMENTS,
-            ).offset
+            # A wild estimate may overflow, which is no reason to end the run.
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = calibrate(
+                    _trajectory(self._truth),
+                    _trajectory(self._estimate),
+                    self._gauge,
+                    systematic=self._systematic,
+                    most_increments=_INCREMENTS,
+                ).offset
         except TrajevalError as error:
             return ClockReport(span_s, status="unobservable", reason=str(error))
+        except np.linalg.LinAlgError as error:
+            reason = f"can't be estimated: {error}"
+            return ClockReport(span_s, status="unobservable", reason=reason)
         if found.value is None or found.sigma is None or found.half_width_95 is None:
             return ClockReport(span_s, status=found.status, reason=found.reason)
         return ClockReport(

@@ -31,7 +31,7 @@ from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import PairStore
 from trajeval_ros.similarity import Similarity
 from trajeval_ros.statistics import Statistics, statistics_of
-from trajeval_ros.trajectory import NO_STATE, Trajectory, add_counts
+from trajeval_ros.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -56,7 +56,7 @@ class OnlineEvaluator:
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
-        self._offset = round(rule.time_offset_s * 1e9)
+        self._offset = round(rule.time_offset_s * NANOSECONDS)
         self._is_planar = self.settings.protocol.gauge is Gauge.PLANAR
         self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
         self.store = PairStore()
@@ -156,6 +156,14 @@ class OnlineEvaluator:
             self.settings, protocol=protocol, window=settings.window
         )
         self._relative = self._relative.with_lengths(protocol, self.store.end)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Add so many seconds to the estimate's stamps; before the first of them."""
+        protocol = self.settings.protocol
+        rule = dataclasses.replace(protocol.association, time_offset_s=offset_s)
+        protocol = dataclasses.replace(protocol, association=rule)
+        self.settings = dataclasses.replace(self.settings, protocol=protocol)
+        self._offset = round(offset_s * NANOSECONDS)
 
     def association(self) -> Association:
         """Return all pairs, to be evaluated offline; only of a window that is the whole run.
@@ -317,7 +325,9 @@ class OnlineEvaluator:
         return self._count / states if states else None
 
     def _groundtruth_coverage(self) -> float | None:
-        if not self.buffer.groundtruth_count:
+        """Return it if the store has all pairs; of the newest ones it would fall all the time."""
+        is_whole = self.settings.window.is_whole_run and not self.store.begin
+        if not is_whole or not self.buffer.groundtruth_count:
             return None
         return coverage_of(
             self.store.stamps(),

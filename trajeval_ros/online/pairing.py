@@ -147,6 +147,7 @@ class PairingBuffer:
         dropped: Number of estimated states that are in no pair, by reason, as offline, and
             `too_late`: its groundtruth had been forgotten; `waited_too_long`: none came.
         groundtruth_dropped: Number of groundtruth states that could not be used, by reason, and
+            `too_late`: its neighbours had been forgotten, as when a bag is played anew;
             `after_use`: a state that arrived after its neighbours had been used without it.
         groundtruth_count: Number of groundtruth states so far.
     """
@@ -177,6 +178,10 @@ class PairingBuffer:
             self._truth.append(stamps, rows)
             self.groundtruth_count += len(stamps)
         else:
+            if self._forgotten_until > _NEVER:  # up to the oldest that is held all is counted
+                old = stamps < self._truth.held[0][0]
+                self._count(self.groundtruth_dropped, "too_late", int(np.count_nonzero(old)))
+                stamps, rows = stamps[~old], rows[~old]
             after_use = int(np.count_nonzero(stamps <= self._paired_until))
             self._count(self.groundtruth_dropped, "after_use", after_use)
             duplicates = self._truth.merge(stamps, rows)

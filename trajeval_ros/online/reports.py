@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from trajeval_ros.alignment import Alignment
 from trajeval_ros.online.relative import RelativeEnd, RunningErrors
@@ -28,6 +29,13 @@ class Update:
     ends: tuple[RelativeEnd, ...] = ()
 
 
+def united(updates: Sequence[Update]) -> Update:
+    """Return several updates, in order, as one."""
+    newest = next((each for each in reversed(updates) if each.stamp is not None), Update())
+    ends = tuple(end for each in updates for end in each.ends)
+    return replace(newest, pairs=sum(each.pairs for each in updates), ends=ends)
+
+
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """The state of an evaluation.
@@ -42,7 +50,8 @@ class Snapshot:
         window_pairs: Number of pairs in the window.
         relative: Errors of sub-trajectories so far, by length.
         estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
-        groundtruth_coverage: Share of the groundtruth's time that the window's store spans.
+        groundtruth_coverage: Share of the groundtruth's time that pairs span; None unless the
+            window is the whole run, and has been so from the beginning.
         dropped: Estimated states in no pair, by reason.
         waiting: Estimated states that wait for groundtruth.
     """

@@ -21,7 +21,7 @@ class RevisedPath:
     poses afterwards: the revised error. It needs all poses, as the path itself does.
 
     Attributes:
-        stamps: (M,) of the newest path's poses, nanoseconds.
+        stamps: (M,) of the newest path's poses, nanoseconds, by the estimator's clock.
         states: (M, 10) of these, as the gauge compares them.
     """
 
@@ -48,7 +48,7 @@ class RevisedPath:
         return new
 
     def record(self, pairs: Pairs) -> None:
-        """Take the groundtruth of poses."""
+        """Take the groundtruth of poses, with stamps by the estimator's clock."""
         self._truth.append((pairs.stamps, pairs.groundtruth[:, POSITION]))
 
     def position_rmse_m(self) -> float | None:

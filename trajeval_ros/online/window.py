@@ -16,6 +16,8 @@ from trajeval_ros.trajectory import NANOSECONDS
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
+_LARGEST = 1e9  # s, m or pairs; in nanoseconds it still fits stamps
+
 
 @dataclass(frozen=True)
 class Window:
@@ -34,14 +36,20 @@ class Window:
         """Read "0" (the whole run), "30s", "50m" or "500" (pairs).
 
         Raises:
-            SettingsError: It is none of these.
+            SettingsError: It is none of these, or longer than any run.
         """
         match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(s|m)?\s*", text)
         if match is None:
             raise SettingsError(
                 f"{text!r} is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"
             )
-        return cls(float(match[1]), match[2] or "pairs")
+        size = float(match[1])
+        if size > _LARGEST:
+            raise SettingsError(
+                f"a window can't be longer than {_LARGEST:g}, as {text.strip()} is; write 0 for "
+                "the whole run"
+            )
+        return cls(size, match[2] or "pairs")
 
     def __str__(self) -> str:
         """Write it as `parse` reads it."""

@@ -58,10 +58,12 @@ def evaluate_live(arguments: Sequence[str]) -> int:
             Duty(node.tell, lambda: _TELL_EVERY_S),
             Duty(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
         ]
-        _work(duties, stop)
-        executor.shutdown()
-        written = node.finish()
-        node.destroy_node()
+        try:
+            _work(duties, stop)
+        finally:  # a defect is told, and takes nothing along
+            executor.shutdown()
+            written = node.finish()
+            node.destroy_node()
     return 0 if written else 2
 
 

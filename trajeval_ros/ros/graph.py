@@ -14,19 +14,32 @@ if TYPE_CHECKING:
 READABLE = (*POSE_TYPES, *TRANSFORM_TYPES)
 
 
-def publishers_of(node: Node, topic: str, types: tuple[str, ...]) -> list[Any]:
-    """Return the endpoints that publish a topic with one of the types, all of one type."""
+def publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:
+    """Return the endpoints that publish a topic with one of the types, all of one type.
+
+    Args:
+        node: Knows the network.
+        name: The topic's, before remapping.
+        types: Those that can be read.
+    """
     found = [
         each
-        for each in node.get_publishers_info_by_topic(topic)
+        for each in node.get_publishers_info_by_topic(name)
         if each.topic_type in types and is_installed(each.topic_type)
     ]
     return [each for each in found if each.topic_type == found[0].topic_type]
 
 
-def why_unmatched(node: Node, topic: str, types: tuple[str, ...]) -> str:
-    """Return why nothing is received on a topic, and what there is instead."""
-    there = node.get_publishers_info_by_topic(topic)
+def why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
+    """Return why nothing is received on a topic, and what there is instead.
+
+    Args:
+        node: Knows the network.
+        name: The topic's, before remapping.
+        types: Those that can be read.
+    """
+    topic = node.resolve_topic_name(name)
+    there = node.get_publishers_info_by_topic(name)
     for each in there:
         kind = each.topic_type
         if kind in types:
@@ -38,11 +51,11 @@ def why_unmatched(node: Node, topic: str, types: tuple[str, ...]) -> str:
         kinds = ", ".join(sorted({each.topic_type for each in there}))
         return f"{topic} carries {kinds}, no poses that can be read ({', '.join(types)})"
     poses = [
-        name
-        for name, kinds in node.get_topic_names_and_types()
+        other
+        for other, kinds in node.get_topic_names_and_types()
         if any(kind in types for kind in kinds)
-        and node.count_publishers(name)
-        and not name.startswith(f"{node.get_fully_qualified_name()}/")
+        and node.count_publishers(other)
+        and not other.startswith(f"{node.get_fully_qualified_name()}/")
     ]
     if poses:
         return f"nobody publishes {topic}; there are poses on {nearest(topic, poses)}"

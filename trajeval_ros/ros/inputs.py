@@ -70,22 +70,28 @@ class TopicInput:
 
     Attributes:
         topic: Its name after remapping.
+        is_static: Whether it carries static transforms, which nobody needs to publish.
         type: Of its messages; empty until somebody publishes it.
         losses: Messages that were published and never arrived.
     """
 
-    def __init__(self, node: Node, topic: str, types: Sequence[str]) -> None:
+    def __init__(
+        self, node: Node, topic: str, types: Sequence[str], *, is_static: bool = False
+    ) -> None:
         """Begin to look for publishers.
 
         Args:
             node: Subscribes.
             topic: A name, as a user gives it.
             types: Those that can be read.
+            is_static: See the attribute.
         """
-        self.topic = node.resolve_topic_name(topic)
+        self.topic, self.is_static = node.resolve_topic_name(topic), is_static
         self.type = ""
         self.losses = Losses()
-        self._node, self._types = node, tuple(types)
+        # What a node is asked for it remaps itself; a name that is remapped already could become
+        # another one.
+        self._node, self._name, self._types = node, topic, tuple(types)
         self._group = _polled()
         self._subscription: Any = None
         self._profile: Any = None
@@ -95,10 +101,10 @@ class TopicInput:
 
     def match(self) -> str:
         """Connect to the publishers that there are now; returns what to tell, mostly nothing."""
-        publishers = publishers_of(self._node, self.topic, self._types)
+        publishers = publishers_of(self._node, self._name, self._types)
         if not publishers:
-            return self._remind()
-        profile = matching(publishers)
+            return "" if self.is_static else self._remind()
+        profile = matching(publishers, is_static=self.is_static)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
         joined = len(publishers) > max(1, self._publishers)
@@ -115,15 +121,11 @@ class TopicInput:
             self._node.destroy_subscription(self._subscription)
         self.type, self._profile, self._class = kind, profile, message_class(kind)
         self._subscription = self._node.create_subscription(
-            self._class, self.topic, _never, profile, raw=True, callback_group=self._group
+            self._class, self._name, _never, profile, raw=True, callback_group=self._group
         )
         offer = f"{profile.reliability.name.lower()}, {profile.durability.name.lower()}"
         verb = "subscribed anew" if again else "subscribed"
         return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
-
-    def match_silently(self) -> str:
-        """Connect likewise to a topic that nobody needs to publish."""
-        return self.match() if publishers_of(self._node, self.topic, self._types) else ""
 
     def take(self) -> Taken:
         """Return what has arrived since the last call."""
@@ -149,7 +151,7 @@ class TopicInput:
         if time.monotonic() < self._remind_at:
             return ""
         self._remind_at = time.monotonic() + _REMIND_EVERY_S
-        return why_unmatched(self._node, self.topic, self._types)
+        return why_unmatched(self._node, self._name, self._types)
 
 
 def _polled() -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,15 @@ from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.results import write_whole
-from trajeval_ros.online.clock import OnlineClock
+from trajeval_ros.online.clock import ClockReport, OnlineClock
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jumps import Jump, JumpDetector
 from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
-from trajeval_ros.online.reports import Update
+from trajeval_ros.online.reports import Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.trail import Trail
+from trajeval_ros.ros.held import Held
 from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.sides import Side
@@ -79,7 +79,8 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge)
-        self._held: list[Callable[[], None]] | None = [] if hold else None
+        self._held = Held() if hold else None
+        self._released: list[Update] = []
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._newest: tuple[str, bytes] | None = None
         self._folder = folder
@@ -91,19 +92,29 @@ class LiveEstimate:
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: stamps (N,) and rows (N, 10)."""
         self.clock.add_groundtruth(stamps, rows)
-        self._now_or_later(lambda: self.evaluator.add_groundtruth(stamps, rows))
+        if self._held is not None and not self._held.calls:
+            # No estimate waits so far; the evaluator itself forgets what nobody needs.
+            self.evaluator.add_groundtruth(stamps, rows)
+        else:
+            self._now_or_later(
+                "groundtruth", stamps, lambda: self.evaluator.add_groundtruth(stamps, rows)
+            )
+
+    @property
+    def held_s(self) -> float:
+        """How long messages have been held, by their stamps, seconds."""
+        return 0.0 if self._held is None else self._held.span_s
 
     def release(self, offset_s: float) -> None:
         """Evaluate what was held, by a clock that is known now, and go on with it."""
         assert self._held is not None
-        settings = self.evaluator.settings
-        rule = replace(settings.protocol.association, time_offset_s=offset_s)
-        protocol = replace(settings.protocol, association=rule)
-        self.evaluator = OnlineEvaluator(replace(settings, protocol=protocol), self._record)
+        self.evaluator.set_offset(offset_s)
         self._offset_ns = round(offset_s * NANOSECONDS)
         held, self._held = self._held, None
-        for each in held:
+        for each in held.calls:
             each()
+            # At once, as if it came only now: no more waits than ever does.
+            self._released.append(self.evaluator.update())
 
     def take(self, now_ns: int | None) -> None:
         """Take the messages that have arrived; `now_ns` is the simulated time."""
@@ -112,7 +123,8 @@ class LiveEstimate:
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate what has arrived and write its pairs; returns what is new."""
-        return self.evaluator.update(at_end=at_end)
+        released, self._released = self._released, []
+        return united([*released, self.evaluator.update(at_end=at_end)])
 
     def digest(self) -> list[Jump]:
         """Take the pairs since the last call into trail and revision; returns their jumps.
@@ -125,8 +137,8 @@ class LiveEstimate:
         for pairs in joined(self._undigested):
             found += self.jumps.update(pairs, scale)
             self.trail.add(pairs)
-            if self.revised is not None:
-                self.revised.record(pairs)
+            if self.revised is not None:  # by the estimate's own clock
+                self.revised.record(pairs._replace(stamps=pairs.stamps - self._offset_ns))
         self._undigested = []
         return found
 
@@ -187,7 +199,7 @@ class LiveEstimate:
         path = self.revised
         if path is None or not len(path.stamps):
             return
-        stamps, positions = path.stamps, path.states[:, POSITION]
+        stamps, positions = path.stamps + self._offset_ns, path.states[:, POSITION]
         write_whole(
             self._folder / f"{self.name}{REVISED_SUFFIX}",
             lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
@@ -209,31 +221,31 @@ class LiveEstimate:
         poses = self.stream.poses(message_type, taken.payloads, arrived)
         received = np.array(taken.received, dtype=np.int64)[poses.rows]
         self.clock.add_estimate(poses.stamps, poses.states)
-        self._now_or_later(lambda: self._evaluate(poses, received))
+        self._now_or_later("estimate", poses.stamps, lambda: self._evaluate(poses, received))
 
     def _take_path(self, payload: bytes, arrived_ns: int) -> None:
         """Take a path: evaluate the poses that are new, and remember how it sees the others."""
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge)
+            reason = "a path is revised as it goes, which hides its clock"
+            self.clock.report = ClockReport(status="unobservable", reason=reason)
         path = self.stream.path(payload)
-        self._now_or_later(lambda: self._evaluate_path(path, arrived_ns))
+        rows = self.revised.renew(path.stamps, path.states)
+        new = States(path.stamps[rows], path.states[rows], path.rows[rows])
+        self.stream.count_new(new, arrived_ns)
+        self._now_or_later(
+            "estimate", new.stamps, lambda: self.evaluator.add_estimate(new.stamps, new.states)
+        )
 
     def _evaluate(self, poses: States, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self._offset_ns, received)
         self.evaluator.add_estimate(poses.stamps, poses.states)
 
-    def _evaluate_path(self, path: States, arrived_ns: int) -> None:
-        assert self.revised is not None
-        rows = self.revised.renew(path.stamps + self._offset_ns, path.states)
-        new = States(path.stamps[rows], path.states[rows], path.rows[rows])
-        self.stream.count_new(new, arrived_ns)
-        self.evaluator.add_estimate(new.stamps, new.states)
-
-    def _now_or_later(self, evaluate: Callable[[], None]) -> None:
+    def _now_or_later(self, side: str, stamps: Stamps, evaluate: Callable[[], None]) -> None:
         if self._held is None:
             evaluate()
-        else:
-            self._held.append(evaluate)
+        elif len(stamps):
+            self._held.add(side, stamps, evaluate)
 
 
 def joined(several: list[Pairs]) -> list[Pairs]:

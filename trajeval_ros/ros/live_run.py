@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from trajeval_ros.diagnosis import reasons
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
 from trajeval_ros.online.reports import Update
@@ -98,19 +99,16 @@ class LiveRun:
         for each in self.estimates:
             each.write_state(self._state(each))
 
-    def save(self) -> bool:
-        """Begin to write result.json; returns whether that is possible by now.
+    def save(self) -> None:
+        """Begin to write result.json; there are pairs, and nothing is being written.
 
         Raises:
             InputError: The disk takes no more.
         """
-        if not self.has_pairs or self.finisher.is_busy:
-            return False
         self.write_states()
         for each in self.estimates:
             each.write_revised()
         self.finisher.save()
-        return True
 
     def drain(self, now_ns: int | None) -> None:
         """Take and evaluate the last messages, those still on their way included."""
@@ -146,6 +144,31 @@ class LiveRun:
         sides = (self.groundtruth, estimate.side)
         return next((each.source for each in sides if each.silent_s is None), "")
 
+    def groundtruth_dropped(self, estimate: LiveEstimate) -> dict[str, int]:
+        """Return the number of groundtruth states that an estimate can't use, by reason."""
+        return add_counts(
+            self.groundtruth.stream.told.dropped, estimate.evaluator.buffer.groundtruth_dropped
+        )
+
+    def why_no_pair(self) -> str:
+        """Return what has come instead of what makes pairs."""
+        dropped = [
+            self.groundtruth_dropped(self.estimates[0]),
+            *(
+                add_counts(each.stream.told.dropped, each.evaluator.buffer.dropped)
+                for each in self.estimates
+            ),
+        ]
+        sides = [self.groundtruth, *(each.side for each in self.estimates)]
+        counts = [
+            f"{side.stream.told.poses} poses on {side.source}"
+            + (f" ({reasons(of)})" if of else "")
+            for side, of in zip(sides, dropped, strict=True)
+        ]
+        return "no pair of estimate and groundtruth was made, so there is no result: " + ", ".join(
+            counts
+        )
+
     @property
     def has_pairs(self) -> bool:
         """Whether there is anything to evaluate."""
@@ -154,15 +177,17 @@ class LiveRun:
     def _decide(self, *, at_end: bool = False) -> None:
         """Go on by one clock for all estimates, once that of the first is known, or a minute on.
 
-        Estimates with clocks of their own couldn't be ranked.
+        Estimates with clocks of their own couldn't be ranked. A path's clock is never known.
         """
-        known = self.estimates[0].clock.report
-        spent = max(each.clock.span_s for each in self.estimates) >= _DECISION_S
-        if not self.holds or not (known.is_significant or spent or at_end):
+        first = self.estimates[0]
+        known = first.clock.report
+        spent = max(each.held_s for each in self.estimates) >= _DECISION_S
+        settled = known.is_significant or first.revised is not None
+        if not self.holds or not (settled or spent or at_end):
             return
         self.holds = False
         offset_s = 0.0
-        name = self.estimates[0].name
+        name = first.name
         if known.is_significant and known.offset_s is not None:
             offset_s = known.offset_s
             self._about_clocks = (
@@ -170,7 +195,7 @@ class LiveRun:
                 f"{known.span_s:.0f} s of {name} (+- {known.half_width_95_s:.2g} s, 95 %)"
             )
         else:
-            self._about_clocks = f"no time offset is applied: that of {name} {known.reason}"
+            self._about_clocks = f"no time offset is applied ({name}: {known.reason})"
         self.words = {**self.words, "time_offset": offset_s}
         for each in self.estimates:
             each.release(offset_s)
@@ -192,7 +217,7 @@ class LiveRun:
                 "time_without_gaps_ns": buffer.groundtruth_time,
                 "frame": truth.frame,
                 "child_frame": truth.child_frame,
-                "dropped": add_counts(truth.dropped, buffer.groundtruth_dropped),
+                "dropped": self.groundtruth_dropped(estimate),
                 "notes": list(truth.notes),
             },
             "live": {
@@ -220,7 +245,7 @@ class LiveRun:
         if estimate.writer.lost:
             warnings.append(
                 f"{estimate.writer.lost} pairs are missing, since the disk took no more: "
-                f"{estimate.writer.trouble}"
+                f"{estimate.writer.why_lost}"
             )
         return warnings
 

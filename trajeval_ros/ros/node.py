@@ -15,7 +15,7 @@ from trajeval_ros.online.jumps import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.diagnostics import diagnose
-from trajeval_ros.ros.folder import make_folder
+from trajeval_ros.ros.folder import Finisher, make_folder
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.outputs import Outputs
@@ -48,6 +48,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._snapshot_at = 0.0
         self._saved_at = time.monotonic()
         self._saved = Future()
+        self._ended: list[Finisher] = []  # of runs before a reset, still writing
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
@@ -56,14 +57,20 @@ class EvaluatorNode(Node):  # type: ignore[misc]
     def finish(self) -> bool:
         """Evaluate what is left, and write everything; returns whether it was written."""
         self._line.clear()
-        self._run.drain(self._simulated_ns())
+        try:
+            self._run.drain(self._simulated_ns())
+        finally:
+            written = self._write()
+        return written
+
+    def _write(self) -> bool:
         for each in self._picture.close():
             self.get_logger().warning(each)
         troubles = self._run.close()
         for each in troubles:
             self.get_logger().error(each)
         if not self._run.has_pairs:
-            self.get_logger().error(self._why_no_pair())
+            self.get_logger().error(self._run.why_no_pair())
             return False
         return self._run.finisher.finish(quiet=False) and not troubles
 
@@ -125,9 +132,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def report(self) -> None:
         """Match publishers, look for jumps, and publish what is about the window."""
-        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
-            for each in side.match():
-                self._log(each, warn=not each.startswith("subscribed"))
+        self._match()
         for estimate in self._run.estimates:
             for jump in estimate.digest():
                 self._tell_of_jump(estimate, jump)
@@ -154,6 +159,11 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 )
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
+
+    def _match(self) -> None:
+        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
+            for each in side.match():
+                self._log(each, warn=not each.startswith("subscribed"))
 
     def tell(self) -> None:
         """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
@@ -198,19 +208,25 @@ class EvaluatorNode(Node):  # type: ignore[misc]
     def _autosave(self) -> None:
         if self._run.finisher.poll():
             self._tell_saved()
+        for each in self._ended:
+            if each.poll() and each.trouble:
+                self._log(f"results can't be written to {each.folder}: {each.trouble}", warn=True)
+        self._ended = [each for each in self._ended if each.is_busy]
         period = self._values["autosave_period"]
         if period and time.monotonic() >= self._saved_at + period and self._run.finisher.is_due:
             self._begin_to_save()
 
-    def _begin_to_save(self) -> bool:
+    def _begin_to_save(self) -> str:
+        """Begin to write result.json; returns why it can't be written, empty if it can."""
+        if not self._run.has_pairs:
+            return self._run.why_no_pair()
+        self._saved_at = time.monotonic()
         try:
-            begun = self._run.save()
+            self._run.save()
         except TrajevalError as error:
             self._log(str(error), warn=True)
-            begun = False
-        if begun:
-            self._saved_at = time.monotonic()
-        return begun
+            return str(error)
+        return ""
 
     def _tell_saved(self) -> None:
         """Let those go on who wait until something is written."""
@@ -225,12 +241,16 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         while self._run.finisher.is_busy:  # with what was there before the newest pairs
             await self._saved
         finisher = self._run.finisher
-        if not self._begin_to_save():
-            response.message = self._why_no_pair()
+        response.message = self._begin_to_save()
+        if response.message:
             return response
         await self._saved
+        result = finisher.folder / "result.json"
+        if finisher is not self._run.finisher:
+            response.message = f"~/reset came before {result} was written, which it is now"
+            return response
         response.success = not finisher.trouble
-        response.message = finisher.trouble or str(finisher.folder / "result.json")
+        response.message = finisher.trouble or str(result)
         return response
 
     def _reset(self, request: Any, response: Any) -> Any:
@@ -247,10 +267,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._log(trouble, warn=True)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
+        self._match()
         self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
         if ended.has_pairs:
             ended.finisher.finish_alone()
+            self._ended.append(ended.finisher)
         self._tell_saved()
         response.success = True
         response.message = (
@@ -309,16 +331,6 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             f"{seconds(jump.stamp)}: has it restarted with a new origin? One alignment can't fit "
             "the parts on both sides; ~/reset begins anew",
             warn=True,
-        )
-
-    def _why_no_pair(self) -> str:
-        run = self._run
-        counts = [
-            f"{each.stream.told.poses} poses on {each.source}"
-            for each in (run.groundtruth, *(other.side for other in run.estimates))
-        ]
-        return "no pair of estimate and groundtruth was made, so there is no result: " + ", ".join(
-            counts
         )
 
     def _warn_of_unknown_parameters(self) -> None:

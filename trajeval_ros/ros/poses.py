@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import lie
+from trajeval_ros.diagnosis import reasons
 from trajeval_ros.io.messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
@@ -20,6 +21,7 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _MOST_NOTES = 20
+_TROUBLE_AFTER = 10  # messages in a row that give no pose
 _STEP_BACK_S = 1.0  # messages that merely overtake each other step back by less
 
 
@@ -101,6 +103,8 @@ class PoseStream:
         self._type = ""
         self._names: tuple[str, str] | None = None
         self._previous: int | None = None
+        self._in_a_row = 0
+        self._is_told = False
 
     def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
@@ -137,8 +141,21 @@ class PoseStream:
             usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
             states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
         timed = stamps != 0  # a stamp that nobody has set
-        told.drop("zero_stamp", int(np.count_nonzero(~timed)))
+        untimed = int(np.count_nonzero(~timed))
+        told.drop("zero_stamp", untimed)
+        self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
         return States(stamps[timed], states_[timed], columns.rows[timed])
+
+    def _see_trouble(self, poses: int, dropped: int) -> None:
+        """Tell, once, that messages come and give no poses."""
+        self._in_a_row = 0 if poses else self._in_a_row + dropped
+        if poses:
+            self.trouble = ""
+        elif self._in_a_row >= _TROUBLE_AFTER:
+            self.trouble = f"{self._topic}: no message gives a pose: {reasons(self.told.dropped)}"
+            if not self._is_told:
+                self._is_told = True
+                self.news.append(self.trouble)
 
     def _count(self, found: States) -> None:
         rows = found.states

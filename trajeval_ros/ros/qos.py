@@ -9,20 +9,23 @@ from typing import Any
 DEPTH = 2000
 
 
-def matching(publishers: Sequence[Any]) -> Any:
+def matching(publishers: Sequence[Any], *, is_static: bool = False) -> Any:
     """Return the strictest profile that all of the publishers offer.
 
     A request for more than a publisher offers connects to nothing, without an error: reliable
-    only if all are reliable, latched (transient local) only if all are.
+    only if all are reliable, latched (transient local) only if all are. But what is static was
+    mostly published before, so that it is latched if any are.
 
     Args:
         publishers: What the graph says about the endpoints; at least one.
+        is_static: Whether they publish static transforms.
     """
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
     offered = [each.qos_profile for each in publishers]
     reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
-    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    enough = any if is_static else all
+    latched = enough(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
     return QoSProfile(
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

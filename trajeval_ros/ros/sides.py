@@ -53,17 +53,22 @@ class Side:
         self.stream: PoseStream
         if colon:
             self.stream = self._transforms(frames)
-            names = [topic, f"{topic}_static"]
-            types: tuple[str, ...] = TRANSFORM_TYPES[:1]
+            types = TRANSFORM_TYPES[:1]
+            # As offline: what is static may be known to all robots, what moves to one of them.
+            static = {
+                node.resolve_topic_name(each): TopicInput(node, each, types, is_static=True)
+                for each in (f"{topic}_static", "/tf_static")
+            }
+            self.inputs = [TopicInput(node, topic, types), *static.values()]
         else:
             self.stream = PoseStream(self.source)
             other = _POINT_TYPE if not is_groundtruth else PATH_TYPE
-            names, types = [topic], tuple(each for each in POSE_TYPES if each != other)
-        self.inputs = [TopicInput(node, each, types) for each in names]
+            readable = [each for each in POSE_TYPES if each != other]
+            self.inputs = [TopicInput(node, topic, readable)]
 
     def match(self) -> list[str]:
         """Connect to the publishers that there are now; returns what to tell."""
-        told = [self.inputs[0].match(), *(each.match_silently() for each in self.inputs[1:])]
+        told = [each.match() for each in self.inputs]
         if isinstance(self.stream, TransformStream):
             self.stream.tell_trouble()
         news, self.stream.news = self.stream.news, []
@@ -78,7 +83,7 @@ class Side:
         found = []
         for each in self.inputs:
             taken = each.take()
-            if isinstance(self.stream, TransformStream) and each.topic.endswith("_static"):
+            if isinstance(self.stream, TransformStream) and each.is_static:
                 self.stream.hold(taken.payloads)
             elif taken.payloads:
                 arrived = np.array(taken.received, dtype=np.int64)
