@@ -543,3 +543,21 @@ def test_lengths_and_window_change_while_it_runs() -> None:
     # The wider window began with what the narrow one had left, and has forgotten nothing since.
     assert now.window_pairs > changing.pairs - at_change
     assert now.window_position_rmse_m is not None
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
+    groundtruth, estimate = make_pair(3, 60)
+    assert estimate.velocities is not None
+    velocities = estimate.velocities.copy()
+    velocities[20, 1] = value
+    evaluator = OnlineEvaluator()
+    wild = Trajectory(estimate.stamps, estimate.positions, estimate.rotations, velocities)
+    feed(evaluator, groundtruth, wild)
+    ate = evaluator.snapshot().ate
+    assert ate["velocity_mps"] is None
+    expected = evaluate(groundtruth, dataclasses.replace(estimate, velocities=None))
+    assert ate["position_m"] is not None
+    assert expected.ate["position_m"] is not None
+    assert ate["position_m"].count == expected.ate["position_m"].count
+    assert ate["position_m"].rmse == pytest.approx(expected.ate["position_m"].rmse)

@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import InputError
 
 NANOSECONDS = 1_000_000_000
 # Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
-_LARGEST = 1e12
+LARGEST = 1e12
 _SHORTEST = 1e-6  # of a quaternion
 # Reasons for dropping what was no state of its own, and counts in no coverage.
 NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
@@ -127,7 +127,7 @@ class Trajectory:
             name
             for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
             if (column := getattr(self, name)) is not None
-            and not (np.abs(column) <= _LARGEST).all()
+            and not (np.abs(column) <= LARGEST).all()
         ]
         if not bad:
             return self
@@ -212,7 +212,7 @@ class Trajectory:
             raise InputError(f"{name} has no usable pose" + (f" (dropped: {why})" if why else ""))
         if not judge_poses(self.positions)[0].all():
             raise InputError(
-                f"{name} has positions that are not finite, or beyond {_LARGEST:g} m; drop those "
+                f"{name} has positions that are not finite, or beyond {LARGEST:g} m; drop those "
                 "states"
             )
 
@@ -229,7 +229,7 @@ def judge_poses(
         positions: (N, 3), metres.
         quaternions: (N, 4); None where there are none.
     """
-    finite = np.logical_and.reduce(np.abs(positions) <= _LARGEST, axis=1)
+    finite = np.logical_and.reduce(np.abs(positions) <= LARGEST, axis=1)
     if quaternions is None:
         return finite, np.ones(len(positions), dtype=bool)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import lie
 from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
-from trajeval_ros.trajectory import NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -270,7 +270,14 @@ class PairingBuffer:
     def _finite(
         self, stamps: Stamps, rows: Floats, counts: dict[str, int]
     ) -> tuple[Stamps, Floats]:
-        """Leave out rows that are no poses, and count them as the readers do."""
+        """Leave out rows that are no poses, and count them as the readers do.
+
+        A velocity that can't be one is left out alone.
+        """
+        wild = np.abs(rows[:, VELOCITY]) > LARGEST
+        if wild.any():
+            rows = rows.copy()
+            rows[wild.any(axis=1), VELOCITY] = np.nan
         # `states` writes it into all four columns.
         no_length = rows[:, QUATERNION.start] == np.inf
         finite = np.isfinite(rows[:, POSITION]).all(axis=1)
