@@ -33,7 +33,7 @@ def run(config: Path, **more: bool) -> tuple[Progress, Summary]:
 
 def records(config: Path) -> dict[str, int]:
     folder = config.parent / "out" / RECORDS
-    return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.npz")}
+    return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.run")}
 
 
 def test_nothing_is_done_twice(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_what_can_not_be_read_any_more_is_made_anew(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     _, before = run(config)
     out = tmp_path / "out"
-    for path in (out / RUNS, next((out / RECORDS).glob("*.npz"))):
+    for path in (out / RUNS, next((out / RECORDS).glob("*.run"))):
         path.write_bytes(path.read_bytes()[:100])
     (out / "inputs.json").write_text('{"')
     _, after = run(config)

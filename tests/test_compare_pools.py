@@ -145,7 +145,7 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=environment, text=True)
     try:
-        wait_for(lambda: len(list(out.glob("runs/*.npz"))) > 10, process)
+        wait_for(lambda: len(list(out.glob("runs/*.run"))) > 10, process)
         workers = children_of(process.pid)
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -154,10 +154,10 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     finally:
         process.kill()
         process.wait()
-    kept = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.npz")}
+    kept = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
     assert 10 < len(kept) < 120
     subprocess.run(command, env=environment, check=True)
-    again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.npz")}
+    again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
     assert len(again) == 120
     assert {name: again[name] for name in kept} == kept
     rows = Rows(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")

@@ -51,11 +51,11 @@ def statistics_of(errors: NDArray[np.float64] | None) -> Statistics | None:
     return Statistics(
         rmse=float(np.sqrt(np.mean(np.square(ordered)))),
         mean=mean,
-        median=float(_quantile(ordered, 0.5)),
+        median=float(quantile(ordered, 0.5)),
         std=float(np.sqrt(np.mean(np.square(ordered - mean)))),
         min=float(ordered[0]),
         max=float(ordered[-1]),
-        p95=float(_quantile(ordered, 0.95)),
+        p95=float(quantile(ordered, 0.95)),
         count=len(ordered),
     )
 
@@ -66,8 +66,8 @@ def round_below(value: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
 
 
-def _quantile(ordered: NDArray[np.float64], share: float) -> float:
-    """Linear interpolation between the order statistics, numpy's default definition."""
+def quantile(ordered: NDArray[np.float64], share: float) -> float:
+    """Return a quantile of sorted values (N,), interpolated linearly: numpy's default."""
     place = share * (len(ordered) - 1)
     below = int(place)
     above = min(below + 1, len(ordered) - 1)

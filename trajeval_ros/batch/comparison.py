@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ class Progress:
     """How far a comparison is.
 
     Attributes:
-        total: Runs to be evaluated, twice with a common time span.
+        total: Runs that there are, twice with a common time span.
         kept: Runs that were finished before.
         done: Runs that were evaluated.
         new: Runs that were evaluated, once each.
@@ -87,13 +87,16 @@ def compare(
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{records} can't be made: {reason}") from error
     batch = _Batch(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
-    state = batch.state
-    if state and state == state_of(folder / RUNS) and (folder / POOLED).is_file():
-        batch.progress.kept = len(batch.tasks)
-        tell(batch.progress)
-        return batch.progress
+    if (folder / RUNS).is_file() and (folder / POOLED).is_file():
+        tasks = list(batch.planned())
+        state = batch.state
+        if state and state == state_of(folder / RUNS):
+            batch.progress.kept = len(tasks)
+            tell(batch.progress)
+            return batch.progress
     write_text(folder / _ABOUT, _ABOUT_TEXT)
-    batch.evaluate(batch.tasks)
+    batch.evaluate(batch.planned())
+    state = batch.state
     if plan.common_time_span:
         batch.cut_to_common_spans()
     _write_tables(folder, batch, state)
@@ -113,23 +116,33 @@ class _Batch:
     ) -> None:
         self.plan = plan
         self.records = records
-        self.progress = Progress()
+        self.progress = Progress(total=sum(not run.missing for run in plan.runs))
         self.failures: dict[Run, str] = {}
         self.tasks: dict[Run, Task] = {}
         self.own_coverage: dict[Run, float] = {}
         self._evaluated: set[Run] = set()
+        self._fingerprints = fingerprints
         self._start_pool = start_pool
         self._tell = tell
-        for run in plan.runs:
+
+    def planned(self) -> Iterator[Task]:
+        """Yield the runs that there are, as their inputs are read.
+
+        The trials of a sequence follow one another: workers keep its groundtruth.
+        """
+        for run in sorted(self.plan.runs, key=lambda run: (run.sequence, run.groundtruth)):
             if run.missing:
                 self.failures[run] = run.missing
-                continue
-            try:
-                inputs = (fingerprints.of(run.groundtruth), fingerprints.of(run.estimate))
-                self.tasks[run] = Task(run, plan.protocol, inputs)
-            except TrajevalError as error:
-                self._fail(run, str(error))
-        fingerprints.save()
+            elif run not in self.tasks and run not in self.failures:
+                try:
+                    of = self._fingerprints.of
+                    inputs = (of(run.groundtruth), of(run.estimate))
+                    self.tasks[run] = Task(run, self.plan.protocol, inputs)
+                except TrajevalError as error:
+                    self._fail(run, str(error))
+            if run in self.tasks:
+                yield self.tasks[run]
+        self._fingerprints.save()
 
     @property
     def state(self) -> str:
@@ -144,18 +157,22 @@ class _Batch:
         text = json.dumps([__version__, self.plan.title, settings_of(self.plan), parts])
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def evaluate(self, tasks: dict[Run, Task]) -> None:
+    def evaluate(self, tasks: Iterable[Task]) -> None:
         """Evaluate the runs that have no record yet."""
-        todo = [task for task in tasks.values() if not has_record(self.records, task.key)]
-        # The trials of a sequence follow one another: workers keep its groundtruth.
-        todo.sort(key=lambda task: (task.run.sequence, task.run.groundtruth))
-        self.progress.kept += len(tasks) - len(todo)
-        self.progress.total += len(todo)
-        self._tell(self.progress)
-        if todo:
-            evaluate_all(self._start_pool(), todo, self._finish, self._watch)
+        todo = self._without_record(tasks)
+        first = next(todo, None)
+        if first is not None:
+            evaluate_all(self._start_pool(), chain([first], todo), self._finish, self._watch)
         self.progress.running = []
         self._tell(self.progress)
+
+    def _without_record(self, tasks: Iterable[Task]) -> Iterator[Task]:
+        for task in tasks:
+            if has_record(self.records, task.key):
+                self.progress.kept += 1
+                self._tell(self.progress)
+            else:
+                yield task
 
     def cut_to_common_spans(self) -> None:
         """Evaluate the runs of each sequence again, over the time that all of them have."""
@@ -176,7 +193,8 @@ class _Batch:
             else:
                 cut[run] = Task(run, task.protocol, task.inputs, span)
         self.tasks = cut
-        self.evaluate(cut)
+        self.progress.total += len(cut)
+        self.evaluate(cut.values())
 
     def record(self, task: Task) -> Record | None:
         """Return what a run left; one that can't be read any more is evaluated again."""

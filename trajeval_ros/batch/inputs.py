@@ -16,6 +16,8 @@ from trajeval_ros.io.sources import parse_source
 _NANOSECONDS = 1_000_000_000
 # A file that changed later than this before it was hashed may change again at the same stamp.
 _SETTLED_NS = 2 * _NANOSECONDS
+# To read bags takes long, and a kill shouldn't make it be done again.
+_SAVED_EVERY_S = 5.0
 
 
 class Fingerprints:
@@ -26,6 +28,7 @@ class Fingerprints:
         self._known: dict[str, list[Any]] = {}
         self._of_source: dict[str, str] = {}
         self._changed = False
+        self._saved_at = time.monotonic()
         try:
             known = json.loads(memory.read_text(encoding="utf-8"))
             self._known = known if isinstance(known, dict) else {}
@@ -40,6 +43,8 @@ class Fingerprints:
         """
         if source not in self._of_source:
             self._of_source[source] = self._fingerprint(source)
+            if time.monotonic() > self._saved_at + _SAVED_EVERY_S:
+                self.save()
         return self._of_source[source]
 
     def save(self) -> None:
@@ -47,6 +52,7 @@ class Fingerprints:
         if self._changed:
             write_text(self._memory, json.dumps(self._known, indent=0) + "\n")
             self._changed = False
+        self._saved_at = time.monotonic()
 
     def _fingerprint(self, source: str) -> str:
         path, topic = split_topic(source)

@@ -14,11 +14,11 @@ from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.table import ATE, RE, STATISTICS, load_pyarrow, settings_of
 from trajeval_ros.io.results import write_whole
-from trajeval_ros.statistics import statistics_of
+from trajeval_ros.statistics import quantile, statistics_of
 
 Array = NDArray[np.float64]
 
-QUANTILES = {"p5": 5.0, "p25": 25.0, "p75": 75.0}
+QUANTILES = {"p5": 0.05, "p25": 0.25, "p75": 0.75}
 _ABSOLUTE = ("position_m", "rotation_deg", "yaw_deg", "tilt_deg")
 _COLUMNS = {
     **dict.fromkeys(("algorithm", "sequence", "kind", "metric", "length"), "string"),
@@ -87,10 +87,11 @@ def _scaled(row: dict[str, Any], metric: str, factor: float) -> dict[str, Any]:
 
 
 def _rows(values: Array, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    statistics = statistics_of(values)
+    ordered = np.sort(values)
+    statistics = statistics_of(ordered)
     if statistics is not None:
-        quantiles = np.percentile(values, list(QUANTILES.values())).tolist()
-        yield {**row, **vars(statistics), **dict(zip(QUANTILES, quantiles, strict=True))}
+        quantiles = {name: quantile(ordered, share) for name, share in QUANTILES.items()}
+        yield {**row, **vars(statistics), **quantiles}
 
 
 def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan) -> None:

@@ -27,7 +27,7 @@ from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 Array = NDArray[np.float64]
 Span = tuple[int, int]
 
-_FORMAT = 1  # of records: what is older is evaluated again
+_FORMAT = 2  # of records: what is older is evaluated again
 _POINTS = 900  # of a line in a report
 
 

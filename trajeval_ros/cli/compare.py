@@ -290,7 +290,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
             bar.update(
                 line,
                 total=progress.total or None,
-                completed=progress.done + progress.failed,
+                completed=progress.kept + progress.done + progress.failed,
                 failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
                 running=", ".join(progress.running),
             )
