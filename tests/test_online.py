@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import gauges, make_estimate, make_groundtruth, seeds
 
@@ -561,3 +562,9 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     assert expected.ate["position_m"] is not None
     assert ate["position_m"].count == expected.ate["position_m"].count
     assert ate["position_m"].rmse == pytest.approx(expected.ate["position_m"].rmse)
+
+
+@given(size=st.integers(0, 10**9), unit=st.sampled_from(["", "s", "m"]))
+def test_windows_are_read_as_they_are_written(size: int, unit: str) -> None:
+    window = Window.parse(f"{size}{unit}")
+    assert Window.parse(str(window)) == window

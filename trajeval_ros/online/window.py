@@ -53,7 +53,7 @@ class Window:
 
     def __str__(self) -> str:
         """Write it as `parse` reads it."""
-        return f"{self.size:g}{'' if self.unit == 'pairs' else self.unit}"
+        return f"{self.size:.15g}{'' if self.unit == 'pairs' else self.unit}"
 
     @property
     def is_whole_run(self) -> bool:

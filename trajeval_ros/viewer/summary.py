@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.consistency.verdict import Consistency
 from trajeval_ros.evaluation import Evaluation
 from trajeval_ros.gauge import Gauge
+from trajeval_ros.sub_trajectories import Length
 from trajeval_ros.viewer import colours
 
 if TYPE_CHECKING:
@@ -193,10 +194,11 @@ def _window_rmse(snapshot: Snapshot, metric: str) -> float | None:
 
 
 def _drift_so_far(snapshot: Snapshot) -> str:
-    for length, errors in reversed(snapshot.relative.items()):
-        if errors.count:
-            return f"{errors.position_m:.3f} m in {length}"
-    return NOTHING
+    known = [Length.parse(text) for text, errors in snapshot.relative.items() if errors.count]
+    if not known:
+        return NOTHING
+    longest = str(max(known, key=lambda length: (length.unit == "m", length.value)))
+    return f"{snapshot.relative[longest].position_m:.3f} m in {longest}"
 
 
 def _aligned_so_far(snapshot: Snapshot, gauge: Gauge) -> str:
