@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rpg_toolbox import METRICS, SLIPPED
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
@@ -30,16 +31,6 @@ runs:
   vio_mono: vio_mono/{{sequence}}.txt
   vislam_ba: vislam_ba/{{sequence}}_trial{{trial}}.txt
 """
-METRICS = {
-    "trans_m": "position_m",
-    "trans_perc": "position_percent",
-    "rot_deg": "rotation_deg",
-    "rot_deg_per_m": "rotation_deg_per_m",
-    "yaw_deg": "yaw_deg",
-    "gravity_deg": "tilt_deg",
-}
-# Its list of starts and ends slips there (its `dropped_index_case`).
-SLIPPED = ("vislam_ba/V2_03/7", "8.61")
 
 Compared = Callable[..., Path]
 

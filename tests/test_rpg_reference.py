@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from rpg_toolbox import METRICS, SLIPPED
 
 from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.gauge import Gauge
@@ -27,16 +28,6 @@ ALIGNMENTS = {
     "se3_1": (Gauge.SE3, 1),
     "posyaw_1": (Gauge.YAW, 1),
 }
-METRICS = {
-    "trans_m": "position_m",
-    "trans_perc": "position_percent",
-    "rot_deg": "rotation_deg",
-    "rot_deg_per_m": "rotation_deg_per_m",
-    "yaw_deg": "yaw_deg",
-    "gravity_deg": "tilt_deg",
-}
-# Its list of starts and ends slips there (its `dropped_index_case`).
-SLIPPED = ("vislam_ba/V2_03/7", "8.61")
 
 Recording = Callable[[str], Trajectory]
 Reference = Callable[[str], Any]
