@@ -17,10 +17,17 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 
 from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.gates import Gate, Values, bootstrap_interval, judge, to_markdown
+from trajeval_ros.batch.gates import (
+    Gate,
+    Values,
+    judge,
+    paired_interval,
+    require_same_settings,
+    to_markdown,
+)
 from trajeval_ros.batch.table import Rows
 from trajeval_ros.cli.app import main
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError
 
 GATE = "ate.position_m.rmse worse than 5 % + 2 MAD"
 
@@ -44,7 +51,7 @@ def test_gates_are_read_and_written(text: str, percent: float, deviations: float
 @pytest.mark.parametrize(
     "text",
     ["", "ate.position_m.rmse < 3", "a worse than", "a worse than 5", "a worse than 5 % + 5 %",
-     "a worse than 1.2.3 %", "a worse than much"],
+     "a worse than 1.2.3 %", "a worse than much", "a worse than . %", "a worse than .. MAD"],
 )  # fmt: skip
 def test_other_words_are_refused(text: str) -> None:
     with pytest.raises(SettingsError, match="can't read the gate"):
@@ -56,30 +63,32 @@ TRIALS = st.lists(st.floats(0.01, 10.0), min_size=2, max_size=12).map(np.array)
 
 @given(TRIALS, st.floats(0.1, 3.0))
 def test_a_shift_of_all_trials_is_found_exactly(before: np.ndarray, shift: float) -> None:
-    interval = bootstrap_interval(before, before + shift)
+    interval = paired_interval(before, before + shift, 0.05)
     assert interval == pytest.approx((shift, shift))
-    assert bootstrap_interval(before, before) == (0.0, 0.0)
+    assert paired_interval(before, before, 0.05) == (0.0, 0.0)
 
 
 @given(TRIALS)
 def test_the_interval_turns_its_sign_with_the_sides(before: np.ndarray) -> None:
     now = before[np.random.default_rng(len(before)).permutation(len(before))]
-    there, back = bootstrap_interval(before, now), bootstrap_interval(now, before)
+    there, back = (paired_interval(*sides, 0.05) for sides in ((before, now), (now, before)))
     assert there is not None
     assert back is not None
     assert there[0] <= there[1]
     assert there == pytest.approx((-back[1], -back[0]), abs=1e-12)
 
 
-def test_trials_that_only_vary_are_seldom_called_a_regression() -> None:
-    generator = np.random.default_rng(7)
-    called = 0
-    for _ in range(300):
-        before, now = generator.lognormal(0.0, 0.3, size=(2, 10))
-        interval = bootstrap_interval(before, now)
-        assert interval is not None
-        called += interval[0] > 0.0
-    assert called <= 15
+@pytest.mark.parametrize("trials", [2, 3, 5, 10, 20])
+def test_trials_that_only_vary_are_seldom_called_a_regression(trials: int) -> None:
+    generator = np.random.default_rng(trials)
+    numbers, tables, called = 10, 60, 0
+    for _ in range(tables):
+        sides = generator.lognormal(0.0, 0.3, size=(numbers, 2, trials))
+        intervals = [paired_interval(*each, 0.05 / numbers) for each in sides]
+        assert None not in intervals
+        called += any(each[0] > 0.0 for each in intervals if each is not None)
+    # Of all numbers of a table together 2.5 % on this side, 1.5 of 60: 7 are as rare as 1 in 1000.
+    assert called < 7
 
 
 def table(folder: Path, config: Path) -> Path:
@@ -244,3 +253,43 @@ def test_other_numbers_can_be_judged(path: str, yesterday: Path) -> None:
     assert [each.verdict for each in judged] == 4 * ["same"]
     assert [each.trials for each in judged] == 4 * [4]
     assert f"`{path}`" in to_markdown(judged, "all | runs", ["the groundtruth changed"])
+
+
+def test_the_last_digit_is_no_regression(today: Path, yesterday: Path) -> None:
+    # Four equal trials have no deviation, and no two machines the same last digit.
+    for folder in (today, yesterday):
+        for trial in range(4):
+            for algorithm in ("good", "bad"):
+                for sequence in ("hall", "yard"):
+                    write_run(folder / algorithm / f"{sequence}_trial{trial}.txt", 1.02)
+    shutil.copytree(yesterday, today.with_name("equal"))
+    old = table(today.with_name("equal") / "old", today.with_name("equal") / "runs.yaml")
+    before = Values(Rows(old))
+    after = Values(Rows(old))
+    for row in after._rows:
+        row["rmse"] = None if row["rmse"] is None else row["rmse"] * (1.0 + 4e-16)
+    judged = judge([Gate.parse("ate.position_m.rmse worse than 2 MAD")], before, after)
+    assert {each.verdict for each in judged} == {"same"}
+
+
+def test_pools_of_other_lengths_are_refused(today: Path) -> None:
+    old = Values(Rows(today / "old" / "runs.parquet"))
+    other = {**old.settings, "lengths": ["2m", *old.settings["lengths"]]}
+    gate = Gate.parse("re.pooled.position_percent.mean worse than 5 %")
+    with pytest.raises(InputError, match="made with lengths"):
+        require_same_settings(old, other, [gate])
+    require_same_settings(old, other, [Gate.parse(GATE)])
+
+
+def test_a_run_that_failed_before_is_not_new(today: Path, yesterday: Path) -> None:
+    for folder in (today, yesterday):
+        copy = folder.with_name(f"{folder.name}_failed")
+        shutil.copytree(folder, copy)
+        for trial in range(4):
+            (copy / "bad" / f"yard_trial{trial}.txt").write_text("nothing\n")
+        table(copy / "old", copy / "runs.yaml")
+    found = verdicts(
+        today.with_name(f"{today.name}_failed"), yesterday.with_name(f"{yesterday.name}_failed")
+    )
+    assert found["bad", "yard"] == "failed"
+    assert found["bad", "hall"] == "same"

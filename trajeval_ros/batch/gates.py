@@ -20,13 +20,16 @@ Group = tuple[str, str]
 Row = Mapping[str, Any]
 
 WORSE, BETTER, NOISE, SAME, LOST, NEW = "worse", "better", "noise", "same", "lost", "new"
+FAILED = "failed"
 _FAILS = (WORSE, LOST)
 _GATE = re.compile(r"\s*([\w.%]+)\s+worse\s+than\s+(.+?)\s*")
-_TERM = re.compile(r"([0-9.]+)\s*(%|MAD)")
+_TERM = re.compile(r"(\d+\.?\d*|\.\d+)\s*(%|MAD)")
 _COVERAGES = ("estimate_coverage", "groundtruth_coverage")
 _EXAMPLE = "ate.position_m.rmse worse than 5 % + 2 MAD"
 _RESAMPLES = 4000
-_BAND = (2.5, 97.5)  # percentiles of a 95 % interval
+_CHANCE = 0.05  # that noise alone makes any of a gate's numbers worse or better
+_FEWEST_TO_RESAMPLE = 10
+_EQUAL = 1e-9  # relative: the digits that are promised
 _MOST_ROWS = 20  # of a table that isn't folded
 
 
@@ -56,7 +59,7 @@ class Gate:
         terms = [_TERM.fullmatch(each.strip()) for each in match[2].split("+")] if match else []
         sizes: dict[str, float] = {}
         for term in terms:
-            if term is None or term[2] in sizes or term[1].count(".") > 1:
+            if term is None or term[2] in sizes:
                 break
             sizes[term[2]] = float(term[1])
         if match is None or len(sizes) != len(terms):
@@ -86,10 +89,12 @@ class Verdict:
         gate: Which number, and how much worse it may be.
         algorithm, sequence: Whose.
         before, now: Medians over the trials that both have; None without numbers.
-        interval: 95 % bootstrap interval of their difference; None of less than two trials.
+        interval: Of their difference, 95 % for all numbers of the gate together; None of less
+            than two trials.
         trials: Number of trials that both have.
         verdict: `worse`, `better`, `same`; `noise`: beyond the limit, but within what trials
-            vary; `lost`: a run that had a number has none; `new`: not in the baseline.
+            vary; `lost`: a run that had a number has none; `new`: without one in the baseline;
+            `failed`: without one in either.
         reason: What was lost.
     """
 
@@ -119,7 +124,7 @@ class Values:
         self._rows = rows.select((*names, *columns))
         self.reasons = {_run(row): row["reason"] for row in self._rows if row["status"] != OK}
         self.groundtruths = {
-            row["sequence"]: row["groundtruth_sha256"]
+            (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
             for row in self._rows
             if row["groundtruth_sha256"]
         }
@@ -173,19 +178,22 @@ class Values:
     def _require(name: str, known: list[str], path: str) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(known)}"
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(known) or 'none'}"
             raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
 
 
-def require_same_settings(baseline: Values, now: Mapping[str, Any]) -> None:
-    """Check that two tables can be compared.
+def require_same_settings(baseline: Values, now: Mapping[str, Any], gates: Sequence[Gate]) -> None:
+    """Check that two tables can be compared, in what the gates ask for.
 
     Raises:
         InputError: They were made by other definitions.
     """
+    pooled = any(gate.path.startswith("re.pooled") for gate in gates)
     for name, value in now.items():
+        if name == "lengths" and not pooled:  # one that is lacking is told by itself
+            continue
         before = baseline.settings.get(name)
-        if before != value and name != "lengths":  # a length that is lacking is told by itself
+        if before != value:
             was, now_is = (
                 f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
             )
@@ -205,29 +213,36 @@ def judge(gates: Sequence[Gate], baseline: Values, now: Values) -> list[Verdict]
     for gate in gates:
         number = baseline.find(gate.path)
         before, after = baseline.of(*number), now.of(*number)
+        groups = dict.fromkeys([*before, *after])
         verdicts += [
-            _verdict(gate, group, before.get(group, {}), after.get(group, {}), now)
-            for group in dict.fromkeys([*before, *after])
+            _verdict(gate, group, before.get(group, {}), after.get(group, {}), now, len(groups))
+            for group in groups
         ]
     return verdicts
 
 
 def _verdict(
-    gate: Gate, group: Group, before: dict[str, float], now: dict[str, float], table: Values
+    gate: Gate,
+    group: Group,
+    before: dict[str, float],
+    now: dict[str, float],
+    table: Values,
+    numbers: int,
 ) -> Verdict:
     both = [trial for trial in before if trial in now]
     lost = [trial for trial in before if trial not in now]
     paired = both or list(before)
     middle = _median([before[trial] for trial in paired])
     if not before:
-        return Verdict(gate, *group, None, _median(list(now.values())), None, 0, NEW)
+        verdict = NEW if now else FAILED
+        return Verdict(gate, *group, None, _median(list(now.values())), None, 0, verdict)
     if lost:
         reason = _why_lost(group, lost, table)
         after = _median([now[trial] for trial in both])
         return Verdict(gate, *group, middle, after, None, len(both), LOST, reason)
     x = np.array([before[trial] for trial in both])
     y = np.array([now[trial] for trial in both])
-    verdict, interval = _compare(gate, x, y)
+    verdict, interval = _compare(gate, x, y, numbers)
     return Verdict(gate, *group, middle, _median(y.tolist()), interval, len(both), verdict)
 
 
@@ -244,14 +259,20 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _compare(gate: Gate, before: Array, now: Array) -> tuple[str, tuple[float, float] | None]:
-    """Compare medians over the same trials: beyond the limit, and beyond chance?"""
+def _compare(
+    gate: Gate, before: Array, now: Array, numbers: int
+) -> tuple[str, tuple[float, float] | None]:
+    """Compare medians over the same trials: beyond the limit, and beyond chance?
+
+    A gate looks at so many numbers that one of them is always far off. So each has a share of the
+    chance that is allowed for all (Bonferroni).
+    """
     sign = 1.0 if gate.larger_is_worse else -1.0
     middle = float(np.median(before))
     deviation = float(np.median(np.abs(before - middle)))
-    limit = abs(middle) * gate.percent / 100.0 + gate.deviations * deviation
+    limit = abs(middle) * (gate.percent / 100.0 + _EQUAL) + gate.deviations * deviation
     difference = float(np.median(now)) - middle
-    interval = bootstrap_interval(before, now)
+    interval = paired_interval(before, now, _CHANCE / numbers)
     for direction, verdict in ((sign, WORSE), (-sign, BETTER)):
         if direction * difference > limit:
             if interval is None or min(direction * interval[0], direction * interval[1]) > 0.0:
@@ -260,18 +281,34 @@ def _compare(gate: Gate, before: Array, now: Array) -> tuple[str, tuple[float, f
     return SAME, interval
 
 
-def bootstrap_interval(before: Array, now: Array) -> tuple[float, float] | None:
-    """Return the 95 % percentile interval of the difference of medians over paired trials (N,).
+def paired_interval(before: Array, now: Array, chance: float) -> tuple[float, float] | None:
+    """Return an interval of the difference over paired trials (N,), missed with that chance.
 
-    Trials are drawn with both their numbers, so that what both have in common cancels. The draw is
-    seeded: the same numbers give the same interval. None of less than two trials.
+    From ten trials on it is a percentile bootstrap's of the difference of medians: they are drawn
+    with both their numbers, so that what both have in common cancels, and the draw is seeded, so
+    that the same numbers give the same interval. Of fewer, resampling sees too little of what they
+    might have been (of two trials its 95 % are 50 %), so it is Student's of the mean difference.
+
+    Args:
+        before: (N,).
+        now: (N,), of the same trials.
+        chance: That it misses the difference, on either side.
+
+    Returns:
+        Its ends; None of less than two trials.
     """
     count = len(before)
     if count < 2:
         return None
+    if count < _FEWEST_TO_RESAMPLE:
+        from scipy.special import stdtrit
+
+        each = now - before
+        reach = float(-stdtrit(count - 1, chance / 2.0) * each.std(ddof=1) / np.sqrt(count))
+        return float(each.mean()) - reach, float(each.mean()) + reach
     rows = np.random.default_rng(0).integers(count, size=(_RESAMPLES, count))
     differences = np.median(now[rows], axis=1) - np.median(before[rows], axis=1)
-    low, high = np.percentile(differences, _BAND)
+    low, high = np.percentile(differences, (50.0 * chance, 100.0 - 50.0 * chance))
     return float(low), float(high)
 
 
@@ -285,7 +322,7 @@ def to_markdown(verdicts: Sequence[Verdict], title: str, remarks: Sequence[str])
     )
     gates = "; ".join(dict.fromkeys(f"`{each.gate}`" for each in verdicts))
     lines = [head, "", f"Fails if {gates}.", *(f"**Note:** {each}." for each in remarks), ""]
-    order = (LOST, WORSE, BETTER, NOISE, NEW, SAME)
+    order = (LOST, WORSE, BETTER, NOISE, NEW, FAILED, SAME)
     ranked = sorted(verdicts, key=lambda each: order.index(each.verdict))
     shown = ranked if len(ranked) <= _MOST_ROWS else [each for each in ranked if each.fails]
     folded = ranked[len(shown) :]
@@ -295,8 +332,8 @@ def to_markdown(verdicts: Sequence[Verdict], title: str, remarks: Sequence[str])
         summary = f"<details><summary>{len(folded)} others</summary>"
         lines += [summary, "", *_table(folded), "", "</details>", ""]
     lines += [
-        "Medians over trials; the interval is a paired bootstrap's of their difference, 95 %. "
-        "*noise*: beyond the limit, but the interval has zero in it.",
+        "Medians over trials; the interval is of their paired difference, 95 % for all numbers of "
+        "a gate together. *noise*: beyond the limit, but the interval has zero in it.",
         "",
     ]
     return "\n".join(lines)
@@ -304,7 +341,7 @@ def to_markdown(verdicts: Sequence[Verdict], title: str, remarks: Sequence[str])
 
 def _table(verdicts: Sequence[Verdict]) -> list[str]:
     headings = [
-        "algorithm, sequence", "number", "baseline", "now", "change", "95 % interval", "trials",
+        "algorithm, sequence", "number", "baseline", "now", "change", "interval", "trials",
         "verdict",
     ]  # fmt: skip
     rows = []
@@ -332,14 +369,17 @@ def _table(verdicts: Sequence[Verdict]) -> list[str]:
 
 def remarks_on(baseline: Values, now: Values) -> list[str]:
     """Return what else is different."""
-    changed = [
+    changed = dict.fromkeys(
         sequence
-        for sequence, before in baseline.groundtruths.items()
-        if now.groundtruths.get(sequence, before) != before
-    ]
+        for (algorithm, sequence), before in baseline.groundtruths.items()
+        if now.groundtruths.get((algorithm, sequence), before) != before
+    )
     if not changed:
         return []
-    return [f"the groundtruth of {', '.join(changed)} is not that of the baseline"]
+    return [
+        f"the groundtruth of {', '.join(changed)} is not that of the baseline, so numbers there "
+        "don't compare"
+    ]
 
 
 def _run(row: Row) -> tuple[str, ...]:

@@ -197,7 +197,7 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
         return None
     gates = [Gate.parse(text) for text in texts]
     values = Values(Rows(path))
-    require_same_settings(values, settings_of(plan))
+    require_same_settings(values, settings_of(plan), gates)
     for gate in gates:
         values.find(gate.path)
     return gates, values
@@ -274,6 +274,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
         yield lambda progress: None
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
@@ -292,7 +293,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
                 total=progress.total or None,
                 completed=progress.kept + progress.done + progress.failed,
                 failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
-                running=", ".join(progress.running),
+                running=escape(", ".join(progress.running)),
             )
 
         yield tell
