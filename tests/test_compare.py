@@ -19,7 +19,7 @@ import pyarrow.parquet
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.summary import Summary, summary_of
+from trajeval_ros.batch.summary import Summary, matrices, summary_of
 from trajeval_ros.batch.table import Rows
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
@@ -74,6 +74,20 @@ def test_a_change_of_the_same_size_at_the_same_time_is_seen(tmp_path: Path) -> N
     assert progress.done == 1
 
 
+def test_other_content_with_the_stamp_and_size_of_the_old_is_seen(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    path, other = tmp_path / "bad" / "yard_trial1.txt", tmp_path / "other.txt"
+    long_ago = (10**9, 10**9)
+    os.utime(path, long_ago)
+    run(config)
+    write_run(other, 1.3)
+    assert other.stat().st_size == path.stat().st_size
+    os.utime(other, long_ago)
+    other.replace(path)
+    progress, _ = run(config)
+    assert progress.done == 1
+
+
 def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     run(config)
@@ -123,6 +137,22 @@ def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     progress, summary = run(config)
     assert (progress.done, progress.kept, progress.failed) == (1, 9, 1)
     assert summary.of("good", "yard")[0].status == "ok"
+
+
+def test_who_lost_runs_is_never_the_best_in_relative_errors(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1)
+    # What is hard for both, one has no estimate of.
+    write_run(tmp_path / "good" / "yard_trial0.txt", 1.5)
+    (tmp_path / "bad" / "yard_trial0.txt").unlink()
+    _, summary = run(config)
+    table = next(each for each in matrices(summary) if each.name == "re_position_percent")
+    (_, good), (_, bad) = table.rows
+    assert good[0].value is not None
+    assert bad[0].value is not None
+    assert bad[0].value < good[0].value
+    assert [cells[0].note for _, cells in table.rows] == ["", "1/2"]
+    assert [ranks[0] for ranks in table.ranks()] == [1, 0]
+    assert "is not ranked" in table.caption
 
 
 def test_a_common_time_span_takes_the_early_end_of_one_from_all(tmp_path: Path) -> None:

@@ -131,6 +131,42 @@ def test_the_toolboxs_folders(tmp_path: Path) -> None:
     assert [run.name for run in alone] == ["slam pose_graph MH_05", "slam traj_est MH_05"]
 
 
+def test_an_algorithm_without_any_estimate_is_missing_everywhere(tmp_path: Path) -> None:
+    ov_eval, toolbox, named = tmp_path / "ov", tmp_path / "rpg", tmp_path / "named"
+    for sequence in ("A", "B"):
+        write_run(ov_eval / "truths" / f"{sequence}.txt")
+        write_run(ov_eval / "algorithms" / "good" / sequence / "0.txt", 1.01)
+        (ov_eval / "algorithms" / "crashed" / sequence).mkdir(parents=True)
+        for algorithm in ("good", "crashed"):
+            folder = toolbox / "laptop" / algorithm / f"laptop_{algorithm}_{sequence}"
+            write_run(folder / "stamped_groundtruth.txt")
+        write_run(folder.parents[1] / "good" / f"laptop_good_{sequence}" /
+                  "stamped_traj_estimate.txt", 1.01)  # fmt: skip
+    for folder in (ov_eval, toolbox):
+        runs = plan(folder).runs
+        assert [run.sequence for run in runs if run.missing] == ["A", "B"]
+        assert len({run.algorithm for run in runs}) == 2
+    config = write_runs(named, trials=1)
+    nowhere = "  crashed: crashed/{sequence}_trial{trial}.txt\nlengths"
+    config.write_text(config.read_text().replace("lengths", nowhere))
+    assert "nothing matches the pattern 'crashed/" in refused(config, config.read_text())
+    config.write_text(config.read_text() + "sequences: [hall, yard]\n")
+    lost = [run for run in plan(config).runs if run.missing]
+    assert [(run.algorithm, run.sequence) for run in lost] == [
+        ("crashed", "hall"),
+        ("crashed", "yard"),
+    ]
+
+
+def test_folders_of_sequences_by_algorithm(tmp_path: Path) -> None:
+    for algorithm in ("a", "b"):
+        folder = tmp_path / algorithm / "MH_01"
+        write_run(folder / "stamped_groundtruth.txt")
+        write_run(folder / "stamped_traj_estimate.txt", 1.01)
+    names = [run.name for run in plan(tmp_path).runs]
+    assert names == ["a traj_est MH_01", "b traj_est MH_01"]
+
+
 def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None:
     with pytest.raises(TrajevalError, match=r"neither .* nor .*write a YAML file"):
         plan(tmp_path)
@@ -151,6 +187,10 @@ def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None
         ("runs: {good: 3}", "good must be a text"),
         ("runs: {good: '{sequence}/*.txt'}", "two files are bad"),
         ("trials: 3", "trials must be a list"),
+        ("sequences: [00, 01]", "0 of sequences is no text; write a name such as 00 in quotes"),
+        ("sequences: [hall, hall]", "names hall twice"),
+        ("trials: [null]", "None of trials is no text"),
+        ('groundtruth: "x\\0/{sequence}.txt"', "no path has"),
         ("common_time_span: 1", "must be true or false"),
         ("max_gap: wide", "max_gap must be a number"),
         ("modality: moon", "no modality 'moon'"),

@@ -244,4 +244,7 @@ def _write_tables(folder: Path, batch: _Batch, state: str) -> None:
 
     # Failed runs are tried again the next time, so such a table is never taken for the last one.
     write_table(folder / RUNS, rows(), batch.plan, "" if batch.progress.failed else state)
+    if state and batch.progress.failed:  # by a record that could be read no more, just now
+        pooled.clear()
+        write_table(folder / RUNS, rows(), batch.plan, "")
     write_pooled(folder / POOLED, pooled, batch.plan)

@@ -8,7 +8,7 @@ from typing import Any
 
 from trajeval_ros.batch.conventions import runs_in_folder
 from trajeval_ros.batch.patterns import Pattern
-from trajeval_ros.batch.plan import Plan, Run, all_runs
+from trajeval_ros.batch.plan import Name, Plan, Run, all_runs
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.io.yaml_file import read_mapping, require_known
@@ -87,18 +87,22 @@ def _runs(config: Mapping[str, Any], target: Path) -> tuple[Run, ...]:
         str(name): Pattern.parse(_typed(patterns, name, str, target, default=""))
         for name in patterns
     }
-    truths = {sequence: source for (sequence, _), source in truth.find(folder).items()}
-    estimates = {
-        (algorithm, *run): source
-        for algorithm, pattern in algorithms.items()
-        for run, source in pattern.find(folder).items()
-    }
+    sequences = _names(config, "sequences", target)
+    found = truth.find(folder)
+    truth.require(found, folder)
+    truths = {sequence: source for (sequence, _), source in found.items()}
+    estimates: dict[Name, str] = {}
+    for algorithm, pattern in algorithms.items():
+        found = pattern.find(folder)
+        if not sequences:  # else it is known which runs there should be
+            pattern.require(found, folder)
+        estimates |= {(algorithm, *run): source for run, source in found.items()}
     return all_runs(
         algorithms,
         estimates,
         lambda _, sequence: truths.get(sequence, ""),
         lambda name: algorithms[name[0]].path_of(folder, *name[1:]),
-        sequences=_names(config, "sequences", target),
+        sequences=sequences,
         trials=_names(config, "trials", target),
     )
 
@@ -112,6 +116,7 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
         value = config[key]
         if key in ("lengths", "align_states") and isinstance(value, (list, int, float)):
             value = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            value = value or "none"
         if key == "gauge" and value is None:  # YAML's null; `none` is a string to it
             value = "none"
         settings[key] = _typed({key: value}, key, kind, target)
@@ -134,7 +139,16 @@ def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:
     value = config.get(key, [])
     if not isinstance(value, list):
         raise InputError(f"{target}: {key} must be a list of names, not {value!r}")
-    return [str(each) for each in value]
+    for each in value:
+        if not isinstance(each, str) and not (key == "trials" and type(each) is int):
+            raise InputError(
+                f"{target}: {each!r} of {key} is no text; write a name such as 00 in quotes"
+            )
+    names = [str(each) for each in value]
+    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if twice:
+        raise InputError(f"{target}: {key} names {twice[0]} twice")
+    return names
 
 
 def _typed(

@@ -58,7 +58,10 @@ def _ov_eval(folder: Path) -> tuple[Run, ...]:
         [path.name for path in algorithms],
         estimates,
         lambda _, sequence: truths.get(sequence, ""),
-        lambda name: str(folder / "algorithms" / Path(*name)) + ".txt",
+        lambda name: (
+            str(folder / "algorithms" / Path(*filter(None, name)))
+            + (".txt" if name[2] else "/TRIAL.txt")
+        ),
     )
 
 
@@ -66,29 +69,43 @@ def _rpg(experiments: list[Path]) -> tuple[Run, ...]:
     truths: dict[tuple[str, str], str] = {}
     estimates: dict[Name, str] = {}
     places = [_place(path) for path in experiments]
+    if len(set(places)) < len(places):  # sequences by algorithm, in folders named by the first
+        places = [
+            (platform, algorithm or path.resolve().parent.name, sequence)
+            for path, (platform, algorithm, sequence) in zip(experiments, places, strict=True)
+        ]
     several_platforms = len({platform for platform, _, _ in places}) > 1
-    folders: dict[tuple[str, str], Path] = {}
+    without: dict[tuple[str, str], str] = {}
+    algorithms: dict[str, None] = {}
+    having: set[str] = set()
     for path, (platform, algorithm, sequence) in zip(experiments, places, strict=True):
         found = [(match, file) for file in sorted(path.iterdir())
                  if (match := _ESTIMATE.fullmatch(file.name))]  # fmt: skip
+        whose = " ".join(filter(None, (platform if several_platforms else "", algorithm)))
+        if not found:
+            without[whose, sequence] = str(path / _TRUTH)
         for match, file in found:
-            kind = _KINDS.get(match[1], match[1])
-            name = " ".join(filter(None, (platform if several_platforms else "", algorithm, kind)))
+            name = " ".join(filter(None, (whose, _KINDS.get(match[1], match[1]))))
             _add(estimates, (name, sequence, match[2]), file)
             truths[name, sequence] = str(path / _TRUTH)
-            folders[name, sequence] = path
+            algorithms[name] = None
+            having.add(whose)
     if not estimates:
         raise InputError(
             f"{experiments[0]} has a {_TRUTH}, but no stamped_traj_estimate.txt, "
             "stamped_pose_graph_estimate.txt or stamped_ba_estimate.txt beside it"
         )
-    algorithms = list(dict.fromkeys(name for name, _, _ in estimates))
+    # Who has no estimate at all has failed, and stays.
+    for (whose, sequence), truth in without.items():
+        if whose not in having:
+            algorithms[whose] = None
+            truths[whose, sequence] = truth
     by_sequence = {sequence: path for (_, sequence), path in truths.items()}
     return all_runs(
         algorithms,
         estimates,
         lambda algorithm, sequence: truths.get((algorithm, sequence), by_sequence[sequence]),
-        lambda name: f"{name[0]} estimate{name[2]} of {name[1]}",
+        lambda name: f"estimate{name[2]} of {name[1]} by {name[0]}",
     )
 
 

@@ -63,7 +63,7 @@ class Fingerprints:
         local = parse_source(source).path
         try:
             files = sorted(each for each in local.rglob("*") if each.is_file())
-            for file in files or [local, *_times_beside(local)]:
+            for file in files or [local, *_read_beside(local)]:
                 digest.update(self._file(file).encode())
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
@@ -72,23 +72,25 @@ class Fingerprints:
 
     def _file(self, path: Path) -> str:
         name, state = str(path.resolve()), path.stat()
-        size, changed = state.st_size, state.st_mtime_ns
+        changed = max(state.st_mtime_ns, state.st_ctime_ns)  # `cp -p` keeps the first alone
+        now = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
         known = self._known.get(name)
-        if known and known[:2] == [size, changed]:
-            return str(known[2])
+        if known and known[:-1] == now:
+            return str(known[-1])
         with path.open("rb") as file:
             digest = hashlib.sha256()
             while block := file.read(1 << 20):
                 digest.update(block)
         if time.time_ns() - changed > _SETTLED_NS:
-            self._known[name] = [size, changed, digest.hexdigest()]
+            self._known[name] = [*now, digest.hexdigest()]
             self._changed = True
         return digest.hexdigest()
 
 
-def _times_beside(path: Path) -> list[Path]:
-    """Return the files that a text without stamps takes them from (KITTI)."""
-    beside = (path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
+def _read_beside(path: Path) -> list[Path]:
+    """Return the files that are read with another: KITTI's stamps, the log of an sqlite bag."""
+    names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
+    beside = [path.with_name(name) for name in names]
     return [each for each in beside if each.is_file() and each != path]
 
 

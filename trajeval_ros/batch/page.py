@@ -11,7 +11,7 @@ from typing import Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.comparison import RECORDS, RUNS
 from trajeval_ros.batch.drawing import Advance, draw_all
-from trajeval_ros.batch.plots import drafts_of
+from trajeval_ros.batch.plots import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.pools import Pool
 from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.summary import Summary, definition, matrices
@@ -75,8 +75,11 @@ def _findings(summary: Summary) -> list[str]:
         f"{_counted(summary.sequences, 'sequence')}: {len(trials) - len(lost)} evaluated"
         + (f", {len(lost)} failed or missing, which count as worse than all." if lost else ".")
     ]
-    if len(trials) > _MOST_FIGURES:
-        findings.append(f"Figures are of the first {_MOST_FIGURES} runs, numbers of all.")
+    if len(trials) > _MOST_FIGURES or len(summary.sequences) > MOST_SEQUENCES:
+        findings.append(
+            f"Figures are of the first {_MOST_FIGURES} runs and {MOST_SEQUENCES} sequences, numbers "
+            "of all."
+        )
     tables = matrices(summary)
     wins = {
         name: ranks.count(1)

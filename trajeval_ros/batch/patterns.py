@@ -54,6 +54,8 @@ class Pattern:
                 near = get_close_matches(name, (SEQUENCE, TRIAL), n=1)
                 hint = f"did you mean {{{near[0]}}}?" if near else "use {sequence} and {trial}"
                 raise SettingsError(f"the pattern {text!r} has an unknown {{{name}}}; {hint}")
+        if "\0" in text:
+            raise SettingsError(f"the pattern {text!r} has a character that no path has")
         path, topic = split_topic(text)
         if SEQUENCE not in _PLACEHOLDER.findall(path):
             raise SettingsError(
@@ -74,7 +76,7 @@ class Pattern:
             folder: What a relative path begins at.
 
         Raises:
-            InputError: Nothing matches, or two files are of the same sequence and trial.
+            InputError: Two files are of the same sequence and trial.
         """
         found: dict[tuple[str, str], str] = {}
         for match, path in _existing(folder, self.path):
@@ -87,11 +89,18 @@ class Pattern:
                     f"{path}; make the pattern tell them apart"
                 )
             found[run] = path + self.source_topic(*run)
+        return found
+
+    def require(self, found: dict[tuple[str, str], str], folder: Path) -> None:
+        """Refuse a pattern that found nothing.
+
+        Raises:
+            InputError: It found nothing.
+        """
         if not found:
             raise InputError(
                 f"nothing matches the pattern {self.text!r}{_how_far(folder, self.path)}"
             )
-        return found
 
     def source_topic(self, sequence: str, trial: str) -> str:
         """Return the topic of a run, with its colon."""

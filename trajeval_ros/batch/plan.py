@@ -82,7 +82,7 @@ def all_runs(
     runs = []
     for algorithm in algorithms:
         own = {trial for each, _, trial in estimates if each == algorithm}
-        expected = natural(trials) if trials and own - {""} else natural(own)
+        expected = natural(trials) if trials and own != {""} else natural(own) or [""]
         for sequence in names:
             groundtruth = groundtruths(algorithm, sequence)
             for trial in expected:

@@ -14,11 +14,15 @@ from trajeval_ros.batch.table import RE
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
+# Each has a figure or three, which take a quarter of a second.
+MOST_SEQUENCES = 50
 _UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
 def drafts_of(folder: Path, summary: Summary) -> list[Draft]:
     """Return the figures: absolute errors, relative errors, and trajectories by sequence.
+
+    The latter two of the first `MOST_SEQUENCES`.
 
     Args:
         folder: The comparison's.
@@ -61,7 +65,7 @@ def _relative_plots(summary: Summary) -> list[Draft]:
     in_metres = not any(length.endswith("s") for length in lengths)
     position = "position_percent" if in_metres else "position_m"
     plots = []
-    for sequence in summary.sequences:
+    for sequence in summary.sequences[:MOST_SEQUENCES]:
         for metric in (position, "rotation_deg"):
             series = [
                 (
@@ -96,7 +100,7 @@ def _pooled_box(row: dict[str, Any] | None) -> Box | None:
 def _overlays(folder: Path, summary: Summary) -> list[Draft]:
     """Draw on each sequence the trial of each algorithm that has the median error."""
     plots = []
-    for sequence in summary.sequences:
+    for sequence in summary.sequences[:MOST_SEQUENCES]:
         truth: Array | None = None
         paths: list[tuple[str, Array] | None] = []
         for algorithm in summary.algorithms:

@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -75,11 +76,15 @@ class Summary:
 
     def of(self, algorithm: str, sequence: str | None = None) -> list[Trial]:
         """Return the runs of an algorithm, on one sequence or on all."""
-        return [
-            trial
-            for trial in self.trials
-            if trial.algorithm == algorithm and sequence in (None, trial.sequence)
-        ]
+        return self._by_place.get((algorithm, sequence), [])
+
+    @cached_property
+    def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:
+        found: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
+        for trial in self.trials:
+            found[trial.algorithm, trial.sequence].append(trial)
+            found[trial.algorithm, None].append(trial)
+        return found
 
 
 def summary_of(folder: Path) -> Summary:
@@ -175,8 +180,8 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
     notes = []
     if len(known) > 1:
         notes.append(f"({number_text(min(known))}–{number_text(max(known))})")
-    if len(evaluated) < len(trials) and len(trials) > 1:
-        notes.append(f"{len(evaluated)}/{len(trials)}")
+    if len(known) < len(trials) and len(trials) > 1:
+        notes.append(f"{len(known)}/{len(trials)}")
     if evaluated and median(trial.coverage for trial in evaluated) < LOW_COVERAGE:
         notes.append(_PARTIAL)
     return Cell(value, " ".join(notes))
@@ -184,19 +189,25 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
 
 def _relative(summary: Summary, metric: str) -> Matrix | None:
     lengths = summary.settings["lengths"]
+    pooled: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
+    for row in summary.pooled:
+        if (row["kind"], row["metric"]) == (RE, metric):
+            pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
     rows = []
+    some_lost = False
     for algorithm in summary.algorithms:
+        trials = summary.of(algorithm)
+        evaluated = sum(trial.status == OK for trial in trials)
+        # Means without the hardest runs would be the best ones.
+        is_whole = evaluated == len(trials)
+        some_lost |= not is_whole
+        note = "" if is_whole else f"{evaluated}/{len(trials)}"
         cells = []
         for length in lengths:
-            pooled = [
-                (row["mean"], row["count"])
-                for row in summary.pooled
-                if (row["algorithm"], row["kind"], row["length"], row["metric"])
-                == (algorithm, RE, length, metric)
-            ]
-            count = sum(each for _, each in pooled)
-            mean = sum(value * each for value, each in pooled) / count if count else None
-            cells.append(Cell(mean))
+            means = pooled[algorithm, length]
+            count = sum(each for _, each in means)
+            mean = sum(value * each for value, each in means) / count if count else None
+            cells.append(Cell(mean, note if count else "", is_ranked=is_whole))
         rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
@@ -204,6 +215,8 @@ def _relative(summary: Summary, metric: str) -> Matrix | None:
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
         f"{RE_FORMS[summary.settings['re_form']]}. {definition(summary.settings)}"
     )
+    if some_lost:
+        caption += " Who lost runs, which have no sub-trajectories, is not ranked."
     title = f"Relative error, {RELATIVE[metric]}, by length"
     return _matrix(summary, f"re_{metric}", title, caption, rows, lengths)
 

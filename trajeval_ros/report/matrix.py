@@ -30,10 +30,12 @@ class Cell:
     Attributes:
         value: The number, infinite where too many runs failed; None where there is nothing.
         note: What stands behind it: "(0.05–0.32)", "8/10", "†".
+        is_ranked: Whether it may be the best: not what leaves out runs that failed.
     """
 
     value: float | None
     note: str = ""
+    is_ranked: bool = True
 
     @property
     def text(self) -> str:
@@ -71,9 +73,10 @@ class Matrix:
         """Return for each cell 1 if it is the best of its column, 2 the second, else 0."""
         ranks = [[0] * len(self.columns) for _ in self.rows]
         for column in range(len(self.columns)):
-            values = [cells[column].value for _, cells in self.rows]
+            cells_here = [cells[column] for _, cells in self.rows]
+            values = [each.value if each.is_ranked else None for each in cells_here]
             distinct = sorted({each for each in values if each is not None and each < math.inf})
-            if sum(each is not None for each in values) < 2:
+            if sum(each.value is not None for each in cells_here) < 2:
                 continue
             for row, value in enumerate(values):
                 if value in distinct[:2]:
