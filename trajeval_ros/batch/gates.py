@@ -24,7 +24,11 @@ FAILED = "failed"
 _FAILS = (WORSE, LOST)
 _GATE = re.compile(r"\s*([\w.%]+)\s+worse\s+than\s+(.+?)\s*")
 _TERM = re.compile(r"(\d+\.?\d*|\.\d+)\s*(%|MAD)")
-_COVERAGES = ("estimate_coverage", "groundtruth_coverage")
+# Columns by names: a run's coverage is its own, whatever others cut from it.
+_COVERAGES = {
+    "estimate_coverage": "estimate_coverage",
+    "groundtruth_coverage": "own_groundtruth_coverage",
+}
 _EXAMPLE = "ate.position_m.rmse worse than 5 % + 2 MAD"
 _RESAMPLES = 4000
 _CHANCE = 0.05  # that noise alone makes any of a gate's numbers worse or better
@@ -120,7 +124,7 @@ class Values:
     def __init__(self, rows: Rows) -> None:
         self.settings = rows.settings
         names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256")
-        columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES)
+        columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())
         self._rows = rows.select((*names, *columns))
         self.reasons = {_run(row): row["reason"] for row in self._rows if row["status"] != OK}
         self.groundtruths = {
@@ -157,6 +161,7 @@ class Values:
         if kind == "association":
             (column,) = rest if len(rest) == 1 else ("",)
             self._require(column, list(_COVERAGES), path)
+            column = _COVERAGES[column]
             return lambda row: row["kind"] == ATE and row["metric"] == "position_m", column
         self._require(kind, [ATE, "re"], path)
         length: str | None = None

@@ -77,8 +77,8 @@ def _findings(summary: Summary) -> list[str]:
     ]
     if len(trials) > _MOST_FIGURES or len(summary.sequences) > MOST_SEQUENCES:
         findings.append(
-            f"Figures are of the first {_MOST_FIGURES} runs and {MOST_SEQUENCES} sequences, numbers "
-            "of all."
+            f"Figures are of the first {_MOST_FIGURES} runs and {MOST_SEQUENCES} sequences, "
+            "numbers of all."
         )
     tables = matrices(summary)
     wins = {
