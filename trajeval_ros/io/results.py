@@ -301,7 +301,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         InputError: The file can't be written.
     """
     if path.is_dir():
-        raise InputError(f"{path} is a folder; name a file")
+        raise InputError(f"{path} can't be written: is a directory; name a file")
     if path.exists() and not path.is_file():
         _write(path, lambda: write(path))
         return
