@@ -94,7 +94,9 @@ def test_an_input_is_never_written_over(
 def test_a_folder_is_no_file(
     pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "can't be written: is a directory; name a file" in refused([*pair, "-q", "--json", str(tmp_path)], capsys)
+    assert "can't be written: is a directory; name a file" in refused(
+        [*pair, "-q", "--json", str(tmp_path)], capsys
+    )
 
 
 def test_figures_of_another_evaluation_do_not_stay(pair: list[str], tmp_path: Path) -> None:
