@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.simulation import simulate
 from trajeval_ros.visual_inertial.motion import recorded, shape
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import Handling
@@ -51,6 +52,29 @@ def test_writes_tables_numbers_and_figures(
     assert max(numbers["covariance_difference"].values()) < 2e-3
     table = (folder / "tables.md").read_text()
     assert table.count("| sine plane |") == 1
+
+
+@pytest.mark.slow
+def test_recordings_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
+    sources = []
+    for seed, folder in enumerate(("MH_01", "V1_02")):
+        (tmp_path / folder).mkdir()
+        truth = simulate(seed, 16.0).groundtruth
+        assert truth.quaternions is not None
+        columns = [truth.seconds, truth.positions, truth.quaternions]
+        file = tmp_path / folder / "groundtruth.txt"
+        np.savetxt(file, np.column_stack(columns), fmt="%.9f")
+        sources += ["--motion", str(file)]
+    study = tmp_path / "study"
+    part = ["--start", "2", "--duration", "12", "--trials", "1"]
+    assert main(["gauge-study", "--output", str(study), *part, *sources]) == 0
+    numbers = json.loads((study / "study.json").read_text())
+    motions = [name for name in numbers["configurations"] if name.startswith("motion of ")]
+    assert motions == ["motion of MH_01/groundtruth", "motion of V1_02/groundtruth"]
+    # Each beside the paper's values of that recording.
+    table = (study / "tables.md").read_text()
+    assert "0.06936" in table
+    assert "0.07851" in table
 
 
 def test_sweep_and_paths_have_the_papers_shape() -> None:
