@@ -285,7 +285,9 @@ def test_unknown_covariances_in_messages_are_recognised(
         (["--profile", "honest"], "no profile"),
         (["--runs", "3"], "--runs is for estimators"),
         (["--profile", "euroc", "--runs", "0"], "--runs must be at least 1"),
-        (["--profile", "euroc", "--duration", "2"], "takes 5 to 86400 s"),
+        (["--profile", "euroc", "--duration", "2"], "flight takes 5 to 1800 s"),
+        (["--profile", "euroc", "--duration", "nan"], "flight takes 5 to 1800 s"),
+        (["--profile", "euroc", "--duration", "1801"], "memory grows with the length"),
         (["--profile", "overconfident", "--duration", "60"], "use --duration 10"),
     ],
 )

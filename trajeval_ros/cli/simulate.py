@@ -57,8 +57,8 @@ def simulate(
         typer.Option(
             metavar="drift|paper|euroc|overconfident",
             help="drift: a kinematic model without covariance. The others: a visual-inertial "
-            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC, "
-            "or too sure of itself (at most 10 s).",
+            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC "
+            "(at most 1800 s), or too sure of itself (at most 10 s).",
         ),
     ] = _DRIFT,
     runs: Annotated[
