@@ -299,3 +299,22 @@ def test_says_what_can_not_be_simulated(
     assert why in said
     assert len(said.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("runs", ["1", "2"])
+@pytest.mark.parametrize("folder", [".", "..", "/"])
+def test_runs_need_a_name(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    folder: str,
+    runs: str,
+) -> None:
+    (tmp_path / "inside").mkdir()
+    monkeypatch.chdir(tmp_path / "inside")
+    command = ["simulate", folder, "--profile", "paper", "--duration", "5", "--runs", runs]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert f"{folder} has no name of its own" in said
+    assert len(said.splitlines()) == 1
+    assert [path.name for path in tmp_path.rglob("*")] == ["inside"]

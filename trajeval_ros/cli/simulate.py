@@ -136,6 +136,11 @@ def _write_runs(
         )
     if runs < 1 or seed < 0:
         raise SettingsError("--runs must be at least 1, and --seed at least 0")
+    if output.name in ("", ".."):
+        raise SettingsError(
+            f"{output} has no name of its own to call bags and covariances after; name a new "
+            "folder, such as fly"
+        )
     flight = fly(seed, duration, PROFILES[profile])
     bags = [output]
     if runs > 1:
