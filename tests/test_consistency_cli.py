@@ -285,7 +285,9 @@ def test_unknown_covariances_in_messages_are_recognised(
         (["--profile", "honest"], "no profile"),
         (["--runs", "3"], "--runs is for estimators"),
         (["--profile", "euroc", "--runs", "0"], "--runs must be at least 1"),
-        (["--profile", "euroc", "--duration", "2"], "takes 5 to 86400 s"),
+        (["--profile", "euroc", "--duration", "2"], "flight takes 5 to 1800 s"),
+        (["--profile", "euroc", "--duration", "nan"], "flight takes 5 to 1800 s"),
+        (["--profile", "euroc", "--duration", "1801"], "memory grows with the length"),
         (["--profile", "overconfident", "--duration", "60"], "use --duration 10"),
     ],
 )
@@ -297,3 +299,22 @@ def test_says_what_can_not_be_simulated(
     assert why in said
     assert len(said.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("runs", ["1", "2"])
+@pytest.mark.parametrize("folder", [".", "..", "/"])
+def test_runs_need_a_name(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    folder: str,
+    runs: str,
+) -> None:
+    (tmp_path / "inside").mkdir()
+    monkeypatch.chdir(tmp_path / "inside")
+    command = ["simulate", folder, "--profile", "paper", "--duration", "5", "--runs", runs]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert f"{folder} has no name of its own" in said
+    assert len(said.splitlines()) == 1
+    assert [path.name for path in tmp_path.rglob("*")] == ["inside"]

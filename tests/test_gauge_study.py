@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.simulation import simulate
+from trajeval_ros.trajectory import Trajectory
 from trajeval_ros.visual_inertial.motion import recorded, shape
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import Handling
@@ -53,6 +58,29 @@ def test_writes_tables_numbers_and_figures(
     assert table.count("| sine plane |") == 1
 
 
+@pytest.mark.slow
+def test_recordings_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
+    sources = []
+    for seed, folder in enumerate(("MH_01", "V1_02")):
+        (tmp_path / folder).mkdir()
+        truth = simulate(seed, 16.0).groundtruth
+        assert truth.quaternions is not None
+        columns = [truth.seconds, truth.positions, truth.quaternions]
+        file = tmp_path / folder / "groundtruth.txt"
+        np.savetxt(file, np.column_stack(columns), fmt="%.9f")
+        sources += ["--motion", str(file)]
+    study = tmp_path / "study"
+    part = ["--start", "2", "--duration", "12", "--trials", "1"]
+    assert main(["gauge-study", "--output", str(study), *part, *sources]) == 0
+    numbers = json.loads((study / "study.json").read_text())
+    motions = [name for name in numbers["configurations"] if name.startswith("motion of ")]
+    assert motions == ["motion of MH_01/groundtruth", "motion of V1_02/groundtruth"]
+    # Each beside the paper's values of that recording.
+    table = (study / "tables.md").read_text()
+    assert "0.06936" in table
+    assert "0.07851" in table
+
+
 def test_sweep_and_paths_have_the_papers_shape() -> None:
     scene = make_scene(shape("sine"), "plane", PROFILES["paper"], 0)
     weak, middle, strong = sweep(scene, 3, _nothing, (0.0, 10.0, 1e8))
@@ -83,6 +111,59 @@ def test_real_motion(shared_data: Path) -> None:
     outcome = compare(scene, 2, _nothing)
     assert 0.001 < outcome[Handling.FREE].position_m.mean() < 0.2
     assert covariances(scene).difference < 2e-3
+
+
+@pytest.fixture(scope="module")
+def flown() -> Trajectory:
+    return simulate(1, 30.0).groundtruth
+
+
+@pytest.mark.parametrize(
+    ("start_s", "duration_s"),
+    [(5.0, -1.0), (5.0, 0.0), (5.0, np.nan), (5.0, np.inf), (-5.0, 20.0), (np.nan, 10.0)],
+)
+def test_a_part_that_is_none_is_refused(
+    flown: Trajectory, start_s: float, duration_s: float
+) -> None:
+    with pytest.raises(SettingsError, match="a start from 0 s on and a duration above 0 s"):
+        recorded(flown, start_s, duration_s)
+
+
+@pytest.mark.parametrize(
+    ("start_s", "duration_s", "needed"), [(500.0, 10.0, 200), (500.0, 0.05, 6), (25.0, 10.0, 200)]
+)
+def test_a_part_that_is_not_recorded_is_refused(
+    flown: Trajectory, start_s: float, duration_s: float, needed: int
+) -> None:
+    with pytest.raises(InputError, match=f"needs orientations and {needed} states"):
+        recorded(flown, start_s, duration_s)
+
+
+@pytest.mark.parametrize(("start_s", "gap_s"), [(5.0, 0.25), (5.0, 1.5), (10.001, 1.5)])
+def test_a_gap_that_noise_would_fill_is_refused(
+    flown: Trajectory, start_s: float, gap_s: float
+) -> None:
+    heard = (flown.seconds < 10.0) | (flown.seconds > 10.0 + gap_s)
+    with pytest.raises(InputError, match=rf"has a gap of {gap_s:.1f}\d s at (9\.99|10\.00) s"):
+        recorded(flown[heard], start_s, 10.0)
+
+
+def test_noise_does_not_fill_a_gap_that_is_bridged(flown: Trajectory) -> None:
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(flown.positions.shape)
+    noisy = dataclasses.replace(flown, positions=flown.positions + noise)
+    heard = (flown.seconds < 10.0) | (flown.seconds > 10.18)
+    exact, bridged = recorded(flown, 5.0, 10.0), recorded(noisy[heard], 5.0, 10.0)
+    times = np.linspace(0.0, 9.9, 1000)
+    assert np.abs(bridged.positions(times) - exact.positions(times)).max() < 5e-3
+
+
+@pytest.mark.parametrize("up", [0.0, 1.0])
+@pytest.mark.filterwarnings("error")
+def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) -> None:
+    still = dataclasses.replace(flown, positions=flown.positions * [0.0, 0.0, up])
+    level = Rotation.identity(len(flown))
+    with pytest.raises(InputError, match="doesn't travel"):
+        recorded(dataclasses.replace(still, rotations=level), 5.0, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +153,26 @@ def test_overwrites_only_what_it_wrote(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="not overwritten"):
         simulate_command(tmp_path / "empty", seed=2, duration=5.0, overwrite=True)
+
+
+def test_overwrites_only_the_covariance_that_it_wrote(tmp_path: Path) -> None:
+    bag, file = tmp_path / "fly", tmp_path / "fly.npz"
+    simulate_command(bag, duration=5.0, profile="paper")
+    shutil.rmtree(bag)
+    first = file.read_bytes()
+    with pytest.raises(InputError, match=r"fly\.npz exists.*--overwrite"):
+        simulate_command(bag, seed=1, duration=5.0, profile="paper")
+    assert file.read_bytes() == first
+    assert not bag.exists()
+    simulate_command(bag, seed=1, duration=5.0, profile="paper", overwrite=True)
+    assert file.read_bytes() != first
+
+    file.write_text("mine")
+    with pytest.raises(InputError, match=r"fly\.npz is not a joint covariance"):
+        simulate_command(bag, duration=5.0, profile="paper", overwrite=True)
+    assert file.read_text() == "mine"
+    estimate = read_trajectory(f"{bag}:/vio/odometry")
+    assert len(estimate) == 51
 
 
 def test_nothing_is_written_for_a_flight_that_cannot_be(tmp_path: Path) -> None:

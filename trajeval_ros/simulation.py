@@ -62,18 +62,6 @@ class Simulation:
     estimate: Trajectory
 
 
-def require_duration(duration_s: float) -> None:
-    """Refuse what is too short for what is in a flight, or too long for memory.
-
-    Raises:
-        SettingsError: It is.
-    """
-    if not SHORTEST_S <= duration_s <= LONGEST_S:
-        raise SettingsError(
-            f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
-        )
-
-
 def simulate(
     seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: Drift | None = None
 ) -> Simulation:
@@ -86,9 +74,12 @@ def simulate(
         drift: How the odometry errs.
 
     Raises:
-        SettingsError: A flight too short for what is in it.
+        SettingsError: A flight too short for what is in it, or too long for memory.
     """
-    require_duration(duration_s)
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise SettingsError(
+            f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
+        )
     if not 0.0 <= gap_s <= duration_s / 2.0:
         raise SettingsError(
             f"the gap must be from 0 to half of the flight's {duration_s:g} s, not {gap_s:g}"

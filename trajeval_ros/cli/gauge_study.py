@@ -80,7 +80,7 @@ def gauge_study(
         f"{name} {layout}": make_scene(motions.shape(name), layout, sensors, _SEED)
         for layout, name in _LAYOUTS_AND_SHAPES
     }
-    scenes |= dict(_recorded(source, start, duration, sensors) for source in motion or [])
+    scenes |= _recorded(motion or [], start, duration, sensors)
     outcome = {name: _compared(name, scene, trials) for name, scene in scenes.items()}
     swept = scenes["sine plane"]
     with progress("prior weights") as advance:
@@ -95,7 +95,9 @@ def gauge_study(
     _print(output, outcome, matrices)
 
 
-def _recorded(source: str, start: float, duration: float, sensors: Profile) -> tuple[str, Scene]:
+def _recorded(
+    sources: list[str], start: float, duration: float, sensors: Profile
+) -> dict[str, Scene]:
     import dataclasses
 
     from trajeval_ros.cli.names import names_of
@@ -103,12 +105,18 @@ def _recorded(source: str, start: float, duration: float, sensors: Profile) -> t
     from trajeval_ros.visual_inertial.motion import recorded
     from trajeval_ros.visual_inertial.scene import make_scene
 
-    (name,) = names_of([source])
-    flown = recorded(dataclasses.replace(read_trajectory(source), name=name), start, duration)
-    scene = make_scene(
-        flown, "random", sensors, _SEED, keyframes=_MOTION_KEYFRAMES, landmarks=_MOTION_LANDMARKS
-    )
-    return f"motion of {name}", scene
+    scenes = {}
+    for source, name in zip(sources, names_of(sources), strict=True):
+        flown = recorded(dataclasses.replace(read_trajectory(source), name=name), start, duration)
+        scenes[f"motion of {name}"] = make_scene(
+            flown,
+            "random",
+            sensors,
+            _SEED,
+            keyframes=_MOTION_KEYFRAMES,
+            landmarks=_MOTION_LANDMARKS,
+        )
+    return scenes
 
 
 def _compared(name: str, scene: Scene, trials: int) -> dict[Handling, Trials]:

@@ -57,8 +57,8 @@ def simulate(
         typer.Option(
             metavar="drift|paper|euroc|overconfident",
             help="drift: a kinematic model without covariance. The others: a visual-inertial "
-            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC, "
-            "or too sure of itself (at most 10 s).",
+            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC "
+            "(at most 1800 s), or too sure of itself (at most 10 s).",
         ),
     ] = _DRIFT,
     runs: Annotated[
@@ -79,7 +79,9 @@ def simulate(
     overwrite: Annotated[
         bool,
         typer.Option(
-            "--overwrite", help="Replace BAG if an earlier `trajeval simulate` wrote it."
+            "--overwrite",
+            help="Replace BAG, and BAG.npz of a profile, if an earlier `trajeval simulate` wrote "
+            "them.",
         ),
     ] = False,
 ) -> None:
@@ -134,11 +136,17 @@ def _write_runs(
         )
     if runs < 1 or seed < 0:
         raise SettingsError("--runs must be at least 1, and --seed at least 0")
+    if output.name in ("", ".."):
+        raise SettingsError(
+            f"{output} has no name of its own to call bags and covariances after; name a new "
+            "folder, such as fly"
+        )
     flight = fly(seed, duration, PROFILES[profile])
     bags = [output]
     if runs > 1:
         bags = [output.with_name(f"{output.name}_{number}") for number in range(runs)]
     for bag in bags:
+        _make_way_for_covariance(_covariance_of(bag), overwrite=overwrite)
         _make_way(bag, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     with progress(f"{runs} runs of {duration:g} s") as advance:
@@ -244,6 +252,23 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
             "name another folder"
         )
     shutil.rmtree(output)
+
+
+def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
+    """Refuse to replace a file beside a bag, unless asked to and it is a joint covariance."""
+    from trajeval_ros.io.joint_covariance import read_joint_covariance
+
+    if not file.exists() and not file.is_symlink():
+        return
+    if not overwrite:
+        raise InputError(f"{file} exists; name another folder, or add --overwrite")
+    try:
+        read_joint_covariance(file)
+    except InputError as error:
+        raise InputError(
+            f"{file} is not a joint covariance that trajeval simulate wrote, so it is not "
+            "overwritten; name another folder"
+        ) from error
 
 
 def _is_simulated(folder: Path) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.simulation import EPOCH_S, require_duration, simulate
+from trajeval_ros.simulation import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.motion import recorded
 from trajeval_ros.visual_inertial.sampler import Run, Sampler, solved
@@ -21,6 +21,9 @@ from trajeval_ros.visual_inertial.state import State
 Array = NDArray[np.float64]
 
 KEYFRAME_RATE_HZ = 10.0
+# Half an hour takes 3.4 GB, which grows with the length, and 142 s, most of them for the spline,
+# which grow with its square.
+LONGEST_S = 1800.0
 # A dense Schur complement of more keyframes takes minutes; samples take seconds.
 MOST_SOLVED = 101
 _LANDMARKS_PER_KEYFRAME = 10
@@ -78,14 +81,20 @@ def fly(seed: int, duration_s: float, profile: Profile) -> Flight:
 
     Args:
         seed: Chooses the flight and the landmarks.
-        duration_s: Of the flight, 5 s to a day.
+        duration_s: Of the flight, 5 s to half an hour.
         profile: Of the sensors.
 
     Raises:
-        SettingsError: A flight too short, or too long to be solved where it must be.
+        SettingsError: A flight too short, too long for memory, or too long to be solved where
+            it must be.
         DegenerateGeometryError: The keyframes hardly see anything together.
     """
-    require_duration(duration_s)
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise SettingsError(
+            f"an estimator's simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not "
+            f"{duration_s:g}: memory grows with the length, time with its square; the drift model "
+            "flies longer"
+        )
     keyframes = round(duration_s * KEYFRAME_RATE_HZ) + 1
     if not profile.honest and keyframes > MOST_SOLVED:
         longest = (MOST_SOLVED - 1) / KEYFRAME_RATE_HZ
