@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 needs_pipes = pytest.mark.skipif(os.name != "posix", reason="there are no named pipes")
 
 
+@pytest.mark.slow
 @needs_pipes
 @pytest.mark.parametrize(
     ("more", "status"),
@@ -99,6 +100,7 @@ def test_a_folder_is_no_file(
     )
 
 
+@pytest.mark.slow
 def test_figures_of_another_evaluation_do_not_stay(pair: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
     out = tmp_path / "out"
@@ -133,6 +135,7 @@ def test_options_that_would_do_nothing_are_refused(
     assert main([*pair, *more, "-q"]) == 0
 
 
+@pytest.mark.slow
 def test_names_in_any_letters_are_drawn_without_complaint(
     pair: list[str], tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
