@@ -46,6 +46,7 @@ def test_who_reads_the_head_alone_gets_the_right_status(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @needs_pipes
 def test_output_may_be_closed(pair: list[str], tmp_path: Path) -> None:
     result = tmp_path / "result.json"

@@ -108,6 +108,7 @@ def test_what_can_not_be_read_any_more_is_made_anew(tmp_path: Path) -> None:
     assert after.trials == before.trials
 
 
+@pytest.mark.slow
 def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

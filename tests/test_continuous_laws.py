@@ -141,6 +141,7 @@ def test_continuous_across_gaps_too(model: str) -> None:
 
 
 # The model of the paper has no second scale.
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [name for name in UNCERTAIN if name != "paper"])
 def test_few_samples_between_gaps_are_believed(model: str) -> None:
     seconds = np.r_[0:1500, 2100, 2700:2712, 3400, 3401, 4000:5500, 5990:6000] / 300.0
