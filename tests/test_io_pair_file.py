@@ -191,30 +191,31 @@ def test_a_full_disk_is_written_to_again(
     assert writer.lost == 0
 
 
-def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pair_file, "_MOST_WAITING", 1200)
-    writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
-    disk = Disk(0)
-    monkeypatch.setattr(os, "write", disk)
-    chunks = [chunk(place, 3) for place in range(4)]
-    for each in chunks:
-        writer.append(*each)
-    assert writer.lost == 6
-    with pytest.raises(InputError, match=r"can't be written to its end: no space left"):
-        writer.close()
-
-
-def test_why_pairs_were_lost_is_known_when_the_disk_is_well_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PairWriter, Disk]:
+    """A writer with four chunks, of which there is room for two to wait."""
     monkeypatch.setattr(pair_file, "_MOST_WAITING", 1200)
     writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
     disk = Disk(0)
     monkeypatch.setattr(os, "write", disk)
     for place in range(4):
         writer.append(*chunk(place, 3))
+    return writer, disk
+
+
+def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
+    on_a_full_disk: tuple[PairWriter, Disk],
+) -> None:
+    writer, _ = on_a_full_disk
+    assert writer.lost == 6
+    with pytest.raises(InputError, match=r"can't be written to its end: no space left"):
+        writer.close()
+
+
+def test_why_pairs_were_lost_is_known_when_the_disk_is_well_again(
+    on_a_full_disk: tuple[PairWriter, Disk],
+) -> None:
+    writer, disk = on_a_full_disk
     disk.room = 10**6
     writer.write()
     assert (writer.trouble, writer.lost) == ("", 6)

@@ -68,7 +68,8 @@ def deliver(
     if requirements:
         unmet += failed
     if output is not None:
-        _write_folder(output, result, runs, pictures)
+        with results.refused_by_disk(f"the folder {output}"):
+            _write_folder(output, result, runs, pictures)
     pictures.write(runs)
     if json == "-":
         with may_break():
@@ -109,21 +110,7 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
 def _write_folder(
     folder: Path, result: dict[str, object], runs: Sequence[results.Run], pictures: Pictures
 ) -> None:
-    """Write everything under a temporary name first, so that nothing is ever half written.
-
-    Raises:
-        InputError: It can't be written.
-    """
-    try:
-        _fill(folder, result, runs, pictures)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"the folder {folder} can't be written: {reason}") from error
-
-
-def _fill(
-    folder: Path, result: dict[str, object], runs: Sequence[results.Run], pictures: Pictures
-) -> None:
+    """Write everything under a temporary name first, so that nothing is ever half written."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     # A folder that exists may be a disk of its own, and the only place that can be written.
     beside = folder if folder.is_dir() else folder.parent

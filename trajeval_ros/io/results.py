@@ -11,7 +11,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -303,26 +303,30 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     if path.is_dir():
         raise InputError(f"{path} can't be written: is a directory; name a file")
     if path.exists() and not path.is_file():
-        _write(path, lambda: write(path))
+        with refused_by_disk(str(path)):
+            write(path)
         return
     if path.is_symlink():
         path = path.resolve()
     temporary = path.with_name(temporary_name(path.name, os.getpid()))
-
-    def write_and_rename() -> None:
-        write(temporary)
-        temporary.replace(path)
-
     try:
-        _write(path, write_and_rename)
+        with refused_by_disk(str(path)):
+            write(temporary)
+            temporary.replace(path)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
 
 
-def _write(path: Path, act: Callable[[], object]) -> None:
+@contextlib.contextmanager
+def refused_by_disk(what: str) -> Iterator[None]:
+    """Say in one sentence that something can't be written in the block.
+
+    Raises:
+        InputError: It can't.
+    """
     try:
-        act()
+        yield
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path} can't be written: {reason}") from error
+        raise InputError(f"{what} can't be written: {reason}") from error
