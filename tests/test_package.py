@@ -30,6 +30,8 @@ FLOORS = {
     "gauge": 2,
     "similarity": 2,
     "continuous_time": 2,
+    "coverage": 2,
+    "no_match": 2,
     "degradation": 3,
     "association": 3,
     "span_alignment": 3,

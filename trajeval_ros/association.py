@@ -9,9 +9,7 @@ pairs one to one, closest first. The other methods reproduce a tool or a benchma
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +19,9 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros import lie
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.coverage import coverage_of, time_without_gaps
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
+from trajeval_ros.no_match import LATEST_CLOCK_S, explain_no_match
 from trajeval_ros.trajectory import NANOSECONDS, Trajectory, add_counts
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 Indices = NDArray[np.int64]
 _ROUNDS = 8
 _LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
-_LATEST_CLOCK_S = 5e9  # the year 2128
 METHODS = ("linear", "continuous", "nearest", "rpg", "evo", "index")
 
 
@@ -69,9 +68,9 @@ class AssociationRule:
             raise SettingsError(
                 f"there is no continuous model {self.model!r}; use one of {', '.join(MODELS)}"
             )
-        if not abs(self.time_offset_s) <= _LATEST_CLOCK_S:
+        if not abs(self.time_offset_s) <= LATEST_CLOCK_S:
             raise SettingsError(
-                f"the time offset must be within {_LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
+                f"the time offset must be within {LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
             )
 
 
@@ -136,7 +135,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
     if len(rows) == 0:
-        raise NoMatchError(_explain_no_match(groundtruth, shifted, rule, dropped))
+        raise NoMatchError(explain_no_match(groundtruth, shifted, rule, dropped))
     pairs = shifted[rows]
     # A row of a file without stamps happened when its groundtruth did.
     stamps = truth.stamps if by_row and groundtruth.stamped else pairs.stamps
@@ -386,73 +385,3 @@ def _groundtruth_coverage(
         # A state that several pairs share is covered once.
         stamps = stamps[np.unique(truth_rows, return_index=True)[1]]
     return coverage_of(stamps, time, len(groundtruth), rule.max_gap_s)
-
-
-def coverage_of(
-    pair_stamps: Indices, truth_time: int, truth_count: int, max_gap_s: float
-) -> float:
-    """Return the share of the groundtruth's time that pairs span.
-
-    Pairs no further apart than the maximum gap, or than twice the usual step of sparse keyframes,
-    span the time between them. Of groundtruth that is all gaps, it is the share of states.
-
-    Args:
-        pair_stamps: (N,) of the pairs, nanoseconds.
-        truth_time: The groundtruth's time that pairs can span, nanoseconds: the sum of its steps
-            that are no gaps, or all of it where gaps are paired in.
-        truth_count: Number of groundtruth states.
-        max_gap_s: Longest step that is no gap.
-    """
-    if truth_time == 0:
-        return min(1.0, len(pair_stamps) / truth_count)
-    steps = np.diff(np.sort(pair_stamps))
-    limit = round(max_gap_s * NANOSECONDS)
-    if len(steps):
-        limit = max(limit, 2 * int(np.median(steps)))
-    return min(1.0, float(steps[steps <= limit].sum() / truth_time))
-
-
-def time_without_gaps(stamps: Indices, max_gap_s: float) -> int:
-    """Return the sum of the steps between sorted stamps that are no gaps, nanoseconds."""
-    steps = stamps[1:] - stamps[:-1]
-    return int(steps[steps <= round(max_gap_s * NANOSECONDS)].sum())
-
-
-def _explain_no_match(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
-) -> str:
-    def span(trajectory: Trajectory) -> tuple[float, float]:
-        return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
-
-    truth, other = span(groundtruth), span(estimate)
-    text = (
-        "no pose of the estimate has a groundtruth: the groundtruth covers "
-        f"{_clock(*truth)}, the estimate {_clock(*other)}"
-    )
-    if dropped.get("in_groundtruth_gap"):
-        return f"{text}; all within fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
-    if truth[0] <= other[1] and other[0] <= truth[1]:
-        return (
-            f"{text}; they overlap, but no stamps are within {rule.max_time_difference_s:g} s: "
-            "use association linear, or a larger max time difference"
-        )
-    thousands = math.log10(max(truth[1], 1e-9) / max(other[1], 1e-9)) / 3.0
-    as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
-    if as_other_unit or max(truth[1], other[1]) > _LATEST_CLOCK_S:
-        return f"{text}; the units of the stamps seem to differ (seconds, milliseconds, ...?)"
-    if min(truth[1], other[1]) < 1e7 and max(truth[1], other[1]) > 1e8:
-        return f"{text}; one counts from zero (simulated time?), the other is a clock's time"
-    apart = max(truth[0] - other[1], other[0] - truth[1])
-    shift = truth[0] - other[0]
-    return (
-        f"{text}, {apart:.6g} s apart; if the clocks differ by a constant, give it as the time "
-        f"offset (starting together would be {shift:.6f} s)"
-    )
-
-
-def _clock(start: float, end: float) -> str:
-    text = f"{start:.3f} to {end:.3f} s"
-    if 1e8 < start < 2e10:
-        day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-        text += f" ({day} UTC)"
-    return text

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.association import Association, AssociationRule, coverage_of
+from trajeval_ros.association import Association, AssociationRule
+from trajeval_ros.coverage import coverage_of
 from trajeval_ros.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.io.checks import judge_rotations

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros import lie
 from trajeval_ros.alignment import Alignment, align_first, solve
-from trajeval_ros.association import Association, coverage_of
+from trajeval_ros.association import Association
+from trajeval_ros.coverage import coverage_of
 from trajeval_ros.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.gauge import Gauge

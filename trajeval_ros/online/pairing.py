@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import lie
-from trajeval_ros.association import bracket_stamps, mix, time_without_gaps
+from trajeval_ros.association import bracket_stamps, mix
+from trajeval_ros.coverage import time_without_gaps
 from trajeval_ros.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
 
 Floats = NDArray[np.float64]
