@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,26 @@ def publish(
             publishers["estimate"].publish(message)
 
 
+@contextmanager
+def published(
+    peer: Peer, truth: str = TRUTH, estimate: str = ODOMETRY, of: Any = None
+) -> Iterator[dict[str, Any]]:
+    """Yield what `publish` publishes with, once an evaluator listens; the estimate `of` a type."""
+    from geometry_msgs.msg import PoseStamped
+
+    publishers = {
+        "truth": peer.publisher(truth, PoseStamped),
+        "estimate": peer.publisher(estimate, of or PoseStamped),
+    }
+    try:
+        for each in publishers.values():
+            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        yield publishers
+    finally:
+        for each in publishers.values():
+            peer.node.destroy_publisher(each)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
@@ -121,21 +142,15 @@ def test_a_publisher_may_change_its_quality_of_service(
 def test_topics_that_are_exchanged_by_remapping_stay_so(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    from geometry_msgs.msg import PoseStamped
 
     exchanged = ["-r", f"{TRUTH}:={ODOMETRY}", "-r", f"{ODOMETRY}:={TRUTH}"]
-    with evaluating(tmp_path / "out", environment, *exchanged, lengths="none") as evaluator:
-        publishers = {
-            "truth": peer.publisher(ODOMETRY, PoseStamped),
-            "estimate": peer.publisher(TRUTH, PoseStamped),
-        }
-        for each in publishers.values():
-            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+    with (
+        evaluating(tmp_path / "out", environment, *exchanged, lengths="none") as evaluator,
+        published(peer, ODOMETRY, TRUTH) as publishers,
+    ):
         publish(publishers, 1000.0, 4.0)
         until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
         assert evaluator.end() == 0
-        for each in publishers.values():
-            peer.node.destroy_publisher(each)
     truth, run = evaluator.result["groundtruth"], evaluator.run_of(TRUTH)
     assert (truth["source"], truth["poses"]) == (ODOMETRY, 400)
     assert run["estimate"]["poses"] == 80
@@ -216,16 +231,12 @@ def test_a_defect_is_told_and_what_was_paired_is_written(
 def test_a_reset_subscribes_at_once_and_tells_of_results_that_can_t_be_written(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    from geometry_msgs.msg import PoseStamped
     from std_srvs.srv import Trigger
 
-    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
-        publishers = {
-            "truth": peer.publisher(TRUTH, PoseStamped),
-            "estimate": peer.publisher(ODOMETRY, PoseStamped),
-        }
-        for each in publishers.values():
-            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+    with (
+        evaluating(tmp_path / "out", environment, lengths="none") as evaluator,
+        published(peer) as publishers,
+    ):
         publish(publishers, 1000.0, 4.0)
         until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
         (evaluator.folder / "errors.npz").mkdir()
@@ -235,8 +246,6 @@ def test_a_reset_subscribes_at_once_and_tells_of_results_that_can_t_be_written(
         assert evaluator.said.count(told) == 2
         evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")
         evaluator.end()
-        for each in publishers.values():
-            peer.node.destroy_publisher(each)
 
 
 def test_without_groundtruth_there_is_no_result(
@@ -256,7 +265,6 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import PoseStamped
 
     told = peer.hear("/diagnostics", DiagnosticArray)
 
@@ -264,21 +272,16 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
         return told[-1].status[0] if told and told[-1].status else None
 
     trouble = f"{ODOMETRY}: no message gives a pose: 80 zero stamp"
-    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
-        publishers = {
-            "truth": peer.publisher(TRUTH, PoseStamped),
-            "estimate": peer.publisher(ODOMETRY, PoseStamped),
-        }
-        for each in publishers.values():
-            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+    with (
+        evaluating(tmp_path / "out", environment, lengths="none") as evaluator,
+        published(peer) as publishers,
+    ):
         publish(publishers, 1000.0, 4.0, dated=False)
         peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
         values = {each.key: each.value for each in newest().values}
         assert newest().level == b"\x01"
         assert values["dropped"] == "80 zero stamp"
         assert evaluator.end() == 2
-        for each in publishers.values():
-            peer.node.destroy_publisher(each)
     assert evaluator.said.count("no message gives a pose") == 1
     assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
 
@@ -286,24 +289,21 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
 def test_save_tells_why_a_path_can_t_be_written(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    from geometry_msgs.msg import PoseStamped
     from nav_msgs.msg import Path as PathMessage
     from std_srvs.srv import Trigger
 
-    with evaluating(tmp_path / "out", environment, lengths="none") as evaluator:
-        slam = PathSender(peer.publisher(ODOMETRY, PathMessage))
-        truth = peer.publisher(TRUTH, PoseStamped)
-        for each in (slam.publisher, truth):
-            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
-        publish({"truth": truth, "estimate": slam}, 1000.0, 4.0)
+    with (
+        evaluating(tmp_path / "out", environment, lengths="none") as evaluator,
+        published(peer, of=PathMessage) as publishers,
+    ):
+        slam = PathSender(publishers["estimate"])
+        publish({**publishers, "estimate": slam}, 1000.0, 4.0)
         until(lambda: pairs_on_disk(evaluator) >= 78, "pairs")
         (evaluator.folder / "vio_odometry.revised.npz").mkdir()
         saved = peer.ask("/evaluator/save", Trigger)
         assert not saved.success
         assert "vio_odometry.revised.npz can't be written: is a directory" in saved.message
         evaluator.end()
-        for each in (slam.publisher, truth):
-            peer.node.destroy_publisher(each)
 
 
 class PathSender:
