@@ -289,8 +289,8 @@ def _compare(
 def paired_interval(before: Array, now: Array, chance: float) -> tuple[float, float] | None:
     """Return an interval of the difference over paired trials (N,), missed with that chance.
 
-    From ten trials on it is a percentile bootstrap's of the difference of medians: they are drawn
-    with both their numbers, so that what both have in common cancels, and the draw is seeded, so
+    From ten trials on it is a percentile bootstrap's of the difference of medians; each is drawn
+    with both its numbers, so that what both have in common cancels, and the draw is seeded, so
     that the same numbers give the same interval. Of fewer, resampling sees too little of what they
     might have been (of two trials its 95 % are 50 %), so it is Student's of the mean difference.
 

@@ -64,12 +64,12 @@ class Summary:
     trials: tuple[Trial, ...]
     pooled: tuple[dict[str, Any], ...]
 
-    @property
+    @cached_property
     def algorithms(self) -> list[str]:
         """In the order of the plan."""
         return list(dict.fromkeys(trial.algorithm for trial in self.trials))
 
-    @property
+    @cached_property
     def sequences(self) -> list[str]:
         """In the order of the plan."""
         return list(dict.fromkeys(trial.sequence for trial in self.trials))
