@@ -189,7 +189,7 @@ def report(
 ) -> bool:
     """Print the table and the worst; return whether all is within the tolerance."""
     table = Table(box=box.SIMPLE_HEAD, padding=0, collapse_padding=True)
-    table.add_column("pair", no_wrap=True)
+    table.add_column("pair", no_wrap=True, min_width=max(map(len, results)))
     for alignment, error in COLUMNS:
         heading = f"{alignment.removeprefix('--align_') or 'none'}\n{UNITS[error]}"
         table.add_column(heading, justify="right", no_wrap=True, min_width=9)
