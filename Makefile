@@ -23,7 +23,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-fast test-jazzy test-ros lint format bench \
-	bench-live bench-runs fuzz lock colcon-environment ros-environment clean
+	bench-live bench-runs parity fuzz lock colcon-environment ros-environment clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -60,6 +60,9 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 
 bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo and readers of bags, time the rest; BENCH="--only bags".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
+
+parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by number, on pairs from a new seed; SEED=1.
+	$(VENV)/bin/python -m benchmarks.parity --evo $(EVO)/bin/evo_ape $(if $(SEED),--seed $(SEED))
 
 bench-runs: $(VENV)/.installed ## Time comparisons of a thousand runs; BENCH="--runs 200".
 	$(VENV)/bin/python -m benchmarks.many_runs $(BENCH)
