@@ -51,7 +51,9 @@ def _ask_for_screenshot(url: str, png: Path) -> None:
 
     try:
         with ViewerClient.connect(url) as viewer:
-            while not (state := viewer.get_state()).recordings or state.loading:
+            # rerun-sdk 0.39 has it under its older name.
+            look = viewer.get_state if hasattr(viewer, "get_state") else viewer.viewer_state
+            while not (state := look()).recordings or state.loading:
                 time.sleep(_LOOK_EVERY_S)
             time.sleep(_SETTLE_S)
             viewer.save_screenshot(str(png.resolve()))
@@ -107,15 +109,13 @@ def headless_viewer(file: Path, *, patience_s: float = _PATIENCE_S) -> Iterator[
 def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
     """Wait until the viewer listens, and has found what to draw with."""
     while viewer.poll() is None:
-        try:
-            socket.create_connection((LOOPBACK, port), _LOOK_EVERY_S).close()
-        except OSError:
-            time.sleep(_LOOK_EVERY_S)
-        else:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                viewer.wait(_SETTLE_S)
-            if viewer.poll() is None:
-                return
+        with socket.socket() as probe:
+            listens = probe.connect_ex((LOOPBACK, port)) == 0
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            viewer.wait(_SETTLE_S if listens else _LOOK_EVERY_S)
+            break
+        if listens:
+            return
     raise InputError(
         "Rerun's viewer finds nothing to draw with; it needs a Vulkan driver: that of Debian and "
         "Ubuntu, mesa-vulkan-drivers, needs no graphics card"
