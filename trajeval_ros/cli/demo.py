@@ -66,8 +66,9 @@ def demo(
     except TrajevalError as error:
         print(f"trajeval: {error}", file=sys.stderr)
         status = 2
-    _heading("Draw the first screen of the recording for Rerun")
     shown = live if (live / PICTURE).exists() else recorded
+    _heading("Draw the picture")
+    print("by Rerun's viewer, without a window; this takes some seconds", flush=True)
     picture = folder / "rerun.png"
     why_none = _draw(shown / PICTURE, picture)
     _heading("What is where" if not status else "The demo failed; what is where")

@@ -38,10 +38,10 @@ def save_png(file: Path, png: Path, *, patience_s: float = _PATIENCE_S) -> None:
     sdk()
     # `--screenshot-to` takes its picture before the file is loaded.
     with headless_viewer(file, patience_s=patience_s) as url:
-        _ask_for_screenshot(url, png)
+        ask_for_screenshot(url, png)
 
 
-def _ask_for_screenshot(url: str, png: Path) -> None:
+def ask_for_screenshot(url: str, png: Path) -> None:
     """Have a viewer write what it shows.
 
     Raises:
