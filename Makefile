@@ -32,7 +32,7 @@ install: $(VENV)/.installed ## Make the environment in .venv; .venv/bin/trajeval
 
 demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see demo_output/.
 	@$(MAKE) --no-print-directory $(DEMO)/.installed
-	$(ALONE) $(DEMO)/bin/python launch_free_scripts/live_demo.py demo_output
+	$(ALONE) $(DEMO)/bin/trajeval demo demo_output
 
 # Each process has one thread of linear algebra: more of them than cores wait for each other.
 test test-fast test-jazzy: export OPENBLAS_NUM_THREADS := 1

@@ -267,7 +267,7 @@ class Peer:
                 playback.messages(),
                 playback.begin_ns,
                 rate,
-                publish=lambda channel, payload: publishers[channel].publish(payload),
+                publish=lambda channel, payload: publishers[channel].publish(payload) or 0.0,
                 tick=lambda _: None,
                 is_stopped=lambda: False,
             )
