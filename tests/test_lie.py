@@ -43,6 +43,7 @@ def test_products_are_associative_with_an_inverse_and_an_identity(a: int, b: int
     np.testing.assert_allclose(
         lie.multiply(p, lie.conjugate(p)), np.tile(identity, (50, 1)), atol=1e-14
     )
+    # Each sum has one term that isn't zero: exact in any order.
     np.testing.assert_array_equal(lie.multiply(p, identity), p)
     np.testing.assert_array_equal(lie.multiply(identity, p), p)
 
@@ -182,7 +183,9 @@ def test_work_by_blocks_is_work_at_once(count: int) -> None:
     a, b = random.normal(size=(count, 4)), random.normal(size=(count, 4))
     product, angle = lie.by_blocks(lambda x, y: (x * y, lie.angle(x)), a, b)
     np.testing.assert_array_equal(product, a * b)
-    np.testing.assert_array_equal(angle, lie.angle(a))
+    # numpy's vector loops and what they leave over may take another atan2, each to 4 units in the
+    # last place.
+    np.testing.assert_allclose(angle, lie.angle(a), rtol=8.0 * np.finfo(np.float64).eps)
 
 
 @given(seed=seeds)

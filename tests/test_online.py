@@ -541,7 +541,8 @@ def test_lengths_and_window_change_while_it_runs() -> None:
     now, before = changing.snapshot(), steady.snapshot()
     # Short and long batches multiply quaternions in sums of another order (`lie.multiply`). Four
     # products of unit quaternions, each known to 4 u in each of four components, make an angle
-    # that is known to 64 u; two of them differ by twice that, their means by N u more.
+    # that is known to 64 u, and a step of one metre that is known to as much; two of them differ
+    # by twice that, their means by N u more.
     one, other = now.relative["1m"], before.relative["1m"]
     assert (one.count, one.given_up) == (other.count, other.given_up)
     rounding = (128 + one.count) * np.finfo(np.float64).eps / 2.0
