@@ -256,17 +256,21 @@ def test_same_hyperparameters_make_it_exactly_equivariant() -> None:
 @pytest.mark.parametrize("model", ["matern", "wnoa", "linear"])
 def test_no_clock_and_no_sign_of_a_quaternion_matters(model: str) -> None:
     motion = smooth(40)
-    assert motion.quaternions is not None
+    quaternions = motion.quaternions
+    assert quaternions is not None
     signs = np.where(np.arange(40) % 3, 1.0, -1.0)[:, None]
+    motion = dataclasses.replace(motion, rotations=Rotation.from_quat(quaternions))
     other = dataclasses.replace(
         motion,
         stamps=motion.stamps - 1_600_000_000_123_456_789,
-        rotations=Rotation.from_quat(signs * motion.quaternions),
+        rotations=Rotation.from_quat(signs * quaternions),
     )
     here = fit_trajectory(motion, model).at(motion.stamps[:-1] + 70_000_000)
     there = fit_trajectory(other, model).at(other.stamps[:-1] + 70_000_000)
-    np.testing.assert_allclose(there.poses, here.poses, atol=1e-9)
-    np.testing.assert_allclose(there.covariances, here.covariances, rtol=1e-6, atol=1e-12)
+    # Times count from the first stamp and q and -q are one matrix, so both fits are the same
+    # operations. An optimiser, given an input that differs in its last bit, may stop elsewhere.
+    np.testing.assert_array_equal(there.poses, here.poses)
+    np.testing.assert_array_equal(there.covariances, here.covariances)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
