@@ -10,6 +10,7 @@ EVO := .venv-evo
 LOCK := .venv-lock
 FUZZ := .venv-fuzz
 BENCH ?=
+KERNELS ?=
 ROS_TEST_DOMAIN ?= 71
 
 # Where there are no wheels of ROS 2, the demo is about a recording alone.
@@ -22,8 +23,8 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench \
-	bench-live bench-runs parity fuzz lock colcon-environment ros-environment clean
+.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench bench-live \
+	bench-runs parity fuzz lock colcon-environment ros-environment clean test-kernels
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -45,6 +46,9 @@ test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few se
 
 test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
 	$(JAZZY)/bin/python -m pytest -n auto -m "not slow"
+
+test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmetic of other CPUs; KERNELS="Nehalem".
+	$(VENV)/bin/python tests/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	$(ALONE) $(ROS)/bin/python -m pytest -m ros
