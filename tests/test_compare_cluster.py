@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from comparison_runs import here, write_runs
+from waiting import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -30,7 +31,6 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 120.0
 
 pytestmark = pytest.mark.slow
 
@@ -86,12 +86,11 @@ class Cluster:
             )  # fmt: skip
 
     def _wait_for(self, what: Callable[[], bool]) -> None:
-        until = time.monotonic() + PATIENCE_S
-        while not what():
-            logs = [log.read_text()[-800:] for log in self._folder.glob("*.log")]
-            assert time.monotonic() < until, logs
-            assert all(process.poll() is None for process in self.processes), logs
-            time.sleep(0.05)
+        def has_ended() -> bool:
+            return any(process.poll() is not None for process in self.processes)
+
+        until(lambda: what() or has_ended(), "the cluster starts")
+        assert not has_ended(), [log.read_text()[-800:] for log in self._folder.glob("*.log")]
 
 
 @pytest.fixture
