@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from consistency_runs import ALIGNMENTS, alignment_of
@@ -14,7 +16,7 @@ from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_margi
 from trajeval_ros.consistency.nees import chi_square_band
 from trajeval_ros.gauge import Gauge
 from trajeval_ros.trajectory import Trajectory
-from trajeval_ros.visual_inertial.flight import Odometry, fly
+from trajeval_ros.visual_inertial.flight import Flight, Odometry, fly
 from trajeval_ros.visual_inertial.scene import PROFILES
 
 RUNS = 12
@@ -25,6 +27,13 @@ def _joint(odometry: Odometry) -> JointCovariance:
     quaternions = np.asarray(estimate.quaternions)
     parts = estimate.stamps, estimate.positions, quaternions, 9, None, odometry.information
     return JointCovariance(*parts, "free")
+
+
+@functools.cache
+def _long_runs() -> tuple[Flight, list[Odometry]]:
+    """Return a flight of a thousand keyframes, and runs of the estimator on it."""
+    flight = fly(5, 100.0, PROFILES["euroc"])
+    return flight, list(flight.runs(5, RUNS))
 
 
 def _measured(truth: Trajectory, sigmas: np.ndarray, seed: int) -> Trajectory:
@@ -76,11 +85,11 @@ def test_bands_of_a_long_run_are_those_of_the_dense_covariance(
 @pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
 def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
-    flight = fly(5, 100.0, PROFILES["euroc"])
+    flight, runs = _long_runs()
     sigmas = np.repeat([0.002, np.radians(0.1)], 3)
     shares: dict[object, list[float]] = {alignment: [] for alignment in ALIGNMENTS}
     means, dof = [], 0
-    for seed, odometry in enumerate(flight.runs(5, RUNS)):
+    for seed, odometry in enumerate(runs):
         estimate = odometry.estimate
         truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, estimate.stamps)]
         if noisy:

@@ -104,7 +104,6 @@ RECORDINGS = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("truth", "estimate", "gauge"), RECORDINGS)
 @pytest.mark.parametrize("delay_s", [0.0, 0.3])
 def test_live_is_offline_on_recordings(
@@ -170,7 +169,6 @@ def numbers_of(thing: object) -> Iterator[float | str | None]:
         yield thing
 
 
-@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=seeds)
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
@@ -294,7 +292,6 @@ def numbers_held(thing: object, seen: set[int]) -> int:
     return 1 + sum(numbers_held(each, seen) for each in inside)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 3.0], ids=["at rest", "moving"])
 def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("trajeval_ros.online.relative.MOST_OPEN_STARTS", 1000)
