@@ -21,8 +21,8 @@ _IMPORTED_WHEN_USED = (
     "mcap.records",
     "rosbags.typesys",
     "sqlite3",
-    "trajeval_ros.io.mcap_index",
-    "trajeval_ros.io.sqlite_bag",
+    "trajeval_ros.io.bags.mcap_index",
+    "trajeval_ros.io.bags.sqlite_bag",
     "zstandard",
 )
 
@@ -31,8 +31,8 @@ def ours(path: Path) -> tuple[int, float]:
     """Read by column."""
     for name in _IMPORTED_WHEN_USED:
         importlib.import_module(name)
-    from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.topics import read_columns, trajectory_of
+    from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.topics import read_columns, trajectory_of
 
     def read() -> tuple[int, float]:
         with Bag(path) as bag:

@@ -16,14 +16,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.tum_pairs import estimate_of, flight
-from trajeval_ros import se3
+from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import fit_trajectory
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
-from trajeval_ros.likelihood.relative import generalised_relative_error
+from trajeval_ros.likelihood.relative_density import generalised_relative_error
 from trajeval_ros.likelihood.residuals import Residuals
-from trajeval_ros.trajectory import Trajectory
 
 QUERIES = 20_000
 LIKELIHOOD = "likelihood"

@@ -62,8 +62,8 @@ def measure(config: Path, out: Path, how: str) -> dict[str, float]:
     """Evaluate all runs in a bare loop, in this process, or on a pool; return what it cost."""
     from trajeval_ros.batch.comparison import compare
     from trajeval_ros.batch.config import plan_of
-    from trajeval_ros.batch.pools import Pool, local_pool
-    from trajeval_ros.batch.work import Task, work
+    from trajeval_ros.batch.executors import Pool, local_pool
+    from trajeval_ros.batch.worker import Task, work
 
     plan = plan_of(config, {})
     start, cpu = time.perf_counter(), time.process_time()

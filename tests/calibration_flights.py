@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 EPOCH = 1_700_000_000_000_000_000

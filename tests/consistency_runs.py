@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.alignment import align, align_first
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.consistency.s_transformation import Transformation, carried, errors_of
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align, align_first
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 from trajeval_ros.visual_inertial.state import State

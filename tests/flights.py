@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.alignment import align
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
 
 Array = NDArray[np.float64]
 START = 1_700_000_000_000_000_000

@@ -16,11 +16,16 @@ import atheris
 
 with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
-    from trajeval_ros.io.cdr import Plan
-    from trajeval_ros.io.definitions import STANDARD, ros1_fields
-    from trajeval_ros.io.foxglove import TYPES, FoxglovePlan
-    from trajeval_ros.io.mcap_index import McapReader
-    from trajeval_ros.io.messages import decode_path, decode_poses, decode_transforms, plan_of
+    from trajeval_ros.io.bags.cdr import Plan
+    from trajeval_ros.io.bags.foxglove import TYPES, FoxglovePlan
+    from trajeval_ros.io.bags.mcap_index import McapReader
+    from trajeval_ros.io.bags.message_definitions import STANDARD, ros1_fields
+    from trajeval_ros.io.bags.pose_messages import (
+        decode_path,
+        decode_poses,
+        decode_transforms,
+        plan_of,
+    )
 
 import numpy as np
 from mcap.writer import CompressionType, Writer

@@ -23,10 +23,10 @@ import pytest
 from ros_bags import ODOM, POSE
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io.bags import Bag
-from trajeval_ros.io.pacing import play
-from trajeval_ros.io.playback import Playback, allowed_name
-from trajeval_ros.ros.messages import message_class
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.pacing import play
+from trajeval_ros.io.bags.playback import Playback, allowed_name
+from trajeval_ros.ros.message_types import message_class
 
 ROOT = Path(__file__).resolve().parent.parent
 LISTENER = Path(__file__).with_name("ros_listener.py")

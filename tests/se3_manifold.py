@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bernoulli
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.manifolds import Local
+from trajeval_ros.geometry import lie, se3
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import se3
-from trajeval_ros.evaluation import Evaluation
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.statistics import Statistics
 
 Array = NDArray[np.float64]
 START = 1_403_636_580_838_555_574

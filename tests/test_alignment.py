@@ -10,11 +10,11 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from strategies import Array, make_element, make_estimate, make_groundtruth, seeds
 
-from trajeval_ros.alignment import align, align_first, position_weights, solve
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.moments import Moments
-from trajeval_ros.similarity import Similarity
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.metrics.alignment import align, align_first, position_weights, solve
+from trajeval_ros.metrics.moments import Moments
 
 UTM = np.array([4.5e5, 5.2e6, 400.0])
 ALIGNING = [Gauge.TRANSLATION, Gauge.YAW, Gauge.PLANAR, Gauge.SE3, Gauge.SIM3]

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import START, make_estimate, make_groundtruth, seeds
 
-from trajeval_ros.association import AssociationRule, associate
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association import AssociationRule, associate
 
 MILLISECOND = 1_000_000
 

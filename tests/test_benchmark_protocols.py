@@ -22,19 +22,19 @@ from strategies import (
     seeds,
 )
 
-from trajeval_ros.alignment import align
-from trajeval_ros.association import AssociationRule
 from trajeval_ros.cli.app import main
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.protocol_file import read_protocol
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.protocol import PROTOCOLS, Protocol, metres
-from trajeval_ros.score import PointTable
-from trajeval_ros.span_alignment import align_spans
-from trajeval_ros.sub_trajectories import Length, Selection
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
+from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.span_alignment import align_spans
+from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.online.live_settings import OnlineSettings
 
 HILTI = PROTOCOLS["hilti-2023"]
 UZH = PROTOCOLS["uzh-fpv"]

@@ -13,16 +13,16 @@ import pytest
 from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibrated import Wanted, evaluate_calibrated
-from trajeval_ros.calibration.body import HandEye
+from trajeval_ros.calibration.apply import Wanted, evaluate_calibrated
 from trajeval_ros.cli.app import main
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.io.calibration_json import calibration_json
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.report.calibration_lines import calibration_lines
-from trajeval_ros.trajectory import Trajectory
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
 LEVER_M = np.array(FAULT.lever_m)

@@ -11,12 +11,12 @@ from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 from test_calibration_recovery import RECORDINGS
 
-from trajeval_ros.association import AssociationRule
 from trajeval_ros.calibration.calibrate import calibrate
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS, Protocol
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 CLOCKS, BODIES, ARRIVAL = (

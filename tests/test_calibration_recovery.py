@@ -10,14 +10,14 @@ import pytest
 from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibrated import Wanted, evaluate_calibrated
-from trajeval_ros.calibration.body import HandEye
+from trajeval_ros.calibration.apply import Wanted, evaluate_calibrated
 from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
 from trajeval_ros.calibration.increments import OFFSET, Increments
 from trajeval_ros.calibration.solve import solve
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import Protocol
 
 NONE = Systematic(0.0, 0.0)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())

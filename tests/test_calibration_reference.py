@@ -11,8 +11,7 @@ from calibration_flights import EPOCH, Fault, marked, stamps_of
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, stdtrit
 
-from trajeval_ros.calibration.clock import guess_offset, masked_correlation, refined_peak
-from trajeval_ros.calibration.fit import fit, sandwich
+from trajeval_ros.calibration.clock_offset import guess_offset, masked_correlation, refined_peak
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm
 from trajeval_ros.calibration.increments import (
     COLUMNS,
@@ -25,7 +24,8 @@ from trajeval_ros.calibration.increments import (
     Unknowns,
 )
 from trajeval_ros.calibration.observability import observability
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.calibration.robust_fit import fit, sandwich
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Reference = Callable[[str], Any]
 

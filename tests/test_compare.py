@@ -19,8 +19,8 @@ import pyarrow.parquet
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.summary import Summary, matrices, summary_of
-from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.summary_tables import Summary, matrices, summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 

@@ -17,8 +17,8 @@ from test_probabilistic_cli import write
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.degradation import Degradation
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.likelihood.degradation import Degradation
 
 DENSE = make_groundtruth(0, 600)
 

@@ -22,9 +22,9 @@ pytest.importorskip("distributed", reason="dask.distributed is missing, the extr
 from trajeval_ros.batch import comparison
 from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.pools import dask_pool
-from trajeval_ros.batch.summary import summary_of
-from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.executors import dask_pool
+from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.summary_tables import summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 

@@ -11,7 +11,7 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, natural
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
 
 
 def plan(target: Path, **settings: str) -> Plan:

@@ -25,7 +25,7 @@ from trajeval_ros.batch.gates import (
     require_same_settings,
     to_markdown,
 )
-from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.results_table import Rows
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 

@@ -21,12 +21,12 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
+from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
 from trajeval_ros.batch.plan import Plan, Run
-from trajeval_ros.batch.pools import Outcome, evaluate_all, local_pool
-from trajeval_ros.batch.table import Rows
-from trajeval_ros.batch.work import Task
+from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.protocol import Protocol, metres
+from trajeval_ros.metrics.protocol import Protocol, metres
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE_S = 120.0
@@ -165,7 +165,7 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
 
 
 def test_records_are_made_by_the_workers_as_here(tmp_path: Path) -> None:
-    from trajeval_ros.batch.work import work
+    from trajeval_ros.batch.worker import work
 
     (task,) = tasks_of(tmp_path, 1)
     finished: list[Outcome] = []

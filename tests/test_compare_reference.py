@@ -15,12 +15,12 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison import POOLED, RUNS, compare
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.pools import local_pool
-from trajeval_ros.batch.table import STATISTICS, Rows
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.settings import protocol_from
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.batch.results_table import STATISTICS, Rows
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.settings import protocol_from
 
 pytestmark = pytest.mark.slow
 

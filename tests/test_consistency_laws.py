@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from visual_inertial_scenes import frobenius, scene_of
 
-from trajeval_ros import lie
 from trajeval_ros.consistency.nees import (
     chi_square_band,
     diagonal_blocks,
@@ -25,12 +24,17 @@ from trajeval_ros.consistency.nees import (
     joint_nees,
     joint_nees_by_information,
 )
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
+from trajeval_ros.consistency.s_transformation import Transformation, carried, errors_of
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
-from trajeval_ros.visual_inertial.covariance import fixed_covariance, free_covariance, to_left
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.gauge_covariance import (
+    fixed_covariance,
+    free_covariance,
+    to_left,
+)
 from trajeval_ros.visual_inertial.sampler import Run, Sampler
 from trajeval_ros.visual_inertial.scene import Scene
 

@@ -14,7 +14,7 @@ from strategies import make_groundtruth
 from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros.consistency.judgement import Aligned, judge_marginals
-from trajeval_ros.consistency.marginals import (
+from trajeval_ros.consistency.marginal_covariances import (
     about_world_axes,
     initial_uncertainty,
     is_covariance,
@@ -23,11 +23,11 @@ from trajeval_ros.consistency.marginals import (
     without_initial_prior,
 )
 from trajeval_ros.consistency.nees import diagonal_blocks
-from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.consistency.s_transformation import Transformation
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.visual_inertial.covariance import fixed_covariance
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 
 

@@ -17,8 +17,7 @@ from consistency_runs import (
 from scipy.spatial.transform import Rotation
 from visual_inertial_scenes import scene_of
 
-from trajeval_ros import lie
-from trajeval_ros.consistency.marginals import upper_bounds
+from trajeval_ros.consistency.marginal_covariances import upper_bounds
 from trajeval_ros.consistency.nees import (
     chi_square_band,
     diagonal_blocks,
@@ -26,10 +25,11 @@ from trajeval_ros.consistency.nees import (
     joint_nees,
     pose_nees,
 )
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
-from trajeval_ros.visual_inertial.covariance import free_covariance, to_left
+from trajeval_ros.consistency.s_transformation import Transformation, carried, errors_of
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.gauge_covariance import free_covariance, to_left
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import Handling, solve

@@ -15,25 +15,25 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
-from trajeval_ros import se3
-from trajeval_ros.block_tridiagonal import Factor
-from trajeval_ros.chain import Chain
+from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.continuous_time.hyperparameters import (
     Hyperparameters,
     most_likely,
     negative_log_likelihood,
 )
 from trajeval_ros.continuous_time.interpolated import Linear
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.block_tridiagonal import Factor
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 KERNELS = [SQUARED_EXPONENTIAL, MATERN_52, MATERN_32]

@@ -9,12 +9,12 @@ import pytest
 from flights import DRIFTS_M, Flight, fly, plain_ate_m
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate

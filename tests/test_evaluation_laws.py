@@ -22,15 +22,15 @@ from strategies import (
     seeds,
 )
 
-from trajeval_ros.association import AssociationRule
-from trajeval_ros.evaluation import ATE_METRICS, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.sub_trajectories import Length
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import ATE_METRICS, evaluate
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.metrics.sub_trajectories import Length
 
 LENGTHS = (Length(4.0, "m"), Length(2.0, "s"), Length(25.0, "%"))
 BASE = Protocol(lengths=LENGTHS)

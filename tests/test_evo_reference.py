@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import PROTOCOLS
 
 Recording = Callable[[str], Trajectory]
 Reference = Callable[[str], Any]

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 from trajeval_ros.visual_inertial.motion import recorded, shape
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import Handling

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.write_bag import ODOMETRY, POSE_STAMPED, write_bag
-from trajeval_ros.trajectory import Trajectory
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES: Any = STORE.types

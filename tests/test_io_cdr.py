@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trajeval_ros.io.bags import Bag, Topic, encoding_of
-from trajeval_ros.io.cdr import Columns, Plan
-from trajeval_ros.io.definitions import (
+from trajeval_ros.io.bags.bag import Bag, Topic, encoding_of
+from trajeval_ros.io.bags.cdr import Columns, Plan
+from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
     UnplannedError,
     fields_of,
     recorded_fields,
     types_in,
 )
-from trajeval_ros.io.messages import (
+from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
     POSE_TYPES,
     decode_path,
@@ -322,7 +322,7 @@ def test_rows_of_poses_name_their_payloads(message_type: str) -> None:
 
 def test_live_decoding_imports_no_library() -> None:
     code = (
-        "import sys; from trajeval_ros.io.messages import decode_poses, decode_path; "
+        "import sys; from trajeval_ros.io.bags.pose_messages import decode_poses, decode_path; "
         "decode_poses([b''], 'nav_msgs/msg/Odometry'); decode_path(b''); "
         "sys.exit('rosbags' in sys.modules)"
     )

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trajeval_ros.io.pacing import TICK_S, Played, play
+from trajeval_ros.io.bags.pacing import TICK_S, Played, play
 
 SECOND = 10**9
 BEGIN = 1_700_000_000 * SECOND

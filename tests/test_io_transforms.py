@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.transform_tree import Edge, chain
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.transforms import Edge, chain
 
 Matrices = NDArray[np.float64]
 SECOND = 10**9

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from strategies import Array, make_groundtruth
 
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import PROTOCOLS
 
 LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)
 

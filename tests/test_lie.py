@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import Array, seeds
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 
 def rotations(seed: int, count: int = 50) -> Rotation:

@@ -8,13 +8,13 @@ from flights import fly
 from hypothesis import given, settings
 from strategies import as_matrix, make_element, seeds
 
-from trajeval_ros import se3
+from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import act
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import act
+from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from strategies import as_matrix, make_element, seeds
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood import first_order, relative
-from trajeval_ros.likelihood.alignments import act
-from trajeval_ros.likelihood.chain import gauge_chain
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood import first_order, relative_density
+from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.marginal import (
     generalised_absolute_error,
     importance,
     quadrature,
 )
+from trajeval_ros.likelihood.observable_directions import gauge_chain
 from trajeval_ros.likelihood.positions import position_error
 from trajeval_ros.likelihood.residuals import Residuals
 
@@ -70,7 +70,7 @@ def test_both_errors_are_one_to_first_order_eq_29(seed: int, count: int, size: f
     poses = flight(count, seed)
     estimate = poses @ se3.exp(random.normal(scale=size, size=(count, 6)) / np.sqrt(6.0))
     belief = Belief(poses, spread(random, count, 0.02, 0.03))
-    one = relative.generalised_relative_error(belief, estimate)
+    one = relative_density.generalised_relative_error(belief, estimate)
     # What rounds: a sum of squares, and as many logarithms as there are directions.
     size = float(np.sum(one.whitened**2)) + 60.0 * count
     for frame in (None, poses[0], se3.exp(random.normal(size=6))):
@@ -81,9 +81,11 @@ def test_both_errors_are_one_to_first_order_eq_29(seed: int, count: int, size: f
 def test_the_papers_own_transport_breaks_the_identity() -> None:
     belief, estimate = drawn(5, 1, 0.02)
     right = first_order.first_order_absolute_error(belief, estimate).log_likelihood
-    literal = se3.adjoint(relative.relative_poses(belief.poses))  # Ad(T_{i,i+1}), as printed
+    literal = se3.adjoint(
+        relative_density.relative_poses(belief.poses)
+    )  # Ad(T_{i,i+1}), as printed
     diagonal = se3.congruent(literal, belief.covariances[:-1]) + belief.covariances[1:]
-    errors = relative.relative_errors(belief.poses, estimate).ravel()
+    errors = relative_density.relative_errors(belief.poses, estimate).ravel()
     dense = np.zeros((24, 24))
     for row in range(4):
         here, before = slice(6 * row, 6 * row + 6), slice(6 * row - 6, 6 * row)
@@ -97,8 +99,8 @@ def test_the_papers_own_transport_breaks_the_identity() -> None:
 @given(seed=seeds, count=st.integers(3, 8))
 def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     belief, estimate = drawn(count, seed, 0.03)
-    found = relative.generalised_relative_error(belief, estimate)
-    carriers = relative.transports(belief.poses)
+    found = relative_density.generalised_relative_error(belief, estimate)
+    carriers = relative_density.transports(belief.poses)
     step = np.zeros((6 * count - 6, 6 * count))
     for row in range(count - 1):
         here = slice(6 * row, 6 * row + 6)
@@ -108,14 +110,14 @@ def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     for row in range(count):
         here = slice(6 * row, 6 * row + 6)
         blocks[here, here] = belief.covariances[row]
-    errors = relative.relative_errors(belief.poses, estimate)
+    errors = relative_density.relative_errors(belief.poses, estimate)
     dense = multivariate_normal.logpdf(
         errors.ravel(), np.zeros(6 * count - 6), step @ blocks @ step.T
     )
     assert found.log_likelihood == pytest.approx(dense, rel=1e-10, abs=1e-8)
     assert np.sum(found.edges) == pytest.approx(found.log_likelihood, rel=1e-12)
     # Q of eq. (14) is the matrix above.
-    stepwise = relative.stepwise(carriers, errors[[0, *range(count - 1)]])
+    stepwise = relative_density.stepwise(carriers, errors[[0, *range(count - 1)]])
     np.testing.assert_allclose(
         stepwise.ravel(), step @ errors[[0, *range(count - 1)]].ravel(), atol=1e-12
     )
@@ -128,12 +130,14 @@ def test_stochastic_relative_poses_of_eq_10_to_14(seed: int) -> None:
     noise = random.normal(scale=1e-3, size=(6, 6))
     stochastic = poses @ se3.exp(noise)
     np.testing.assert_allclose(
-        relative.perturbed_steps(poses, noise), relative.relative_poses(stochastic), atol=1e-12
+        relative_density.perturbed_steps(poses, noise),
+        relative_density.relative_poses(stochastic),
+        atol=1e-12,
     )
-    exact = relative.step_perturbations(poses, noise)
-    linear = relative.stepwise(relative.transports(poses), noise)
+    exact = relative_density.step_perturbations(poses, noise)
+    linear = relative_density.stepwise(relative_density.transports(poses), noise)
     np.testing.assert_allclose(linear, exact, atol=1e-3 * np.abs(exact).max() + 3e-5)
-    halved = relative.step_perturbations(poses, noise / 2.0)
+    halved = relative_density.step_perturbations(poses, noise / 2.0)
     # What is left out is of second order.
     left_out = np.abs(exact - linear).max(), np.abs(halved - linear / 2.0).max()
     assert left_out[1] == pytest.approx(left_out[0] / 4.0, rel=0.05)
@@ -152,7 +156,7 @@ def test_first_order_residuals_of_eq_20_to_26(seed: int) -> None:
     first = first_order.first_residual(poses[0], twist)
     np.testing.assert_allclose(first, exact[0], atol=1e-14)
     assert first_order.log_volume(poses[0]) == pytest.approx(0.0, abs=1e-12)
-    errors = relative.relative_errors(poses, estimate)
+    errors = relative_density.relative_errors(poses, estimate)
     linear = first_order.first_order_residuals(poses, errors, first)
     np.testing.assert_allclose(linear, exact, atol=1e-9)
     means = first_order.gauge_means(poses, errors, poses[0])
@@ -242,10 +246,10 @@ def test_relinearised_edges_add_up_to_the_exact_error() -> None:
             Residuals(belief, estimate, Gauge.SE3, density="log"), "laplace"
         )
         residuals = error.residuals.at(error.mode.element)
-        steps = relative.stepwise(relative.transports(belief.poses), residuals)
-        found = relative.decomposed(belief, steps).log_likelihood
+        steps = relative_density.stepwise(relative_density.transports(belief.poses), residuals)
+        found = relative_density.decomposed(belief, steps).log_likelihood
         assert found == pytest.approx(error.log_likelihood, abs=1e-2)
-        literal = relative.generalised_relative_error(belief, estimate).log_likelihood
+        literal = relative_density.generalised_relative_error(belief, estimate).log_likelihood
         assert abs(literal - error.log_likelihood) > 0.3
 
 
@@ -256,7 +260,7 @@ def test_first_order_is_off_by_the_square_of_the_noise() -> None:
         gaps = []
         for seed in range(8):
             belief, estimate = drawn(30, 100 + seed, float(size))
-            literal = relative.generalised_relative_error(belief, estimate).log_likelihood
+            literal = relative_density.generalised_relative_error(belief, estimate).log_likelihood
             gaps.append(literal - score(belief, estimate, Gauge.SE3))
         missed.append(abs(np.mean(gaps)))
     slope = np.polyfit(np.log(sizes), np.log(missed), 1)[0]
@@ -344,7 +348,7 @@ def test_refuses_what_has_no_likelihood() -> None:
     with pytest.raises(DegenerateGeometryError, match="exactly known"):
         generalised_absolute_error(Residuals(sure, estimate, Gauge.SE3))
     with pytest.raises(DegenerateGeometryError, match="relative poses is singular"):
-        relative.generalised_relative_error(sure, estimate)
+        relative_density.generalised_relative_error(sure, estimate)
     wrong: Any = {"method": "simpson"}
     with pytest.raises(SettingsError, match="no method 'simpson'"):
         generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3), **wrong)

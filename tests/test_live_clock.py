@@ -15,11 +15,11 @@ from strategies import make_pair
 from test_live_run import ESTIMATE, TRUTH, Live, path_messages
 
 from trajeval_ros.calibration.calibrate import calibrate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.clock import ClockReport, OnlineClock
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.pairing import Limits, states
-from trajeval_ros.ros.held import Held
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.ros.held_messages import Held
 
 
 def fed(clock: OnlineClock, truth: Trajectory, estimate: Trajectory, batch_s: float = 1.0) -> None:

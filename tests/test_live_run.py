@@ -20,17 +20,17 @@ from ros_processes import assert_same, offline, until
 from strategies import make_pair, seeds
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io import pair_file
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.live import pair_file
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.ros.folder import Finisher
-from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.settings import protocol_from
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.ros.subscriptions import Taken
 
 TRUTH, ESTIMATE = "/truth", "/vio"
 COUNT = 160

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol, metres
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
-from trajeval_ros.report.plots import write_figures
-from trajeval_ros.simulation import simulate
-from trajeval_ros.sub_trajectories import Length
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.report.figures import write_figures
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 

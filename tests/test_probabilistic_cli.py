@@ -15,7 +15,7 @@ from flights import Flight, fly
 from trajeval_ros.cli.app import main
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 NAMES = ("best", "middling", "worst")
 CONTINUOUS = ["--association", "continuous", "--gauge", "se3", "--lengths", "none"]

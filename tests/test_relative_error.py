@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 from strategies import Array, make_element, make_groundtruth, seeds
 
-from trajeval_ros.errors import absolute_errors, relative_errors
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.errors import absolute_errors, relative_errors
 
 PRECISE = 1e-10
 

@@ -13,8 +13,8 @@ from ros_bags import ODOM, POSE, Message, messages_of, odometry_message, write_m
 from ros_processes import Evaluator, Peer, assert_same, offline, play_without_loss
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

@@ -22,7 +22,7 @@ from ros_processes import (
 )
 from rosbags.highlevel import AnyReader
 
-from trajeval_ros.io.bags import Bag
+from trajeval_ros.io.bags.bag import Bag
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

@@ -9,13 +9,13 @@ import pytest
 
 from trajeval_ros.cli.simulate import Storage
 from trajeval_ros.cli.simulate import simulate as simulate_command
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.protocol import Protocol, metres
-from trajeval_ros.simulation import Drift, Simulation, simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.visual_inertial.drifting_odometry import Drift, Simulation, simulate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=metres(40))
 

@@ -10,11 +10,11 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
-from trajeval_ros.association import AssociationRule, associate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.transforms import Edge
+from trajeval_ros.geometry.trajectory import Trajectory, add_counts, travelled_distance
+from trajeval_ros.io.bags.transform_tree import Edge
+from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.online.pairing import POSITION, PairingBuffer, states
-from trajeval_ros.trajectory import Trajectory, add_counts, travelled_distance
 
 # A position and a factor of a quaternion that no robot has, finite or not.
 WILD = [(1e13, 1.0), (-1e100, 1.0), (1e200, 1.0), (1.0, 1e160), (1.0, 1e300)]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ros_bags import Transform, transforms_message
 from strategies import START, seeds
 
-from trajeval_ros.io.bags import Bag
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, chain
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.transforms import Edge, EdgeKey, chain
 from trajeval_ros.online.pairing import POSITION, QUATERNION, states
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.transform_stream import TransformStream

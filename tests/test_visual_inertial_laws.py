@@ -18,9 +18,9 @@ from visual_inertial_scenes import (
     stacked_residuals,
 )
 
-from trajeval_ros import lie
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
     transform,

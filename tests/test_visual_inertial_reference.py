@@ -10,8 +10,8 @@ import pytest
 from gauge_reference import Case
 from visual_inertial_scenes import gradient, relative
 
-from trajeval_ros import lie
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
     to_left,

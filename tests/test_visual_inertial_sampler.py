@@ -7,10 +7,10 @@ import pytest
 import scipy.sparse
 from visual_inertial_scenes import frobenius, scene_of
 
-from trajeval_ros import lie
-from trajeval_ros.chain import Chain
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.visual_inertial.covariance import fixed_covariance
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene

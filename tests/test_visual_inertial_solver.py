@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from visual_inertial_scenes import CONFIGURATIONS, scene_of
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import Handling, Solution, solve
 

@@ -13,11 +13,11 @@ print(evaluation.ate["position_m"].rmse)
 
 __version__ = "0.1.0"
 
-from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import MODALITIES, Gauge
-from trajeval_ros.protocol import PROTOCOLS, Protocol
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 
 __all__ = [
     "MODALITIES",

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.inputs import Fingerprints
+from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
+from trajeval_ros.batch.fingerprints import Fingerprints
 from trajeval_ros.batch.plan import Plan, Run
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
-from trajeval_ros.batch.pools import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.records import Record, has_record, read_record, write_record
-from trajeval_ros.batch.table import (
+from trajeval_ros.batch.results_table import (
     load_pyarrow,
     row_of_failure,
     rows_of_run,
@@ -25,9 +25,9 @@ from trajeval_ros.batch.table import (
     state_of,
     write_table,
 )
-from trajeval_ros.batch.work import Span, Task, work
+from trajeval_ros.batch.worker import Span, Task, work
 from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.io.results import write_text
+from trajeval_ros.io.results.result_json import write_text
 
 RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
 _INPUTS, _ABOUT = "inputs.json", "README.txt"

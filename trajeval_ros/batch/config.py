@@ -12,8 +12,8 @@ from trajeval_ros.batch.plan import Name, Plan, Run, all_runs
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.settings import protocol_from
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.settings import protocol_from
 
 # The words of `trajeval evaluate`, with _ for -, and what their values are.
 _SETTINGS: dict[str, type] = {

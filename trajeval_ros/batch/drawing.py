@@ -7,7 +7,7 @@ from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.executors import Pool
 from trajeval_ros.exceptions import InputError
 
 Draw = Callable[[], str]

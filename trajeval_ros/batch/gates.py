@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.batch.table import ATE, OK, POOLED, RE, STATISTICS, Rows
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.matrix import markdown_table, markdown_text, number_text
 

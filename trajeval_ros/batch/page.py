@@ -11,12 +11,12 @@ from typing import Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.comparison import RECORDS, RUNS
 from trajeval_ros.batch.drawing import Advance, draw_all
-from trajeval_ros.batch.plots import MOST_SEQUENCES, drafts_of
-from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.executors import Pool
+from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.summary import Summary, definition, matrices
-from trajeval_ros.batch.table import ATE, OK, POOLED, RE, STATISTICS, Rows
-from trajeval_ros.io.results import write_text
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
+from trajeval_ros.batch.summary_tables import Summary, definition, matrices
+from trajeval_ros.io.results.result_json import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
 from trajeval_ros.report.matrix import coverage_text, number_text

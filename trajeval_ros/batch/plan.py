@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.metrics.protocol import Protocol
 
 Name = tuple[str, str, str]
 

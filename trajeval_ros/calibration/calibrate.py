@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.calibration.clock import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
-from trajeval_ros.calibration.fit import Fit, fit
+from trajeval_ros.calibration.clock_offset import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.increments import (
     HORIZON_S,
     MOST_INCREMENTS,
@@ -23,18 +21,20 @@ from trajeval_ros.calibration.increments import (
     Increments,
 )
 from trajeval_ros.calibration.observability import observability
-from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
-from trajeval_ros.calibration.track import nanoseconds
-from trajeval_ros.calibration.verdict import (
+from trajeval_ros.calibration.pose_interpolator import nanoseconds
+from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.calibration.significance import (
     CHANCE,
     CHANCE_OF_SKEW,
     Parameter,
     judge,
     unobservable,
 )
+from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
-from trajeval_ros.calibration.track import Stamps, Track, nanoseconds, nearest_rows
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.calibration.pose_interpolator import Stamps, Track, nanoseconds, nearest_rows
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.calibration.fit import Fit, fit
 from trajeval_ros.calibration.increments import (
     COLUMNS,
     LEVER,
@@ -20,7 +19,8 @@ from trajeval_ros.calibration.increments import (
     Unknowns,
 )
 from trajeval_ros.calibration.observability import Directions, observability
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.geometry.gauge import Gauge
 
 Array = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ import typer
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.io.results import write_text
-from trajeval_ros.protocol import PROTOCOLS
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.results.result_json import write_text
+from trajeval_ros.metrics.protocol import PROTOCOLS
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
+    from trajeval_ros.batch.executors import Pool
     from trajeval_ros.batch.gates import Gate, Values
     from trajeval_ros.batch.plan import Plan
-    from trajeval_ros.batch.pools import Pool
-    from trajeval_ros.batch.summary import Summary
+    from trajeval_ros.batch.summary_tables import Summary
 
     Baseline = tuple[list[Gate], Values]
 
@@ -153,9 +153,9 @@ def compare(
     from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.comparison import compare as compare_runs
     from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.executors import local_pool
     from trajeval_ros.batch.page import REPORT, write_report
-    from trajeval_ros.batch.pools import local_pool
-    from trajeval_ros.batch.summary import summary_of
+    from trajeval_ros.batch.summary_tables import summary_of
 
     if workers is not None and cluster is not None:
         raise SettingsError("--workers is of this machine and --cluster of others; give one")
@@ -187,7 +187,7 @@ def compare(
 def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
     """Return gates and what they compare with; refuses what can't be compared before the work."""
     from trajeval_ros.batch.gates import Gate, Values, require_same_settings
-    from trajeval_ros.batch.table import Rows, settings_of
+    from trajeval_ros.batch.results_table import Rows, settings_of
 
     if (path is None) != (not texts):
         raise SettingsError(
@@ -207,7 +207,7 @@ def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print what became better and worse; exit with status 1 if something is worse."""
     from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
-    from trajeval_ros.batch.table import Rows
+    from trajeval_ros.batch.results_table import Rows
 
     gates, values = before
     now = Values(Rows(folder / RUNS))
@@ -226,13 +226,13 @@ def _is_newer(path: Path, other: Path) -> bool:
 
 
 def _pool(workers: int | None, cluster: str | None) -> Pool:
-    from trajeval_ros.batch.pools import dask_pool, local_pool
+    from trajeval_ros.batch.executors import dask_pool, local_pool
 
     return local_pool(workers) if cluster is None else dask_pool(cluster)
 
 
 def _write_tables(folder: Path, summary: Summary) -> None:
-    from trajeval_ros.batch.summary import failures, matrices
+    from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report import matrix as tables
 
     made = matrices(summary)
@@ -246,8 +246,8 @@ def _write_tables(folder: Path, summary: Summary) -> None:
 
 
 def _print(summary: Summary, progress: Progress, folder: Path) -> None:
-    from trajeval_ros.batch.summary import failures, matrices
-    from trajeval_ros.batch.table import OK
+    from trajeval_ros.batch.results_table import OK
+    from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report.matrix import to_terminal
     from trajeval_ros.report.tables import console, show
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from trajeval_ros.cli.consistency import parse_noise
-from trajeval_ros.cli.names import names_of
-from trajeval_ros.cli.probabilistic import CONTINUOUS, with_model
+from trajeval_ros.cli.consistency_options import parse_noise
+from trajeval_ros.cli.probabilistic_options import CONTINUOUS, with_model
+from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 
 if TYPE_CHECKING:
-    from trajeval_ros.association_study import Comparison
-    from trajeval_ros.degradation import Degradation
-    from trajeval_ros.trajectory import Trajectory
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.likelihood.association_study import Comparison
+    from trajeval_ros.likelihood.degradation import Degradation
 
 
 def compare_association(
@@ -68,9 +68,9 @@ def compare_association(
 
         trajeval compare-association -g groundtruth.csv -e estimate.txt --rate 2
     """
-    from trajeval_ros.association_study import compare_associations
-    from trajeval_ros.degradation import Degradation
-    from trajeval_ros.settings import protocol_from
+    from trajeval_ros.likelihood.association_study import compare_associations
+    from trajeval_ros.likelihood.degradation import Degradation
+    from trajeval_ros.metrics.settings import protocol_from
 
     protocol = protocol_from(
         "default",
@@ -144,7 +144,7 @@ def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajec
 def _write(
     target: str, comparisons: list[Comparison], degradation: Degradation, poor: Trajectory
 ) -> None:
-    from trajeval_ros.io.results import to_json, write_text
+    from trajeval_ros.io.results.result_json import to_json, write_text
 
     content: dict[str, Any] = {
         "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},

@@ -8,29 +8,29 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.calibrated import Wanted, evaluate_calibrated
-from trajeval_ros.cli.calibration import parse_offset, parse_wanted
-from trajeval_ros.cli.consistency import CovarianceSettings
-from trajeval_ros.cli.names import names_of
-from trajeval_ros.cli.outcome import deliver, refuse_inputs
+from trajeval_ros.calibration.apply import Wanted, evaluate_calibrated
+from trajeval_ros.cli.calibration_options import parse_offset, parse_wanted
+from trajeval_ros.cli.consistency_options import CovarianceSettings
+from trajeval_ros.cli.deliver import deliver, refuse_inputs
 from trajeval_ros.cli.pictures import Pictures
-from trajeval_ros.cli.probabilistic import CONTINUOUS, assessed, with_model
+from trajeval_ros.cli.probabilistic_options import CONTINUOUS, assessed, with_model
 from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
-from trajeval_ros.evaluation import evaluate as evaluate_pair
 from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.gauge import MODALITIES, Gauge
-from trajeval_ros.io import results
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
+from trajeval_ros.io.results import result_json
+from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.protocol import ATE_FORMS, PROTOCOLS
-from trajeval_ros.requirement import Requirement
-from trajeval_ros.settings import protocol_from
+from trajeval_ros.metrics.evaluation import evaluate as evaluate_pair
+from trajeval_ros.metrics.protocol import ATE_FORMS, PROTOCOLS
+from trajeval_ros.metrics.settings import protocol_from
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibrated import Calibrated
-    from trajeval_ros.protocol import Protocol
-    from trajeval_ros.trajectory import Trajectory
+    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.protocol import Protocol
 
 INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (
     "Input",
@@ -306,7 +306,7 @@ def evaluate(
     )
     names = names_of([groundtruth, *estimate])
     truth = _read(groundtruth, names[0], strict=strict)
-    runs: list[results.Run] = []
+    runs: list[result_json.Run] = []
     for source, name in zip(estimate, names[1:], strict=True):
         # One calibration for all: estimates with parameters of their own can't be ranked.
         same_as = runs[0].calibrated if runs else None
@@ -314,8 +314,8 @@ def evaluate(
             _run(source, name, truth, settings, covariances, wanted, same_as, strict=strict)
         )
     runs = assessed(runs)
-    result = results.result_of(
-        results.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
+    result = result_json.result_of(
+        result_json.Input.of(groundtruth, truth, runs[0].evaluation.groundtruth), runs
     )
     chose_gauge = gauge is not None or modality is not None or protocol != "default"
     deliver(
@@ -350,7 +350,7 @@ def _run(
     same_as: Calibrated | None,
     *,
     strict: bool,
-) -> results.Run:
+) -> result_json.Run:
     weighted = covariances.from_messages or settings.align_weights == "covariance"
     read = _read(source, name, covariances=weighted, strict=strict)
     calibrated = None
@@ -363,8 +363,8 @@ def _run(
         consistency = covariances.judge(evaluation)
     except TrajevalError as error:
         raise InputError(f"{source}: {error}") from error
-    return results.Run(
-        results.Input.of(source, read, evaluation.estimate),
+    return result_json.Run(
+        result_json.Input.of(source, read, evaluation.estimate),
         evaluation,
         consistency=consistency,
         calibrated=calibrated,

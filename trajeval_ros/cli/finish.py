@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from trajeval_ros.cli.outcome import deliver
-from trajeval_ros.io.live_folder import evaluate_folder
-from trajeval_ros.requirement import Requirement
+from trajeval_ros.cli.deliver import deliver
+from trajeval_ros.io.live.live_folder import evaluate_folder
+from trajeval_ros.io.results.requirement import Requirement
 
 
 def finish(

@@ -100,7 +100,7 @@ def _recorded(
 ) -> dict[str, Scene]:
     import dataclasses
 
-    from trajeval_ros.cli.names import names_of
+    from trajeval_ros.cli.source_names import names_of
     from trajeval_ros.io.sources import read_trajectory
     from trajeval_ros.visual_inertial.motion import recorded
     from trajeval_ros.visual_inertial.scene import make_scene
@@ -135,7 +135,7 @@ def _write(
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
-    from trajeval_ros.io.results import write_text
+    from trajeval_ros.io.results.result_json import write_text
     from trajeval_ros.report import gauge_tables
     from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS
 

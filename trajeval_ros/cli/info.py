@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from trajeval_ros.io.describe import Description, Summary

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from trajeval_ros.io.results import Run
+from trajeval_ros.io.results.result_json import Run
 
 PICTURE = "run.rrd"
 HAVE_RERUN = find_spec("rerun") is not None
@@ -65,6 +65,6 @@ class Pictures:
 
 
 def _write(path: Path, runs: Sequence[Run]) -> None:
-    from trajeval_ros.viewer.recorded import write_recording
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     write_recording(path, [run.evaluation for run in runs], [run.consistency for run in runs])

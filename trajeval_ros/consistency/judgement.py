@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.chain import Chain
-from trajeval_ros.consistency.joint import JointCovariance
-from trajeval_ros.consistency.marginals import (
+from trajeval_ros.consistency.joint_covariance import JointCovariance
+from trajeval_ros.consistency.marginal_covariances import (
     initial_uncertainty,
     unknown_covariances,
     upper_bounds,
@@ -24,15 +23,7 @@ from trajeval_ros.consistency.nees import (
     joint_nees_by_information,
     pose_nees,
 )
-from trajeval_ros.consistency.transformation import (
-    Transformation,
-    carried,
-    carried_information,
-    errors_of,
-    independent_noise,
-    turning,
-)
-from trajeval_ros.consistency.verdict import (
+from trajeval_ros.consistency.result import (
     BOUND_STATEMENT,
     COMMON_FRAME_STATEMENT,
     JOINT_STATEMENT,
@@ -45,10 +36,19 @@ from trajeval_ros.consistency.verdict import (
     summary_of,
     verdict_of,
 )
+from trajeval_ros.consistency.s_transformation import (
+    Transformation,
+    carried,
+    carried_information,
+    errors_of,
+    independent_noise,
+    turning,
+)
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

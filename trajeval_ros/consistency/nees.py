@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.consistency.s_transformation import Transformation
 from trajeval_ros.exceptions import InputError
 
 Array = NDArray[np.float64]

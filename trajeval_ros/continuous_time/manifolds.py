@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
-from trajeval_ros.lie import skew
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.lie import skew
 
 Array = NDArray[np.float64]
 

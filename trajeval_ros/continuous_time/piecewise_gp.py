@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.blending import blended
+from trajeval_ros.continuous_time.gp_segments import SIZE, Segments
 from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, most_likely
 from trajeval_ros.continuous_time.kernels import MATERN_52, Kernel
 from trajeval_ros.continuous_time.samples import Belief, Samples
-from trajeval_ros.continuous_time.segments import SIZE, Segments
+from trajeval_ros.geometry import lie, se3
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

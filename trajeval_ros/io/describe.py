@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 
 LONG_GAP_S = 0.5  # over which association doesn't interpolate
 _TRUTH = re.compile(
@@ -107,8 +107,8 @@ def describe(source: str, *, advance: Advance | None = None) -> Description:
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
     """Return what the topics of a bag hold."""
-    from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.topics import read_columns, read_edges, trajectory_of
+    from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.topics import read_columns, read_edges, trajectory_of
 
     trajectories = []
     others = []

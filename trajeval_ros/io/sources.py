@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.byte_source import beginning_of
-from trajeval_ros.io.text import read_text
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.byte_source import beginning_of
+from trajeval_ros.io.text.reader import read_text
 
 Advance = Callable[[int, int], None]
 
@@ -64,7 +64,7 @@ def read_trajectory(
     try:
         if not parts.is_bag:
             return read_text(parts.path, advance)
-        from trajeval_ros.io.topics import read_bag
+        from trajeval_ros.io.bags.topics import read_bag
 
         return read_bag(
             parts.path,

@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood import relative
-from trajeval_ros.likelihood.chain import Chain, gauge_chain
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood import relative_density
+from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.likelihood.observable_directions import Chain, gauge_chain
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
 if TYPE_CHECKING:
-    from trajeval_ros.association import Association
-    from trajeval_ros.evaluation import Evaluation
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.evaluation import Evaluation
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Assessment:
     stamps: NDArray[np.int64]
     belief: Belief
     error: AbsoluteError
-    edges: relative.RelativeError | None
+    edges: relative_density.RelativeError | None
     chain: Chain | None
     ate: UncertainAte
     log_bayes: dict[str, float]
@@ -92,9 +92,9 @@ def assess(evaluation: Evaluation) -> Assessment:
     error = generalised_absolute_error(residuals)
     edges = None
     if oriented:
-        steps = relative.transports(belief.poses)
+        steps = relative_density.transports(belief.poses)
         missed = residuals.at(error.mode.element)
-        edges = relative.decomposed(belief, relative.stepwise(steps, missed))
+        edges = relative_density.decomposed(belief, relative_density.stepwise(steps, missed))
     joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
     ate = uncertain_ate(
         known.poses[:, :3, 3],

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
-from trajeval_ros.likelihood.relative import LOG_2_PI, relative_errors
+from trajeval_ros.geometry import se3
+from trajeval_ros.likelihood.relative_density import LOG_2_PI, relative_errors
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, ndtri
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import act
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.mode import Mode, find_mode
-from trajeval_ros.likelihood.relative import LOG_2_PI
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.special import i0e
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.relative import LOG_2_PI
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
 
 Array = NDArray[np.float64]
 

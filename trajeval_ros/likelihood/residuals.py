@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import Chart, act
-from trajeval_ros.likelihood.relative import LOG_2_PI
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import Chart, act
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.alignment import align, position_weights
-from trajeval_ros.continuous_time.joint import JointPosterior
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.alignment import align, position_weights
 
 Array = NDArray[np.float64]
 

@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
-from trajeval_ros.alignment import Alignment, align_first, solve
-from trajeval_ros.association import Association
-from trajeval_ros.coverage import coverage_of
-from trajeval_ros.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.moments import Moments
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.metrics.alignment import Alignment, align_first, solve
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.coverage import coverage_of
+from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import (
     POSITION,
     QUATERNION,
@@ -26,13 +30,9 @@ from trajeval_ros.online.pairing import (
     Pairs,
     on_plane,
 )
-from trajeval_ros.online.relative import RelativeEnd, RelativeTracker
+from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import PairStore
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics, statistics_of
-from trajeval_ros.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.association import bracket_stamps, mix
-from trajeval_ros.coverage import time_without_gaps
-from trajeval_ros.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.metrics.association import bracket_stamps, mix
+from trajeval_ros.metrics.coverage import time_without_gaps
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.errors import lengths
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.errors import lengths
 from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
-from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -9,7 +9,7 @@ from trajeval_ros.report.tables import new_table, number
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from trajeval_ros.association_study import Comparison
+    from trajeval_ros.likelihood.association_study import Comparison
 
 
 def association_table(comparison: Comparison) -> Table:

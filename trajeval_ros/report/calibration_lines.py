@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibrated import Ate, Calibrated
-    from trajeval_ros.calibration.verdict import Parameter
+    from trajeval_ros.calibration.apply import Ate, Calibrated
+    from trajeval_ros.calibration.significance import Parameter
 
 
 def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

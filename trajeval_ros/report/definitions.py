@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trajeval_ros.evaluation import Evaluation
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.evaluation import Evaluation
 
 
 def alignment_of(evaluations: Sequence[Evaluation]) -> str:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
-from trajeval_ros.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.report.tables import new_table, number
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
-from trajeval_ros.sub_trajectories import Length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

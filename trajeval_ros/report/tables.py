@@ -6,15 +6,15 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis import reasons
-from trajeval_ros.evaluation import Evaluation, Segments
-from trajeval_ros.statistics import Statistics
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.statistics import Statistics
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from trajeval_ros.consistency.verdict import Consistency
+    from trajeval_ros.consistency.result import Consistency
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # Terminals that are narrower do without some columns; the results on disk have them all.

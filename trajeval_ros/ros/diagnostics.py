@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trajeval_ros.diagnosis import reasons
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.geometry.trajectory import add_counts
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
-from trajeval_ros.trajectory import add_counts
 
 OK, WARN, ERROR, STALE = range(4)
 _BY_GRAVITY = (OK, WARN, STALE, ERROR)  # silence must not hide an error

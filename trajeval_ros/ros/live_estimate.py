@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.consistency.marginals import unknown_covariances
-from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
-from trajeval_ros.io.messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
-from trajeval_ros.io.pair_file import SUFFIX, PairWriter
-from trajeval_ros.io.results import write_whole
-from trajeval_ros.online.clock import ClockReport, OnlineClock
+from trajeval_ros.consistency.marginal_covariances import unknown_covariances
+from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
+from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
+from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
+from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
+from trajeval_ros.io.results.result_json import write_whole
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jumps import Jump, JumpDetector
+from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.live_clock import ClockReport, OnlineClock
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
 from trajeval_ros.online.reports import Update, united
 from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.trail import Trail
-from trajeval_ros.ros.held import Held
-from trajeval_ros.ros.inputs import Taken
+from trajeval_ros.ros.held_messages import Held
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.subscriptions import Taken
 from trajeval_ros.ros.timing import Latency
-from trajeval_ros.trajectory import NANOSECONDS, add_counts, judge_poses
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

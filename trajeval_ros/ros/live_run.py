@@ -8,15 +8,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.diagnosis import reasons
+from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.ros.folder import Finisher
 from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.trajectory import NANOSECONDS, add_counts
 
 _QUIET_S = 0.1
 _LAST_MESSAGES_S = 2.0

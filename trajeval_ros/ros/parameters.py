@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import MODALITIES, Gauge
-from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
-from trajeval_ros.settings import protocol_from
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.diagnosis import reasons
-from trajeval_ros.io.messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
-from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -7,13 +7,13 @@ import uuid
 from collections.abc import Callable
 
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.jumps import Jump
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.pairing import Floats, Pairs, Stamps
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.viewer.live import LiveScene
+from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
 from trajeval_ros.viewer.stream import Stream, give_way
 

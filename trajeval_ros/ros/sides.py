@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
-from trajeval_ros.ros.inputs import Taken, TopicInput
-from trajeval_ros.ros.messages import is_installed
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.ros.poses import PoseStream
+from trajeval_ros.ros.subscriptions import Taken, TopicInput
 from trajeval_ros.ros.transform_stream import TransformStream
 
 if TYPE_CHECKING:

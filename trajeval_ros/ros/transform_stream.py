@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.messages import TransformColumns, decode_transforms
-from trajeval_ros.io.transforms import (
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
+from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
     EdgeKey,
@@ -22,7 +23,6 @@ from trajeval_ros.io.transforms import (
 )
 from trajeval_ros.online.pairing import states
 from trajeval_ros.ros.poses import PoseStream, States
-from trajeval_ros.trajectory import NANOSECONDS
 
 Stamps = NDArray[np.int64]
 

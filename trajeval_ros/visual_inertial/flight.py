@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.simulation import EPOCH_S, SHORTEST_S, simulate
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.visual_inertial.motion import recorded
 from trajeval_ros.visual_inertial.sampler import Run, Sampler, solved
 from trajeval_ros.visual_inertial.scene import Profile, Scene, make_scene

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.state import State

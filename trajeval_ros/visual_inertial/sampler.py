@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.chain import Chain
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.banded_gaussian import Chain
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.landmarks import draw_landmarks
 from trajeval_ros.visual_inertial.motion import Motion

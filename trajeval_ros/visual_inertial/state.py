@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 Array = NDArray[np.float64]
 

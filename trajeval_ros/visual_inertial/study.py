@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
     transform,

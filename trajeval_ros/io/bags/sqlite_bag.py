@@ -1,0 +1,250 @@
+"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
+from trajeval_ros.io.bags.metadata import qos_of
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+_UNKNOWN = -1  # counting reads the whole file
+_FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
+_LOG_MAGICS = (0x377F0682, 0x377F0683)
+_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
+_SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
+_FEW = 16  # rows, as long as nobody knows how large they are
+
+
+class SqliteReader:
+    """An open .db3 file.
+
+    Attributes:
+        connections: Its topics.
+        damage: What can't be read, one sentence each; grows while blocks are read.
+        notes: What else to know about what was read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, and the write-ahead log beside it if there is one.
+
+        Raises:
+            InputError: It is damaged, or its log can't be read.
+        """
+        self.damage: list[str] = []
+        self.notes: list[str] = []
+        self._counts: dict[int, int] | None = None
+        self._path = path
+        log = path.with_name(f"{path.name}-wal")
+        has_log = log.exists() and log.stat().st_size > 0
+        if not has_log:
+            refuse_truncated(path)
+        # Without a log nobody writes, and sqlite needn't look for locks, which need rights.
+        mode = "mode=ro" if has_log else "immutable=1"
+        uri = f"{path.resolve().as_uri()}?{mode}"
+        self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        try:
+            self.connections = self._list_connections()
+        except sqlite3.Error as error:
+            self._database.close()
+            if has_log:
+                raise InputError(
+                    f"{path} was not closed, and the messages that wait in {log.name} can't be "
+                    f"read ({error}); merge them, where you may write, with `sqlite3 {path} "
+                    "'PRAGMA wal_checkpoint(TRUNCATE)'`"
+                ) from error
+            raise
+        if has_log and (lost := _lost_of(log)):
+            self.damage.append(f"{log}: {lost}, and what only they held is missing")
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+        first, last = self._database.execute(
+            "SELECT min(timestamp), max(timestamp) FROM messages"
+        ).fetchone()
+        return None if first is None else (first, last)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def blocks(
+        self,
+        wanted: Collection[int],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,
+    ) -> Iterator[Block]:
+        """Yield the messages of some topics."""
+        query, values = _query(wanted, begin, end)
+        reached = (-(2**63), 0)
+        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
+        order = "timestamp, id" if in_order else "id"
+        try:
+            rows = self._database.execute(f"{query} ORDER BY {order}", values)
+            count = _FEW
+            while some := rows.fetchmany(count):
+                keys, topics, log_times, payloads = zip(*some, strict=True)
+                yield block_of(topics, log_times, payloads)
+                reached = (log_times[-1], keys[-1]) if in_order else (0, keys[-1])
+                size = sum(map(len, payloads)) // len(payloads)
+                count = min(ROWS, 1 + _FETCHED // max(size, 1))
+        except sqlite3.DatabaseError as error:
+            self.damage.append(f"{self._path} is damaged: {error}")
+        else:
+            return
+        # What leads to a damaged page leads there again: the rest is asked for one by one.
+        left = [
+            (log_time if in_order else 0, key) for log_time, key in self._one_by_one(query, values)
+        ]
+        yield from blocks_of(
+            row[1:]
+            for each in sorted(left)
+            if each > reached
+            for row in self._row(query, values, each[1])
+        )
+
+    def _one_by_one(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[int, int]]:
+        """Yield log time and id of each message that can be had, whatever damage is around it."""
+        try:
+            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
+        except sqlite3.DatabaseError:
+            return
+        # A row has several bytes, so that larger ids than these are leaps, or damage as well.
+        most = self._path.stat().st_size // _SMALLEST_ROW
+        if last and last > most:
+            self.damage.append(f"{self._path}: ids beyond {most} were not looked for")
+            last = most
+        for key in range(1, (last or 0) + 1):
+            yield from ((row[2], row[0]) for row in self._row(query, values, key))
+
+    def _row(self, query: str, values: tuple[Any, ...], key: int) -> list[Any]:
+        try:
+            return self._database.execute(f"{query} AND id = ?", (*values, key)).fetchall()
+        except sqlite3.DatabaseError:
+            return []
+
+    def _list_connections(self) -> list[Connection]:
+        """Return the topics, each with the definition of its type if the file has it."""
+        from rosbags.interfaces import (
+            Connection,
+            ConnectionExtRosbag2,
+            MessageDefinition,
+            MessageDefinitionFormat,
+        )
+
+        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
+        texts = {}
+        if self._columns("message_definitions"):
+            rows = self._database.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            texts = {
+                name: MessageDefinition(formats[encoding], text)
+                for name, encoding, text in rows
+                if encoding in formats and text.strip()
+            }
+        if not self._columns("topics") or not self._columns("messages"):
+            raise InputError(f"{self._path} is no bag: it lacks the tables of topics and messages")
+        has_qos = "offered_qos_profiles" in self._columns("topics")
+        rows = self._database.execute(
+            "SELECT id, name, type, serialization_format, "
+            + ("offered_qos_profiles" if has_qos else "''")
+            + " FROM topics ORDER BY id"
+        )
+        none = MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return [
+            Connection(
+                key,
+                name,
+                kind,
+                texts.get(kind, none),
+                "",
+                _UNKNOWN,
+                ConnectionExtRosbag2(serialization, qos_of(qos)),
+                self,
+            )
+            for key, name, kind, serialization, qos in rows
+        ]
+
+    def count(self, topic: int) -> int:
+        """Return the number of messages of a topic; 0 if damaged pages are in the way."""
+        if self._counts is None:
+            query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+            try:
+                self._counts = dict(self._database.execute(query).fetchall())
+            except sqlite3.DatabaseError:
+                self._counts = {}
+        return self._counts.get(topic, 0)
+
+    def _columns(self, table: str) -> set[str]:
+        rows = self._database.execute(f"PRAGMA table_info({table})")
+        return {name for _, name, *_ in rows}
+
+
+def _query(
+    wanted: Collection[int], begin: int | None, end: int | None
+) -> tuple[str, tuple[Any, ...]]:
+    """Return the query of the wanted messages, and its values."""
+    query = (
+        "SELECT id, topic_id, timestamp, data FROM messages "
+        f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
+    )
+    values: tuple[Any, ...] = tuple(wanted)
+    if begin is not None:
+        query, values = f"{query} AND timestamp >= ?", (*values, begin)
+    if end is not None:
+        query, values = f"{query} AND timestamp < ?", (*values, end)
+    return query, values
+
+
+def _lost_of(log: Path) -> str:
+    """Return what of an open database's log sqlite didn't use, which it never tells itself.
+
+    Both are of sqlite's file format, 4.1 and 4.4: the log is a header and frames of one page each,
+    the index beside it says how many frames hold what was committed.
+    """
+    with log.open("rb") as file:
+        header = file.read(_LOG_HEADER)
+        if int.from_bytes(header[:4], "big") not in _LOG_MAGICS or len(header) < _LOG_HEADER:
+            return "none of its pages could be used"
+        frame = _FRAME_HEADER + int.from_bytes(header[8:12], "big")
+        size = log.stat().st_size
+        count = 0
+        while _LOG_HEADER + (count + 1) * frame <= size:
+            file.seek(_LOG_HEADER + count * frame + 8)
+            if file.read(8) != header[16:24]:  # a frame of an older log, written over by this one
+                break
+            count += 1
+    index, used = log.with_name(f"{log.name.removesuffix('-wal')}-shm"), 0
+    if index.exists():  # unless the database says that it has no log
+        with index.open("rb") as file:
+            used = int.from_bytes(file.read(20)[16:], sys.byteorder)
+    return f"{count - used} of its {count} pages could not be used" if used < count else ""
+
+
+def refuse_truncated(path: Path) -> None:
+    """Raise InputError if sqlite's header counts more pages than the file has.
+
+    What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
+    """
+    with path.open("rb") as file:
+        header = file.read(100).ljust(100, b"\0")
+    page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+    page_size = 65536 if page_size == 1 else page_size
+    is_valid = header[24:28] == header[92:96]  # older versions of sqlite don't keep the count
+    size = path.stat().st_size
+    if is_valid and size < pages * page_size:
+        raise InputError(
+            f"{path} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
+            f"save what is left with `sqlite3 {path} .recover`"
+        )

@@ -1,0 +1,326 @@
+"""The whole evaluation of one estimate: associate, align, measure. Reads like the tutorial."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.diagnosis.clock_hint import clock_hint
+from trajeval_ros.diagnosis.warnings import warnings_of
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
+from trajeval_ros.metrics.alignment import Alignment, align, align_first, position_weights
+from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.errors import (
+    AbsoluteErrors,
+    RelativeErrors,
+    absolute_errors,
+    relative_errors,
+)
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.score import Score
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.sub_trajectories import Length, select
+
+Array = NDArray[np.float64]
+
+ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """The relative errors of all sub-trajectories of one length.
+
+    Attributes:
+        length: As asked for.
+        length_m: Its value in metres; None where the length is a duration.
+        duration_s: Its value in seconds; None where it is a distance.
+        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
+        errors: Sub-trajectory by sub-trajectory.
+        statistics: By metric; None where there is nothing to tell.
+    """
+
+    length: Length
+    length_m: float | None
+    duration_s: float | None
+    mean_length_m: float | None
+    errors: RelativeErrors
+    statistics: dict[str, Statistics | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """How wrong an estimate is, with everything that the numbers depend on.
+
+    Attributes:
+        protocol: The settings.
+        groundtruth: All groundtruth states, cleaned.
+        estimate: All estimated states, cleaned, in their own frame.
+        association: The pairs, the estimate's in its own frame.
+        alignment: From the estimate's frame to the groundtruth's.
+        aligned: The paired estimated states, aligned.
+        absolute: Errors pair by pair.
+        ate: Their statistics by metric; None where a metric can't be had.
+        segments: Relative errors by length; None where they can't be had at all.
+        pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
+            sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
+        warnings: What a reader of the numbers must know, one sentence each.
+        score: By the protocol's points; None if it has none.
+    """
+
+    protocol: Protocol
+    groundtruth: Trajectory
+    estimate: Trajectory
+    association: Association
+    alignment: Alignment
+    aligned: Trajectory
+    absolute: AbsoluteErrors
+    ate: dict[str, Statistics | None]
+    segments: tuple[Segments, ...] | None
+    pooled: dict[str, Statistics | None]
+    warnings: tuple[str, ...]
+    score: Score | None = None
+
+    @property
+    def longest(self) -> Segments | None:
+        """The longest sub-trajectories in metres that there are, whose mean is the drift."""
+        with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
+        return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
+
+
+def evaluate(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
+) -> Evaluation:
+    """Evaluate an estimated trajectory against groundtruth.
+
+    Raises:
+        InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
+    protocol = protocol or Protocol()
+    if protocol.in_order:
+        groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
+    if protocol.lever_m is not None:
+        # Surveyed points have no orientation, whatever their file says.
+        groundtruth = dataclasses.replace(groundtruth, rotations=None)
+        estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
+    if protocol.gauge is Gauge.PLANAR:
+        # After the lever arm, which a tilting body swings to the side.
+        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
+
+    pairs = associate(groundtruth, estimate, protocol.association)
+    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+
+
+def evaluate_pairs(
+    pairs: Association, groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
+) -> Evaluation:
+    """Evaluate what has been associated: align, measure, count.
+
+    Args:
+        pairs: States paired by the protocol's rule.
+        groundtruth: All states that they were chosen from.
+        estimate: Likewise, in their own frame.
+        protocol: The settings.
+
+    Raises:
+        InputError: The pairs lack what the protocol needs.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
+    alignment = align_pairs(pairs, protocol)
+    aligned = alignment.similarity.trajectory(pairs.estimate)
+
+    if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
+        why = alignment.undetermined or "one side has positions only"
+        raise InputError(
+            f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
+            "use ATE form plain"
+        )
+    absolute = absolute_errors(
+        pairs.groundtruth, aligned, protocol.ate_form, rotation=not alignment.undetermined
+    )
+    if protocol.gauge is Gauge.PLANAR:
+        absolute = dataclasses.replace(absolute, tilt_deg=None)
+    ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
+    segments = _relative(pairs, groundtruth, alignment, protocol)
+    evaluation = Evaluation(
+        protocol=protocol,
+        groundtruth=groundtruth,
+        estimate=estimate,
+        association=pairs,
+        alignment=alignment,
+        aligned=aligned,
+        absolute=absolute,
+        ate=ate,
+        segments=segments,
+        pooled=_pooled(segments or ()),
+        warnings=(),
+        score=None
+        if protocol.score is None
+        else protocol.score.score(
+            absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
+        ),
+    )
+    warnings = (*clock_hint(pairs, aligned), *warnings_of(evaluation))
+    return dataclasses.replace(evaluation, warnings=warnings)
+
+
+def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
+    """Return, for each groundtruth state that is in a pair, the pair that is closest in time."""
+    points = pairs.groundtruth_rows
+    assert points is not None
+    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
+    closest_first = np.lexsort((apart, points))
+    return closest_first[np.unique(points[closest_first], return_index=True)[1]]
+
+
+def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
+    """Align by all matched states, or the first few: Table I of the tutorial.
+
+    Raises:
+        InputError: The states lack what the protocol's weights need.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge.
+    """
+    truth, estimate = pairs.groundtruth, pairs.estimate
+    if protocol.align_states == 1:
+        return align_first(
+            protocol.gauge,
+            truth.positions[0],
+            None if truth.rotations is None else truth.rotations[0],
+            estimate.positions[0],
+            None if estimate.rotations is None else estimate.rotations[0],
+        )
+    first = slice(protocol.align_states)
+    p, q = truth.positions[first], estimate.positions[first]
+    alignment = align(protocol.gauge, p, q)
+    if protocol.align_weights == "covariance":
+        covariances = _known_covariances(estimate)[first]
+        for _ in range(2):  # the size of the errors, a part of the weights, depends on them
+            moved = alignment.similarity.positions(q)
+            error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
+            in_metres = alignment.similarity.scale**2 * covariances
+            alignment = align(protocol.gauge, p, q, position_weights(in_metres, error))
+    return alignment
+
+
+def _known_covariances(estimate: Trajectory) -> Array:
+    covariances = estimate.covariances
+    if covariances is not None:
+        variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
+        if (np.isfinite(variances) & (variances > 0.0)).all():
+            return covariances
+    raise InputError(
+        f"{estimate.name or 'the estimate'} has no position covariance for every state, so the "
+        "alignment can't be weighted by it; use alignment weighting none"
+    )
+
+
+def _relative(
+    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
+) -> tuple[Segments, ...] | None:
+    """Measure the errors (27) of all sub-trajectories of all lengths."""
+    if not protocol.lengths or not _have_rotations(pairs):
+        return None
+    truth = pairs.groundtruth
+    distance, time = travelled_distance(truth.positions), truth.seconds
+    if any(length.unit == "s" for length in protocol.lengths) and (np.diff(time) < 0.0).any():
+        raise InputError(
+            "the pairs step back in time, so no sub-trajectory can be chosen by its duration; "
+            "use protocol default, which sorts, or lengths in metres"
+        )
+    segments = []
+    for length in protocol.lengths:
+        value = length.value
+        if length.unit == "%":
+            value = _share_of_path(length.value, distance[-1], groundtruth, protocol)
+        along = time if length.unit == "s" else distance
+        starts, ends = select(along, value, protocol.selection)
+        errors = relative_errors(
+            truth,
+            pairs.estimate,
+            starts,
+            ends,
+            protocol.gauge,
+            alignment.similarity.scale,
+            protocol.re_form,
+        )
+        if protocol.gauge is Gauge.PLANAR:
+            errors = dataclasses.replace(errors, tilt_deg=None)
+        in_metres = length.unit != "s"
+        segments.append(
+            Segments(
+                length=length,
+                length_m=float(value) if in_metres else None,
+                duration_s=None if in_metres else float(value),
+                mean_length_m=float(np.mean(distance[ends] - distance[starts]))
+                if len(ends)
+                else None,
+                errors=errors,
+                statistics=_segment_statistics(errors, float(value) if in_metres else None),
+            )
+        )
+    return tuple(segments)
+
+
+def _share_of_path(
+    percent: float, matched_m: float, groundtruth: Trajectory, protocol: Protocol
+) -> float:
+    """Return a share of the path in metres; the toolbox's is of all groundtruth, in full cm."""
+    if protocol.selection.rule == "toolbox":
+        share = percent / 100.0 * groundtruth.path_length_m
+        return float(np.trunc(100.0 * share) / 100.0)
+    return percent / 100.0 * matched_m
+
+
+def _segment_statistics(
+    errors: RelativeErrors, length_m: float | None
+) -> dict[str, Statistics | None]:
+    position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
+    percent = per_metre = None
+    if length_m is not None and position is not None and rotation is not None:
+        percent, per_metre = position.scaled(100.0 / length_m), rotation.scaled(1.0 / length_m)
+    return {
+        "position_m": position,
+        "position_percent": percent,
+        "rotation_deg": rotation,
+        "rotation_deg_per_m": per_metre,
+        "yaw_deg": statistics_of(errors.yaw_deg),
+        "tilt_deg": statistics_of(errors.tilt_deg),
+        "velocity_mps": statistics_of(errors.velocity_mps),
+    }
+
+
+def _pooled(segments: tuple[Segments, ...]) -> dict[str, Statistics | None]:
+    by_metre = [(each.errors, each.length_m) for each in segments if each.length_m]
+    if not by_metre:
+        return {"position_percent": None, "rotation_deg_per_m": None}
+    percent = [errors.position_m * (100.0 / length) for errors, length in by_metre]
+    per_metre = [errors.rotation_deg / length for errors, length in by_metre]
+    return {
+        "position_percent": statistics_of(np.concatenate(percent)),
+        "rotation_deg_per_m": statistics_of(np.concatenate(per_metre)),
+    }
+
+
+def _have_rotations(pairs: Association) -> bool:
+    return pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+
+
+def _on_plane(trajectory: Trajectory) -> Trajectory:
+    """Return the states projected on the xy plane: no height, and the heading alone."""
+    flat = np.array([1.0, 1.0, 0.0])
+    quaternions = trajectory.quaternions
+    rotations = None if quaternions is None else Rotation.from_quat(lie.heading(quaternions))
+    return dataclasses.replace(
+        trajectory,
+        positions=trajectory.positions * flat,
+        rotations=rotations,
+        velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
+    )

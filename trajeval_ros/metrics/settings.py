@@ -1,0 +1,95 @@
+"""From the words of the command line, and of the node's parameters, to a protocol."""
+
+from __future__ import annotations
+
+import dataclasses
+from difflib import get_close_matches
+from typing import Any
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.gauge import gauge_for
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.metrics.sub_trajectories import Length
+
+_INTERPOLATING = ("linear", "continuous")
+
+
+def protocol_named(name: str) -> Protocol:
+    """Return a protocol by name.
+
+    Raises:
+        SettingsError: There is none of that name.
+    """
+    if name not in PROTOCOLS:
+        near = get_close_matches(name, PROTOCOLS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(PROTOCOLS)}"
+        raise SettingsError(f"there is no protocol {name!r}; {hint}")
+    return PROTOCOLS[name]
+
+
+def protocol_from(
+    base: str | Protocol,
+    *,
+    gauge: str | None,
+    modality: str | None,
+    align_states: str | None,
+    association: str | None,
+    max_time_difference: float | None,
+    max_gap: float | None,
+    time_offset: float | None,
+    lengths: str | None,
+    ate_form: str | None,
+    re_form: str | None,
+) -> Protocol:
+    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is."""
+    base = protocol_named(base) if isinstance(base, str) else base
+    method = association or base.association.method
+    if max_time_difference is not None and method in _INTERPOLATING:
+        raise SettingsError(
+            f"association {method} knows no max time difference, it evaluates groundtruth at the "
+            "estimate's stamps; use association nearest with it, or a max gap"
+        )
+    rule = _replaced(
+        base.association,
+        method=association,
+        max_time_difference_s=max_time_difference,
+        max_gap_s=max_gap,
+        time_offset_s=time_offset,
+    )
+    protocol: Protocol = _replaced(
+        base,
+        gauge=gauge_for(gauge, modality, base.gauge),
+        modality=modality,
+        association=rule,
+        lengths=None if lengths is None else parse_lengths(lengths),
+        ate_form=ate_form,
+        re_form=re_form,
+    )
+    if align_states is None:
+        return protocol
+    return dataclasses.replace(protocol, align_states=parse_states(align_states))
+
+
+def parse_lengths(text: str) -> tuple[Length, ...]:
+    """Read "8,16,24", "1s,5s", "10%,20%" or "none"."""
+    if text.strip() == "none":
+        return ()
+    lengths = tuple(Length.parse(part) for part in text.split(","))
+    if len(set(lengths)) < len(lengths):
+        raise SettingsError(f"a length is given twice in {text!r}")
+    return lengths
+
+
+def parse_states(text: str) -> int | None:
+    """Read "all" or a number of states."""
+    if text == "all":
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise SettingsError(f"align states must be all or a number of states, not {text!r}")
+    return int(text)
+
+
+def _replaced(base: Any, **changes: Any) -> Any:
+    return dataclasses.replace(
+        base, **{name: value for name, value in changes.items() if value is not None}
+    )
