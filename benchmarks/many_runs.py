@@ -69,7 +69,7 @@ def measure(config: Path, out: Path, how: str) -> dict[str, float]:
     start, cpu = time.perf_counter(), time.process_time()
     if how == LOOP:
         for run in sorted(plan.runs, key=lambda run: run.sequence):
-            assert not isinstance(work(Task(run, plan.protocol, (run.groundtruth, ""))), str)
+            assert not isinstance(work(Task(run, plan.request, (run.groundtruth, ""))), str)
     else:
         here = Pool(ThreadPoolExecutor, 1)
         progress = compare(plan, out, lambda: here if how == ALONE else local_pool(int(how[0])))

@@ -29,12 +29,12 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.protocol_file import read_protocol
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
 from trajeval_ros.metrics.score import PointTable
 from trajeval_ros.metrics.span_alignment import align_spans
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.pipeline import evaluate
 
 HILTI = PROTOCOLS["hilti-2023"]
 UZH = PROTOCOLS["uzh-fpv"]

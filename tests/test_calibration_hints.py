@@ -15,8 +15,9 @@ from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.pipeline import evaluate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 CLOCKS, BODIES, ARRIVAL = (

@@ -27,6 +27,7 @@ from trajeval_ros.batch.results_table import Rows
 from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.pipeline import Request
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE_S = 120.0
@@ -42,7 +43,7 @@ def tasks_of(folder: Path, count: int, deadly: tuple[int, ...] = ()) -> list[Tas
         estimate = str(write_run(folder / f"{number}.txt", 1.0 + 0.01 * number))
         kind: type[Run] = DeadlyRun if number in deadly else Run
         run = kind("vio", "hall", str(number), truth, estimate)
-        tasks.append(Task(run, protocol, ("truth", str(number))))
+        tasks.append(Task(run, Request(protocol), ("truth", str(number))))
     return tasks
 
 
@@ -79,7 +80,7 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     plan = plan_of(write_runs(tmp_path), {})
     first = plan.runs[0]
     deadly = DeadlyRun(**{name: getattr(first, name) for name in first.__dataclass_fields__})
-    plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.protocol)
+    plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.request)
     progress = compare(plan, tmp_path / "out", lambda: local_pool(2))
     assert (progress.done, progress.failed) == (7, 1)
     (lost,) = Rows(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")

@@ -19,8 +19,8 @@ from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.pooling import read_pooled
 from trajeval_ros.batch.results_table import STATISTICS, Rows
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.pipeline import evaluate
 
 pytestmark = pytest.mark.slow
 

@@ -27,10 +27,11 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.evaluation import ATE_METRICS, evaluate
+from trajeval_ros.metrics.evaluation import ATE_METRICS
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.pipeline import evaluate
 
 LENGTHS = (Length(4.0, "m"), Length(2.0, "s"), Length(25.0, "%"))
 BASE = Protocol(lengths=LENGTHS)

@@ -10,8 +10,8 @@ import pytest
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.pipeline import evaluate
 
 Recording = Callable[[str], Trajectory]
 Reference = Callable[[str], Any]

@@ -13,8 +13,8 @@ from strategies import Array, make_groundtruth
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.pipeline import evaluate
 
 LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)
 

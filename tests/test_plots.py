@@ -10,9 +10,10 @@ import pytest
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.pipeline import evaluate
 from trajeval_ros.report import canvas
 from trajeval_ros.report.figures import write_figures
 from trajeval_ros.visual_inertial.drifting_odometry import simulate

@@ -33,8 +33,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline import evaluate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

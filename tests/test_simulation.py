@@ -13,8 +13,8 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.pipeline import evaluate
 from trajeval_ros.visual_inertial.drifting_odometry import Drift, Simulation, simulate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=metres(40))

@@ -16,8 +16,9 @@ __version__ = "0.1.0"
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import Evaluation, evaluate
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.pipeline import evaluate
 
 __all__ = [
     "MODALITIES",

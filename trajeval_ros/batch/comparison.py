@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections import defaultdict
@@ -25,9 +26,9 @@ from trajeval_ros.batch.results_table import (
     state_of,
     write_table,
 )
-from trajeval_ros.batch.worker import Span, Task, work
+from trajeval_ros.batch.worker import Task, work
 from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.io.results.result_json import write_text
+from trajeval_ros.io.writing import write_text
 
 RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
 _INPUTS, _ABOUT = "inputs.json", "README.txt"
@@ -137,7 +138,7 @@ class _Batch:
                 try:
                     of = self._fingerprints.of
                     inputs = (of(run.groundtruth), of(run.estimate))
-                    self.tasks[run] = Task(run, self.plan.protocol, inputs)
+                    self.tasks[run] = Task(run, self.plan.request, inputs)
                 except TrajevalError as error:
                     self._fail(run, str(error))
             if run in self.tasks:
@@ -176,7 +177,7 @@ class _Batch:
 
     def cut_to_common_spans(self) -> None:
         """Evaluate the runs of each sequence again, over the time that all of them have."""
-        spans: dict[str, list[Span]] = defaultdict(list)
+        spans: dict[str, list[tuple[int, int]]] = defaultdict(list)
         for run, task in self.tasks.items():
             record = self.record(task)
             if record is not None:
@@ -191,7 +192,8 @@ class _Batch:
             if span[0] >= span[1]:
                 self._fail(run, f"the runs of {run.sequence} have no time in common")
             else:
-                cut[run] = Task(run, task.protocol, task.inputs, span)
+                request = dataclasses.replace(task.request, span_ns=span)
+                cut[run] = Task(run, request, task.inputs)
         self.tasks = cut
         self.progress.total += len(cut)
         self.evaluate(cut.values())

@@ -10,8 +10,8 @@ from typing import Any
 
 from trajeval_ros.batch.patterns import is_url, split_topic
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.results.result_json import write_text
 from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.writing import write_text
 
 _NANOSECONDS = 1_000_000_000
 # A file that changed later than this before it was hashed may change again at the same stamp.

@@ -16,7 +16,7 @@ from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
 from trajeval_ros.batch.summary_tables import Summary, definition, matrices
-from trajeval_ros.io.results.result_json import write_text
+from trajeval_ros.io.writing import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
 from trajeval_ros.report.matrix import coverage_text, number_text
@@ -119,9 +119,12 @@ def _runs(folder: Path, summary: Summary, figures: Mapping[str, tuple[str, ...]]
     )  # fmt: skip
     for row in Rows(folder / RUNS).select((*names, *more), status=OK):
         key = row["key"]
-        statistics[key].append(_statistics(row))
         if key not in facts:
             facts[key] = _facts(row)
+        if row["kind"] in (ATE, RE, POOLED):
+            statistics[key].append(_statistics(row))
+        else:
+            facts[key] += ((f"{row['kind']}, {row['metric']}", number_text(row["mean"])),)
     return [
         RunPage(
             algorithm=trial.algorithm,

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline import Request
 
 Name = tuple[str, str, str]
 
@@ -44,13 +44,13 @@ class Plan:
     Attributes:
         title: What a report calls it.
         runs: By algorithm, sequence and trial, the missing ones included.
-        protocol: How each is evaluated.
+        request: What is computed of each.
         common_time_span: Evaluate only the time that all runs of a sequence have.
     """
 
     title: str
     runs: tuple[Run, ...]
-    protocol: Protocol
+    request: Request
     common_time_span: bool = False
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, settings_of
-from trajeval_ros.io.results.result_json import write_whole
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.statistics import quantile, statistics_of
 
 Array = NDArray[np.float64]

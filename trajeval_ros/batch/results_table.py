@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.plan import Plan, Run
 from trajeval_ros.batch.records import Record
+from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.results.result_json import write_whole
+from trajeval_ros.io.writing import write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 SCHEMA = "trajeval-runs/1"
 OK, FAILED, MISSING = "ok", "failed", "missing"
 ATE, RE, POOLED = "ate", "re", "re.pooled"
+# Rows of one value, in the column `mean`, with its standard deviation, if known, in `std`.
+CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
 
@@ -43,7 +47,7 @@ _COLUMNS = {
 
 def settings_of(plan: Plan) -> dict[str, Any]:
     """Return all settings that the numbers of a comparison depend on."""
-    protocol = plan.protocol
+    request, protocol = plan.request, plan.request.protocol
     rule, selection = protocol.association, protocol.selection
     continuous = rule.method == "continuous"
     return {
@@ -64,8 +68,20 @@ def settings_of(plan: Plan) -> dict[str, Any]:
         "lengths": [str(length) for length in protocol.lengths],
         "selection": f"{selection.rule}, every {selection.every}",
         "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
+        "calibrate_time_offset": request.calibration.offset,
+        "hand_eye": _hand_eye(request.calibration),
+        "covariance": request.covariances.source,
+        "rotation_covariance_frame": request.covariances.rotation_frame,
+        "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
         "common_time_span": plan.common_time_span,
     }
+
+
+def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
+    known = calibration.known
+    if known is not None:
+        return [*known.rotation_xyzw.tolist(), *known.lever_m.tolist()]
+    return "auto" if calibration.hand_eye else "none"
 
 
 def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
@@ -102,6 +118,7 @@ def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[
         "warnings": "\n".join(evaluated["warnings"]),
     }
     yield from _rows(evaluated["ate"], {**same, "kind": ATE})
+    yield from _values(evaluated, same)
     relative = evaluated["re"]
     if relative is None:
         return
@@ -109,6 +126,35 @@ def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[
         sizes = {name: segment.get(name) for name in ("length_m", "duration_s", "mean_length_m")}
         yield from _rows(segment, {**same, **sizes, "kind": RE, "length": length})
     yield from _rows(relative["pooled"], {**same, "kind": POOLED})
+
+
+def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield what was calibrated and applied, and how errors fit covariances and groundtruth."""
+    calibration, consistency, probabilistic = (
+        evaluated[name] or {} for name in ("calibration", "consistency", "probabilistic")
+    )
+    offset, hand_eye = calibration.get("time_offset") or {}, calibration.get("hand_eye") or {}
+    rotation, lever = hand_eye.get("rotation") or {}, hand_eye.get("lever_arm") or {}
+    joint, per_pose = (consistency.get(name) or {} for name in ("joint", "per_pose"))
+    ate = probabilistic.get("ate") or {}
+    found = (
+        (CALIBRATION, "time_offset_s", offset.get("value_s") if offset.get("applied") else None,
+         offset.get("sigma_s")),
+        (CALIBRATION, "rotation_deg", rotation.get("angle_deg") if rotation.get("applied") else
+         None, None),
+        (CALIBRATION, "lever_arm_m", math.hypot(*(each or 0.0 for each in lever["value_m"]))
+         if lever.get("applied") else None, None),
+        (CALIBRATION, "parameters_applied", calibration.get("parameters_applied"), None),
+        (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
+        (CONSISTENCY, "pose_nees_per_dof", per_pose.get("mean"), None),
+        (LIKELIHOOD, "nll_per_pose", probabilistic.get("nll_per_pose"), None),
+        (LIKELIHOOD, "weighted_m", ate.get("weighted_m"), None),
+        (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),
+        (LIKELIHOOD, "supported_share", ate.get("supported_share"), None),
+    )  # fmt: skip
+    for kind, metric, value, sigma in found:
+        if value is not None:
+            yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
 
 
 def row_of_failure(run: Run, reason: str) -> dict[str, Any]:
@@ -152,8 +198,8 @@ def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: s
         metadata={f"trajeval.{name}": value for name, value in head.items()},
     )
     constant = {
-        "gauge": plan.protocol.gauge.value,
-        "protocol": plan.protocol.name,
+        "gauge": plan.request.protocol.gauge.value,
+        "protocol": plan.request.protocol.name,
         "settings": settings,
         "version": __version__,
     }

@@ -13,7 +13,15 @@ from typing import Any
 
 from trajeval_ros.batch.comparison import POOLED, RUNS
 from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.results_table import ATE, OK, RE, Rows
+from trajeval_ros.batch.results_table import (
+    ATE,
+    CALIBRATION,
+    CONSISTENCY,
+    LIKELIHOOD,
+    OK,
+    RE,
+    Rows,
+)
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.report.matrix import Cell, Matrix, number_text
@@ -34,6 +42,7 @@ class Trial:
         coverage: Share of the groundtruth's time that its pairs span, 0.0 of a failed run.
         key: Of its record.
         rmse: Of the absolute errors, by metric.
+        values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
         warnings: What a reader of its numbers must know.
     """
 
@@ -45,6 +54,7 @@ class Trial:
     coverage: float
     key: str
     rmse: dict[str, float]
+    values: dict[str, float]
     warnings: tuple[str, ...]
 
 
@@ -97,11 +107,14 @@ def summary_of(folder: Path) -> Summary:
     names = (*_NAMES, "status", "reason", "own_groundtruth_coverage", "key", "warnings")
     each: dict[tuple[str, ...], dict[str, Any]] = {}
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    for row in rows.select((*names, "kind", "metric", "rmse")):
+    values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
+    for row in rows.select((*names, "kind", "metric", "rmse", "mean")):
         run = tuple(row[name] for name in _NAMES)
         each.setdefault(run, row)
         if row["kind"] == ATE:
             rmse[run][row["metric"]] = row["rmse"]
+        elif row["kind"] in (CALIBRATION, CONSISTENCY, LIKELIHOOD):
+            values[run][row["metric"]] = row["mean"]
     trials = tuple(
         Trial(
             algorithm=row["algorithm"],
@@ -112,6 +125,7 @@ def summary_of(folder: Path) -> Summary:
             coverage=row["own_groundtruth_coverage"] or 0.0,
             key=row["key"] or "",
             rmse=rmse[run],
+            values=values[run],
             warnings=tuple((row["warnings"] or "").splitlines()),
         )
         for run, row in each.items()
@@ -142,7 +156,50 @@ def matrices(summary: Summary) -> list[Matrix]:
     if not in_metres:
         metrics = ("position_m", "rotation_deg")
     tables += [_relative(summary, metric) for metric in metrics]
+    tables += [_values(summary, metric) for metric in _VALUES]
     return [table for table in tables if table is not None]
+
+
+# Metric: title, and what the number is.
+_VALUES = {
+    "time_offset_s": (
+        "clock offset (s)",
+        "Estimated for each run and applied where it is significant; errors are with it.",
+    ),
+    "joint_nees_per_dof": ("joint NEES per degree of freedom", "1 if covariances fit errors."),
+    "pose_nees_per_dof": ("NEES per degree of freedom, mean of poses", "1 if covariances fit."),
+    "nll_per_pose": (
+        "negative log-likelihood per pose",
+        "Smaller is better; comparable among estimates with the same stamps.",
+    ),
+    "weighted_m": (
+        "ATE weighted by the groundtruth's uncertainty (m)",
+        "Over all poses of an estimate that the continuous groundtruth covers.",
+    ),
+}
+_RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
+
+
+def _values(summary: Summary, metric: str) -> Matrix | None:
+    """Return the median over trials of a number that was asked for; None where nobody did."""
+    rows, ranked = [], metric in _RANKED
+    for algorithm in summary.algorithms:
+        found = [
+            [
+                each.values[metric]
+                for each in summary.of(algorithm, sequence)
+                if metric in each.values
+            ]
+            for sequence in summary.sequences
+        ]
+        rows.append(
+            (algorithm, tuple(Cell(median(each) if each else None, "", ranked) for each in found))
+        )
+    if all(cell.value is None for _, cells in rows for cell in cells):
+        return None
+    title, meaning = _VALUES[metric]
+    caption = f"{meaning} {definition(summary.settings)}"
+    return _matrix(summary, metric, title, caption, rows)
 
 
 def _absolute(summary: Summary, metric: str) -> Matrix | None:

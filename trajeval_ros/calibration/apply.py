@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.evaluation import Evaluation, align_pairs, evaluate
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.evaluation import Evaluation, align_pairs, evaluate, evaluate_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
 # By how much the ATE may grow before that is said.
@@ -24,28 +26,6 @@ _WORSE = 1.05
 # Each round leaves a share of the error as of the lever arm's swing in the marker's motion.
 _SAME_SCALE, _ROUNDS_OF_SCALE = 1e-10, 300
 _VANISHED = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Wanted:
-    """What is to be calibrated.
-
-    Attributes:
-        offset: Estimate the clocks' offset, and apply it if it is there.
-        hand_eye: Likewise the body's rotation and lever arm.
-        known: A hand-eye transform to apply, instead of one to be estimated.
-        source: Where that comes from.
-    """
-
-    offset: bool = False
-    hand_eye: bool = False
-    known: HandEye | None = None
-    source: str = ""
-
-    @property
-    def anything(self) -> bool:
-        """Whether there is anything to do."""
-        return self.offset or self.hand_eye or self.known is not None
 
 
 @dataclass(frozen=True)
@@ -85,7 +65,7 @@ class Calibrated:
     """
 
     evaluation: Evaluation
-    wanted: Wanted
+    wanted: CalibrationRequest
     calibration: Calibration | None
     estimated_from: str
     offset_applied: bool
@@ -113,10 +93,11 @@ def evaluate_calibrated(
     groundtruth: Trajectory,
     estimate: Trajectory,
     protocol: Protocol,
-    wanted: Wanted,
+    wanted: CalibrationRequest,
     *,
     systematic: Systematic | None = None,
     same_as: Calibrated | None = None,
+    pairs: Association | None = None,
 ) -> Calibrated:
     """Evaluate an estimate with what is asked for calibrated, if the recording shows it.
 
@@ -128,6 +109,8 @@ def evaluate_calibrated(
         systematic: See `calibrate`.
         same_as: Another estimate's outcome, whose calibration is to be used: estimates with
             parameters of their own can't be ranked.
+        pairs: The states as they were paired before, such as by a live run, row by row; None to
+            associate them here.
 
     Raises:
         InputError: See `evaluate` and `calibrate`; a hand-eye transform that can't be applied.
@@ -152,8 +135,8 @@ def evaluate_calibrated(
         )
     found = _Found.in_calibration(calibration, wanted)
     used = found.significant()
-    before = _before(groundtruth, estimate, protocol)
-    evaluation, of_marker = _with(groundtruth, estimate, protocol, used)
+    before = _before(groundtruth, estimate, protocol, pairs)
+    evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
     after = Ate.of(evaluation)
     calibrated = Calibrated(
         evaluation=evaluation,
@@ -169,7 +152,7 @@ def evaluate_calibrated(
         after=after,
         if_applied=None
         if found == used
-        else Ate.of(_with(groundtruth, estimate, protocol, found)[0]),
+        else Ate.of(_with(groundtruth, estimate, protocol, found, pairs)[0]),
     )
     warnings = (*evaluation.warnings, *_warnings(calibrated))
     return dataclasses.replace(
@@ -187,7 +170,7 @@ class _Found:
     known: HandEye | None
 
     @classmethod
-    def in_calibration(cls, calibration: Calibration | None, wanted: Wanted) -> _Found:
+    def in_calibration(cls, calibration: Calibration | None, wanted: CalibrationRequest) -> _Found:
         def asked(parameter: Parameter, wish: bool) -> Parameter | None:
             return parameter if wish and parameter.value is not None else None
 
@@ -219,9 +202,21 @@ class _Found:
         )
 
 
-def _before(groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol) -> Ate | None:
+def _measure(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
+) -> Evaluation:
+    """Evaluate, with pairs that were made before if there are any."""
+    if pairs is None:
+        return evaluate(groundtruth, estimate, protocol)
+    moved = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
+    return evaluate_pairs(moved, groundtruth, estimate, protocol)
+
+
+def _before(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
+) -> Ate | None:
     try:
-        return Ate.of(evaluate(groundtruth, estimate, protocol))
+        return Ate.of(_measure(groundtruth, estimate, protocol, pairs))
     except (NoMatchError, DegenerateGeometryError):
         return None
 
@@ -231,6 +226,7 @@ def _with(
     estimate: Trajectory,
     protocol: Protocol,
     used: _Found,
+    pairs: Association | None,
 ) -> tuple[Evaluation, bool]:
     """Evaluate with what was found; say whether errors are of the marker."""
     hand_eye = used.hand_eye
@@ -240,20 +236,20 @@ def _with(
         rule = dataclasses.replace(protocol.association, time_offset_s=offset_s)
         protocol = dataclasses.replace(protocol, association=rule)
     if hand_eye is None:
-        return evaluate(groundtruth, estimate, protocol), False
+        return _measure(groundtruth, estimate, protocol, pairs), False
     if groundtruth.rotations is not None:
-        body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
-        return evaluate(body, estimate, protocol), False
-    scale = _scale(groundtruth, estimate, protocol, hand_eye) if protocol.gauge.has_scale else 1.0
+        of_body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
+        return _measure(of_body, estimate, protocol, pairs), False
+    scale = 1.0
+    if protocol.gauge.has_scale:
+        body = _measure(groundtruth, estimate, dataclasses.replace(protocol, lengths=()), pairs)
+        scale = _scale(body, protocol, hand_eye)
     marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
-    return evaluate(groundtruth, marker, protocol), True
+    return _measure(groundtruth, marker, protocol, pairs), True
 
 
-def _scale(
-    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, hand_eye: HandEye
-) -> float:
+def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
     """Return the scale that aligns the marker if the lever arm, in metres, is divided by it."""
-    body = evaluate(groundtruth, estimate, dataclasses.replace(protocol, lengths=()))
     pairs, first = body.association, body.alignment.similarity.scale
     scale = first
     for _ in range(_ROUNDS_OF_SCALE):
@@ -265,7 +261,7 @@ def _scale(
         if abs(scale - last) <= _SAME_SCALE * scale:
             return scale
     raise DegenerateGeometryError(
-        f"no scale of {estimate.name or 'the estimate'} agrees with the lever arm of "
+        f"no scale of {body.estimate.name or 'the estimate'} agrees with the lever arm of "
         f"{np.linalg.norm(hand_eye.lever_m):.3g} m: the body moves too little beside it; leave "
         "out --hand-eye, or use a gauge without scale"
     )

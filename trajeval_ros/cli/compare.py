@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trajeval_ros.cli import options
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.io.results.result_json import write_text
-from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.io.writing import write_text
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
     Baseline = tuple[list[Gate], Values]
 
-SETTINGS, WORK, GATES, OUTPUT = "Settings, before those of the file", "Work", "Gates", "Output"
+WORK, GATES = "Work", "Gates"
 GATES_FILE = "gates.md"
 
 
@@ -40,45 +39,26 @@ def compare(
             show_default=False,
         ),
     ],
-    protocol: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE.yaml",
-            help=f"A bundle of settings: {', '.join(PROTOCOLS)}, or a file of your own.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    modality: Annotated[
-        str | None,
-        typer.Option(
-            help="The sensors, which decide what alignment may change, as in trajeval evaluate.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    gauge: Annotated[
-        str | None,
-        typer.Option(
-            help=f"The same by name: {', '.join(each.value for each in Gauge)}.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    align_states: Annotated[
-        str | None,
-        typer.Option(
-            metavar="all|N",
-            help="Align by all matched states or the first N.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
+    protocol: options.ProtocolOption = None,
+    modality: options.ModalityOption = None,
+    gauge: options.GaugeOption = None,
+    align_states: options.AlignStatesOption = None,
+    association: options.AssociationOption = None,
+    time_offset: options.TimeOffsetOption = None,
+    hand_eye: options.HandEyeOption = None,
+    continuous_model: options.ContinuousModelOption = None,
+    groundtruth_noise: options.GroundtruthNoiseOption = None,
     lengths: Annotated[
         str | None,
         typer.Option(
             metavar="LIST",
-            help="Of sub-trajectories: 8,16,24 (metres), 1s,5s (seconds), 10%,20% (of the "
-            "groundtruth's path, the same for all algorithms) or none.",
-            rich_help_panel=SETTINGS,
+            help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
+            "(seconds), 10%,20% (of the groundtruth's path, the same for all algorithms) or none.",
+            rich_help_panel=options.MEASURE,
         ),
     ] = None,
+    covariance: options.CovarianceOption = None,
+    rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
     common_time_span: Annotated[
         bool | None,
         typer.Option(
@@ -86,7 +66,7 @@ def compare(
             help="Evaluate only the time that all runs of a sequence have: a tracker that died "
             "early can't win.",
             show_default=False,
-            rich_help_panel=SETTINGS,
+            rich_help_panel=options.MEASURE,
         ),
     ] = None,
     workers: Annotated[
@@ -128,14 +108,17 @@ def compare(
         typer.Option(
             metavar="DIR",
             help="Results, kept run by run: what is there and unchanged isn't evaluated again.",
-            rich_help_panel=OUTPUT,
+            rich_help_panel=options.OUTPUT,
         ),
     ] = Path("comparison"),
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=OUTPUT)
+        bool,
+        typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=options.OUTPUT),
     ] = False,
 ) -> None:
     """Compare many runs: algorithms x sequences x trials, in tables and one report.
+
+    Settings given here override those of the file.
 
     What euroc.yaml describes, on all cores:
 
@@ -164,7 +147,14 @@ def compare(
         "modality": modality,
         "gauge": gauge,
         "align_states": align_states,
+        "association": association,
+        "time_offset": time_offset,
+        "hand_eye": hand_eye,
+        "continuous_model": continuous_model,
+        "groundtruth_noise": groundtruth_noise,
         "lengths": lengths,
+        "covariance": covariance,
+        "rotation_covariance_frame": rotation_covariance_frame,
     }
     plan = plan_of(target, said, common_time_span=common_time_span)
     # Read before anything is written: it may be the table of the same folder.

@@ -11,19 +11,22 @@ import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.results import result_json
+from trajeval_ros.io.results.error_archive import write_errors
 from trajeval_ros.io.results.requirement import Requirement
+from trajeval_ros.io.results.result_json import result_of, to_json
 from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.writing import refused_by_disk, write_text
 
 if TYPE_CHECKING:
     from trajeval_ros.likelihood.assessment import Assessment
+    from trajeval_ros.pipeline import Outcome, RunOutcome
 
 _NO_PICTURES = Pictures()
 _OURS = re.compile(
@@ -34,8 +37,7 @@ _HAVE_FIGURES = find_spec("matplotlib") is not None
 
 
 def deliver(
-    result: dict[str, Any],
-    runs: Sequence[result_json.Run],
+    outcome: Outcome,
     requirements: Sequence[Requirement],
     *,
     json: str | None,
@@ -47,8 +49,7 @@ def deliver(
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     Args:
-        result: For result.json.
-        runs: What it tells about.
+        outcome: What was found.
         requirements: To hold for every run.
         json: File for the result, `-` for stdout.
         output: Folder for everything.
@@ -56,6 +57,7 @@ def deliver(
         gauge_given: Whether the user chose a gauge.
         pictures: For Rerun.
     """
+    result, runs = result_of(outcome), outcome.runs
     # A requirement that names nothing is a mistake to be told before anything is written.
     lengths = result["provenance"]["settings"]["lengths"]
     unmet = [
@@ -68,14 +70,14 @@ def deliver(
     if requirements:
         unmet += failed
     if output is not None:
-        with result_json.refused_by_disk(f"the folder {output}"):
+        with refused_by_disk(f"the folder {output}"):
             _write_folder(output, result, runs, pictures)
     pictures.write(runs)
     if json == "-":
         with may_break():
-            sys.stdout.write(result_json.to_json(result))
+            sys.stdout.write(to_json(result))
     elif json is not None:
-        result_json.write_text(Path(json), result_json.to_json(result))
+        write_text(Path(json), to_json(result))
     if not quiet and json != "-":
         with may_break():
             _print(runs, output, gauge_given=gauge_given)
@@ -83,8 +85,7 @@ def deliver(
             print(f"warning: {line}", file=sys.stderr)
     else:
         # Missing data are told even to who wants to hear nothing.
-        pairs = [(run.evaluation.groundtruth, run.evaluation.estimate) for run in runs]
-        for line in dict.fromkeys(line for pair in pairs for each in pair for line in each.damage):
+        for line in outcome.damage:
             print(f"warning: {line}", file=sys.stderr)
     pictures.show(runs)
     for line in unmet:
@@ -108,7 +109,7 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
 
 
 def _write_folder(
-    folder: Path, result: dict[str, object], runs: Sequence[result_json.Run], pictures: Pictures
+    folder: Path, result: dict[str, object], runs: Sequence[RunOutcome], pictures: Pictures
 ) -> None:
     """Write everything under a temporary name first, so that nothing is ever half written."""
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +117,7 @@ def _write_folder(
     beside = folder if folder.is_dir() else folder.parent
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=beside))
     try:
-        result_json.write_errors(temporary / "errors.npz", runs)
+        write_errors(temporary / "errors.npz", runs)
         if _HAVE_FIGURES:
             # That matplotlib can't write into the user's home is no news about trajectories.
             logging.getLogger("matplotlib").setLevel(logging.ERROR)
@@ -136,7 +137,7 @@ def _write_folder(
 
                 write_probabilistic(list(likely.values()), temporary, list(likely))
         pictures.write_into(temporary, runs)
-        (temporary / "result.json").write_text(result_json.to_json(result), encoding="utf-8")
+        (temporary / "result.json").write_text(to_json(result), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         # Figures of an evaluation before this one would pass for figures of this one.
         for old in folder.glob("*.png"):
@@ -148,11 +149,11 @@ def _write_folder(
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _assessments(runs: Sequence[result_json.Run]) -> dict[str, Assessment]:
-    return {run.estimate.name: run.probabilistic for run in runs if run.probabilistic is not None}
+def _assessments(runs: Sequence[RunOutcome]) -> dict[str, Assessment]:
+    return {run.estimate.name: run.likelihood for run in runs if run.likelihood is not None}
 
 
-def _print(runs: Sequence[result_json.Run], output: Path | None, *, gauge_given: bool) -> None:
+def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool) -> None:
     from trajeval_ros.report import tables
     from trajeval_ros.report.calibration_lines import calibration_lines
 

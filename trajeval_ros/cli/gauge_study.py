@@ -135,7 +135,7 @@ def _write(
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
-    from trajeval_ros.io.results.result_json import write_text
+    from trajeval_ros.io.writing import write_text
     from trajeval_ros.report import gauge_tables
     from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS
 

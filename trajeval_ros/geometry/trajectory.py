@@ -41,6 +41,7 @@ class Trajectory:
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         name: What a table calls it.
+        source: What it was read from, as a user names it; "" if from nothing.
         stamped: False if the file had no stamps; then they count the rows, one second apart.
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
@@ -57,6 +58,7 @@ class Trajectory:
     frame: str = ""
     child_frame: str = ""
     name: str = ""
+    source: str = ""
     stamped: bool = True
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

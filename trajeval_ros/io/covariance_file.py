@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.results.result_json import write_whole
+from trajeval_ros.io.writing import write_whole
 
 _GAUGES = ("free", "first4", "prior", "unknown")
 _PERTURBATIONS = ("left", "right")

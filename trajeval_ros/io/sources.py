@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import re
 from collections.abc import Callable
@@ -63,17 +64,19 @@ def read_trajectory(
     parts = parse_source(source)
     try:
         if not parts.is_bag:
-            return read_text(parts.path, advance)
-        from trajeval_ros.io.bags.topics import read_bag
+            trajectory = read_text(parts.path, advance)
+        else:
+            from trajeval_ros.io.bags.topics import read_bag
 
-        return read_bag(
-            parts.path,
-            parts.topic,
-            parts.frames,
-            advance,
-            covariances=covariances,
-            strict=strict,
-        )
+            trajectory = read_bag(
+                parts.path,
+                parts.topic,
+                parts.frames,
+                advance,
+                covariances=covariances,
+                strict=strict,
+            )
+        return dataclasses.replace(trajectory, source=source)
     except OSError as error:
         raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
 

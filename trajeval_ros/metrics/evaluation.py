@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.diagnosis.clock_hint import clock_hint
-from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
@@ -71,7 +69,8 @@ class Evaluation:
         segments: Relative errors by length; None where they can't be had at all.
         pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
             sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
-        warnings: What a reader of the numbers must know, one sentence each.
+        warnings: What a reader of the numbers must know, one sentence each; the pipeline adds
+            them.
         score: By the protocol's points; None if it has none.
     """
 
@@ -150,7 +149,7 @@ def evaluate_pairs(
         absolute = dataclasses.replace(absolute, tilt_deg=None)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
     segments = _relative(pairs, groundtruth, alignment, protocol)
-    evaluation = Evaluation(
+    return Evaluation(
         protocol=protocol,
         groundtruth=groundtruth,
         estimate=estimate,
@@ -168,8 +167,6 @@ def evaluate_pairs(
             absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
         ),
     )
-    warnings = (*clock_hint(pairs, aligned), *warnings_of(evaluation))
-    return dataclasses.replace(evaluation, warnings=warnings)
 
 
 def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:

@@ -70,6 +70,11 @@ class Protocol:
                 "RE form fitted aligns by yaw and position, and gauge "
                 f"{self.gauge.value} doesn't: use gauge yaw, or RE form gauge"
             )
+        if self.association.method == "continuous" and self.gauge is Gauge.PLANAR:
+            raise SettingsError(
+                "association continuous is of poses in space, and gauge planar leaves a plane; "
+                "use gauge yaw, or association linear"
+            )
         if self.score is not None and self.association.method in ("linear", "continuous"):
             raise SettingsError(
                 "a score is by the groundtruth's own points, and association "

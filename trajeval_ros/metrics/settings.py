@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from difflib import get_close_matches
 from typing import Any
 
+from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
@@ -30,18 +32,39 @@ def protocol_named(name: str) -> Protocol:
 def protocol_from(
     base: str | Protocol,
     *,
-    gauge: str | None,
-    modality: str | None,
-    align_states: str | None,
-    association: str | None,
-    max_time_difference: float | None,
-    max_gap: float | None,
-    time_offset: float | None,
-    lengths: str | None,
-    ate_form: str | None,
-    re_form: str | None,
+    gauge: str | None = None,
+    modality: str | None = None,
+    align_states: str | None = None,
+    association: str | None = None,
+    max_time_difference: float | None = None,
+    max_gap: float | None = None,
+    time_offset: float | None = None,
+    continuous_model: str | None = None,
+    groundtruth_noise: tuple[float, float] | None = None,
+    lengths: str | None = None,
+    ate_form: str | None = None,
+    re_form: str | None = None,
 ) -> Protocol:
-    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is."""
+    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is.
+
+    Args:
+        base: The protocol, or its name.
+        gauge: What alignment may change, by name.
+        modality: The sensors, which choose the gauge.
+        align_states: `all`, or a number.
+        association: How poses are paired.
+        max_time_difference: Seconds.
+        max_gap: Seconds.
+        time_offset: Added to the estimate's stamps, seconds.
+        continuous_model: The groundtruth's motion model, for association continuous.
+        groundtruth_noise: Standard deviations of its samples (m, deg), for association continuous.
+        lengths: Of sub-trajectories, as in "8,16,24", "1s,5s", "10%,20%", "none".
+        ate_form: See `Protocol`.
+        re_form: See `Protocol`.
+
+    Raises:
+        SettingsError: Words that mean nothing, or nothing together.
+    """
     base = protocol_named(base) if isinstance(base, str) else base
     method = association or base.association.method
     if max_time_difference is not None and method in _INTERPOLATING:
@@ -49,9 +72,19 @@ def protocol_from(
             f"association {method} knows no max time difference, it evaluates groundtruth at the "
             "estimate's stamps; use association nearest with it, or a max gap"
         )
+    if method != "continuous":
+        if continuous_model is not None:
+            raise SettingsError(
+                f"--continuous-model is for --association continuous, not {method}"
+            )
+        groundtruth_noise = None
     rule = _replaced(
         base.association,
         method=association,
+        model=continuous_model,
+        noise=None
+        if groundtruth_noise is None
+        else Noise(groundtruth_noise[0], math.radians(groundtruth_noise[1])),
         max_time_difference_s=max_time_difference,
         max_gap_s=max_gap,
         time_offset_s=time_offset,

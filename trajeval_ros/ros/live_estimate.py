@@ -14,7 +14,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_pose
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
-from trajeval_ros.io.results.result_json import write_whole
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock

@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.results.result_json import temporary_name
+from trajeval_ros.io.writing import temporary_name
 
 _MOST_SHARE = 0.05  # of a core, for saving again and again
 _NICE = 10

@@ -16,38 +16,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, read_pairs
-from trajeval_ros.io.results.result_json import Input, Run, fingerprint, result_of, statistics_json
+from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import Association, AssociationRule
 from trajeval_ros.metrics.coverage import coverage_of
-from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
+from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.pipeline import Outcome, Request, RunOutcome, run_pairs
 
 REVISED_SUFFIX = ".revised.npz"
-
-
-@dataclass(frozen=True, eq=False)
-class LiveFolder:
-    """The runs of a folder.
-
-    Attributes:
-        groundtruth: What they were compared with.
-        runs: The estimates that could be evaluated.
-        failed: The others: name, source and reason.
-    """
-
-    groundtruth: Input
-    runs: list[Run]
-    failed: list[dict[str, str]]
-
-    @property
-    def result(self) -> dict[str, Any]:
-        """The result, as of recorded runs, with the estimates that failed."""
-        return result_of(self.groundtruth, self.runs, self.failed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +36,22 @@ class _Found:
     """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
 
     place: int
-    groundtruth: Input
-    run: Run
+    groundtruth: InputSummary
+    run: RunOutcome
 
 
-def evaluate_folder(folder: Path) -> LiveFolder:
-    """Evaluate all estimates of a live run, going on or over.
+def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
+    """Evaluate all estimates of a live run, whether it still goes on or has ended.
+
+    Args:
+        folder: The live evaluator's output folder.
+        request: What to calibrate and to judge; its protocol is replaced by that of the live run.
 
     Raises:
         InputError: There is no pair file, or none can be evaluated.
+        SettingsError: The request needs more than pairs.
     """
+    request = request or Request()
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     if not paths:
         raise InputError(
@@ -75,7 +62,9 @@ def evaluate_folder(folder: Path) -> LiveFolder:
     failed: list[dict[str, str]] = []
     for path in paths:
         try:
-            estimate = _evaluate(path)
+            estimate = _evaluate(path, request)
+        except SettingsError:
+            raise
         except TrajevalError as error:
             name = path.name.removesuffix(SUFFIX)
             failed.append({"name": name, "source": str(path), "reason": str(error)})
@@ -84,7 +73,8 @@ def evaluate_folder(folder: Path) -> LiveFolder:
     if not found:
         raise InputError("; ".join(each["reason"] for each in failed))
     found.sort(key=lambda each: each.place)
-    return LiveFolder(found[0].groundtruth, [each.run for each in found], failed)
+    runs = tuple(each.run for each in found)
+    return Outcome(request, found[0].groundtruth, runs, tuple(failed))
 
 
 def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
@@ -93,24 +83,25 @@ def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Fl
         np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
 
 
-def _evaluate(path: Path) -> _Found:
+def _evaluate(path: Path, request: Request) -> _Found:
     """Evaluate one estimate."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
     if not len(recorded.stamps):
         raise InputError(f"{name}: no pair of estimate and groundtruth was made")
     try:
-        return _evaluate_pairs(path, name, recorded)
+        return _evaluate_pairs(path, name, recorded, request)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
-def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
+def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs, request: Request) -> _Found:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
     protocol = protocol_from("default", **state["settings"])
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
+    request = dataclasses.replace(request, protocol=protocol)
     pairs, truth_notes, notes = _association(recorded, protocol)
     live, warnings = dict(state["live"]), list(state["warnings"])
     later = len(recorded.stamps) - recorded.pairs_at_state
@@ -121,13 +112,15 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
         )
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
-        causal = _evaluation(pairs, protocol, truth, estimate, name)
+        causal = _run(pairs, request, truth, estimate, name).evaluation
         live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
         pairs, estimate = _revised(pairs, truth, estimate, revised)
-    evaluation = _evaluation(pairs, protocol, truth, estimate, name)
-    evaluation = dataclasses.replace(evaluation, warnings=(*evaluation.warnings, *warnings))
-    sides = (
-        Input(
+    run = _run(pairs, request, truth, estimate, name)
+    evaluation = dataclasses.replace(
+        run.evaluation, warnings=(*run.evaluation.warnings, *warnings)
+    )
+    summaries = [
+        InputSummary(
             source=description[side],
             name=name,
             poses=counts["poses"],
@@ -142,8 +135,9 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
             ("groundtruth", truth, pairs.groundtruth, truth_notes),
             ("estimate", estimate, pairs.estimate, notes),
         )
-    )
-    return _Found(description["place"], next(sides), Run(next(sides), evaluation, live))
+    ]
+    run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
+    return _Found(description["place"], summaries[0], run)
 
 
 def _association(
@@ -221,13 +215,13 @@ def _revised(
     }
 
 
-def _evaluation(
+def _run(
     pairs: Association,
-    protocol: Protocol,
+    request: Request,
     truth: dict[str, Any],
     estimate: dict[str, Any],
     name: str,
-) -> Evaluation:
+) -> RunOutcome:
     """Evaluate the pairs; the states that are in none are known by their counts alone."""
     sides = [
         dataclasses.replace(
@@ -243,4 +237,4 @@ def _evaluation(
         )
     ]
     pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
-    return evaluate_pairs(pairs, sides[0], sides[1], protocol)
+    return run_pairs(pairs, sides[0], sides[1], request)

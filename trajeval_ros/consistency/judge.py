@@ -1,0 +1,73 @@
+"""Judge the covariances of an evaluated estimate."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
+from trajeval_ros.consistency.marginal_covariances import about_world_axes
+from trajeval_ros.consistency.request import CovarianceRequest
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.evaluation import Evaluation
+
+
+def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
+    """Judge whether the errors of an evaluation fit the estimate's covariances.
+
+    Covariances are of the estimate at its own stamps and, from messages, perhaps about the body's
+    axes; both are undone here: the time offset is taken off, and axes are turned.
+
+    Args:
+        evaluation: With paired states, and covariances of the estimate where `request` asks for
+            those of messages.
+        request: Which covariances; its source isn't `none`.
+
+    Raises:
+        InputError: Covariances that say nothing, or are of other poses.
+        SettingsError: An alignment that covariances can't be brought to.
+        DegenerateGeometryError: States that don't determine the alignment.
+    """
+    aligned = _aligned(evaluation, request)
+    if request.joint is not None:
+        try:
+            return judge_joint(aligned, request.joint, request.name.rpartition("/")[2])
+        except InputError as error:
+            raise InputError(f"{request.name}: {error}") from error
+    at_start = bool(aligned.estimate.stamps[0] == evaluation.estimate.stamps[0])
+    return judge_marginals(aligned, from_the_start=at_start)
+
+
+def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
+    protocol, pairs = evaluation.protocol, evaluation.association
+    if protocol.align_weights != "none":
+        raise SettingsError(
+            "consistency knows no alignment that is weighted by covariances; use align "
+            "weights none"
+        )
+    if evaluation.alignment.undetermined:
+        why = evaluation.alignment.undetermined
+        raise InputError(f"no covariance can be brought into this gauge: {why}")
+    offset = round(protocol.association.time_offset_s * NANOSECONDS)
+    estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)
+    if request.rotation_frame == "body" and estimate.covariances is not None:
+        if estimate.rotations is None:
+            raise InputError("the estimate has no orientations to turn its covariances by")
+        turned = about_world_axes(estimate.covariances, estimate.rotations.as_matrix())
+        estimate = dataclasses.replace(estimate, covariances=turned)
+    variances = None
+    if request.groundtruth_noise is not None:
+        position_m, rotation_deg = request.groundtruth_noise
+        variances = np.square([position_m] * 3 + [math.radians(rotation_deg)] * 3)
+    return Aligned(
+        groundtruth=pairs.groundtruth,
+        estimate=estimate,
+        similarity=evaluation.alignment.similarity,
+        gauge=protocol.gauge,
+        states=protocol.align_states,
+        variances=variances,
+    )
