@@ -10,6 +10,7 @@ EVO := .venv-evo
 LOCK := .venv-lock
 FUZZ := .venv-fuzz
 BENCH ?=
+KERNELS ?=
 ROS_TEST_DOMAIN ?= 71
 
 # Where there are no wheels of ROS 2, the demo is about a recording alone.
@@ -22,8 +23,9 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-fast test-jazzy test-ros lint format bench \
-	bench-live bench-runs fuzz lock colcon-environment ros-environment clean
+.PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
+	bench-runs parity fuzz lock colcon-environment ros-environment clean test-kernels test-all \
+	test-stress
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -32,22 +34,38 @@ install: $(VENV)/.installed ## Make the environment in .venv; .venv/bin/trajeval
 
 demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see demo_output/.
 	@$(MAKE) --no-print-directory $(DEMO)/.installed
-	$(ALONE) $(DEMO)/bin/python launch_free_scripts/live_demo.py demo_output
+	$(ALONE) $(DEMO)/bin/trajeval demo demo_output
 
 # Each process has one thread of linear algebra: more of them than cores wait for each other.
-test test-fast test-jazzy: export OPENBLAS_NUM_THREADS := 1
+test test-all test-jazzy: export OPENBLAS_NUM_THREADS := 1
 
-test: $(VENV)/.installed ## Run all tests.
-	$(VENV)/bin/python -m pytest -n auto
+# A worker begins with neighbours, which share what a module has prepared, and ends with whatever
+# the others have left.
+PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
 
-test-fast: $(VENV)/.installed ## Run the tests that take no longer than a few seconds each.
-	$(VENV)/bin/python -m pytest -n auto -m "not slow"
+test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
+	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros"
 
-test-jazzy: $(JAZZY)/.installed ## Run the fast tests of the core on ROS 2 Jazzy's versions.
-	$(JAZZY)/bin/python -m pytest -n auto -m "not slow"
+test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
+	$(VENV)/bin/$(PYTEST_ALL_CORES)
+	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory test-ros,\
+		@echo "there are no wheels of ROS 2 for this machine: its tests are left out")
+
+test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions.
+	$(JAZZY)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros"
+
+test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmetic of other CPUs; KERNELS="Nehalem".
+	$(VENV)/bin/python tests/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	$(ALONE) $(ROS)/bin/python -m pytest -m ros
+
+TARGET ?= test
+TIMES ?= 3
+BUSY ?= 8
+
+test-stress: $(VENV)/.installed ## Run `make test` three times beside eight busy processes; TARGET=test-all.
+	bash .ci/stress $(TIMES) $(BUSY) $(MAKE) --no-print-directory $(TARGET)
 
 lint: $(VENV)/.installed ## Check style, format and types.
 	$(VENV)/bin/ruff check
@@ -60,6 +78,9 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 
 bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo and readers of bags, time the rest; BENCH="--only bags".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
+
+parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by number, on pairs from a new seed; SEED=1.
+	$(VENV)/bin/python -m benchmarks.parity --evo $(EVO)/bin/evo_ape $(if $(SEED),--seed $(SEED))
 
 bench-runs: $(VENV)/.installed ## Time comparisons of a thousand runs; BENCH="--runs 200".
 	$(VENV)/bin/python -m benchmarks.many_runs $(BENCH)

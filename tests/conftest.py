@@ -74,7 +74,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {
         **os.environ,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": str(60 + os.getpid() % 40),
+        "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", str(60 + os.getpid() % 40)),
         "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
         "PYTHONPATH": str(HERE.parent),
     }

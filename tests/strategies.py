@@ -20,6 +20,10 @@ from trajeval_ros.metrics.statistics import Statistics
 Array = NDArray[np.float64]
 START = 1_403_636_580_838_555_574
 
+# How far rotations may be apart that are one but for rounding: each normalised, or taken from a
+# matrix, to 8 u of its components, and multiplied, which adds 4 u; an angle is twice the vector.
+SAME_ROTATION_RAD = 20.0 * float(np.finfo(np.float64).eps)
+
 seeds = st.integers(0, 2**32 - 1)
 gauges = st.sampled_from(list(Gauge))
 

@@ -52,7 +52,6 @@ def test_recordings_get_no_hint(recording: Recording, name: str) -> None:
         assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, gauge=gauge)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trial", range(10))
 @pytest.mark.parametrize("run", ["MH_01", "MH_05", "V2_03"])
 def test_keyframes_get_no_hint(recording: Recording, run: str, trial: int) -> None:

@@ -48,7 +48,6 @@ def test_translation_alone_shows_clock_and_rotation_but_no_lever_arm() -> None:
     assert found.lever.status == "unobservable"
 
 
-@pytest.mark.slow
 def test_one_axis_hides_the_lever_arm_along_it() -> None:
     found = calibrate(*fly(1, 300.0, "car", FAULT), systematic=NONE)
     assert found.offset.value == pytest.approx([0.3], abs=5e-3)
@@ -148,7 +147,6 @@ def test_without_stamps_or_poses_there_is_nothing_to_compare(side: int) -> None:
         calibrate(*pair)
 
 
-@pytest.mark.slow
 def test_a_skew_is_found_when_asked_for() -> None:
     truth, estimate = fly(1, 180.0, fault=dataclasses.replace(FAULT, skew=5e-5))
     found = calibrate(truth, estimate, with_skew=True, systematic=NONE)

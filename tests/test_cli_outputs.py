@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parent.parent
 needs_pipes = pytest.mark.skipif(os.name != "posix", reason="there are no named pipes")
 
 
-@pytest.mark.slow
 @needs_pipes
 @pytest.mark.parametrize(
     ("more", "status"),
@@ -46,7 +45,6 @@ def test_who_reads_the_head_alone_gets_the_right_status(
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
 @needs_pipes
 def test_output_may_be_closed(pair: list[str], tmp_path: Path) -> None:
     result = tmp_path / "result.json"
@@ -136,7 +134,6 @@ def test_options_that_would_do_nothing_are_refused(
     assert main([*pair, *more, "-q"]) == 0
 
 
-@pytest.mark.slow
 def test_names_in_any_letters_are_drawn_without_complaint(
     pair: list[str], tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:

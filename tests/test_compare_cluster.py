@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 
 import pytest
 from comparison_runs import here, write_runs
+from waiting import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -29,7 +31,6 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 120.0
 
 pytestmark = pytest.mark.slow
 
@@ -85,12 +86,11 @@ class Cluster:
             )  # fmt: skip
 
     def _wait_for(self, what: Callable[[], bool]) -> None:
-        until = time.monotonic() + PATIENCE_S
-        while not what():
-            logs = [log.read_text()[-800:] for log in self._folder.glob("*.log")]
-            assert time.monotonic() < until, logs
-            assert all(process.poll() is None for process in self.processes), logs
-            time.sleep(0.05)
+        def has_ended() -> bool:
+            return any(process.poll() is not None for process in self.processes)
+
+        until(lambda: what() or has_ended(), "the cluster starts")
+        assert not has_ended(), [log.read_text()[-800:] for log in self._folder.glob("*.log")]
 
 
 @pytest.fixture
@@ -133,6 +133,36 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
     # And the numbers are those of this machine.
     compare(plan, tmp_path / "near", here)
     assert summary_of(tmp_path / "far").trials == summary_of(tmp_path / "near").trials
+
+
+def test_a_worker_that_dies_when_its_result_was_fetched_takes_nothing_with_it(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The order that a busy machine produces now and then: the loss is heard of too late."""
+    from distributed import Client, Future
+
+    cluster.add_worker()
+    fetch = Client._gather_remote
+
+    async def fetch_and_kill(client: Client, *args: Any) -> Any:
+        response = await fetch(client, *args)
+        [key] = response["data"]
+        if len(cluster.processes) == 2:
+            cluster.processes[-1].kill()
+            until = time.monotonic() + PATIENCE_S
+            while Future(key, client).status == "finished":
+                assert time.monotonic() < until
+                await asyncio.sleep(0.01)
+        return response
+
+    monkeypatch.setattr(Client, "_gather_remote", fetch_and_kill)
+    progress = compare(
+        plan_of(write_runs(tmp_path, ["hall"], ["good"], 1), {}),
+        tmp_path / "out",
+        lambda: dask_pool(cluster.address),
+    )
+    assert cluster.processes[-1].wait(PATIENCE_S) != 0
+    assert (progress.done, progress.failed) == (1, 0)
 
 
 def test_the_command_line_reads_urls_on_the_workers(cluster: Cluster, tmp_path: Path) -> None:

@@ -78,7 +78,6 @@ def test_the_interval_turns_its_sign_with_the_sides(before: np.ndarray) -> None:
     assert there == pytest.approx((-back[1], -back[0]), abs=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("trials", [2, 3, 5, 10, 20])
 def test_trials_that_only_vary_are_seldom_called_a_regression(trials: int) -> None:
     generator = np.random.default_rng(trials)

@@ -7,12 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from comparison_runs import DeadlyRun, write_run, write_runs
+from waiting import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -30,7 +29,6 @@ from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.pipeline import Request
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 120.0
 
 pytestmark = pytest.mark.slow
 
@@ -108,14 +106,6 @@ def children_of(process: int) -> list[int]:
     return [int(child) for child in listed.read_text().split()]
 
 
-def wait_for(what: Any, process: subprocess.Popen[str] | None = None) -> None:
-    until = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < until
-        assert process is None or process.poll() is None
-        time.sleep(0.01)
-
-
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc to look into")
 def test_ctrl_c_while_workers_start_is_one_line(tmp_path: Path) -> None:
     command = [
@@ -129,7 +119,7 @@ def test_ctrl_c_while_workers_start_is_one_line(tmp_path: Path) -> None:
         text=True,
         start_new_session=True,
     )
-    wait_for(lambda: len(children_of(process.pid)) > 1, process)
+    until(lambda: process.poll() is not None or len(children_of(process.pid)) > 1, "workers start")
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, said) == (130, "trajeval: interrupted\n")
@@ -146,12 +136,18 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=environment, text=True)
     try:
-        wait_for(lambda: len(list(out.glob("runs/*.run"))) > 10, process)
+        until(
+            lambda: process.poll() is not None or len(list(out.glob("runs/*.run"))) > 10,
+            "ten runs are finished",
+        )
         workers = children_of(process.pid)
         process.send_signal(signal.SIGKILL)
         process.wait()
         # No worker is left behind.
-        wait_for(lambda: not any(Path(f"/proc/{worker}/cwd").exists() for worker in workers))
+        until(
+            lambda: not any(Path(f"/proc/{worker}/cwd").exists() for worker in workers),
+            "the workers end",
+        )
     finally:
         process.kill()
         process.wait()

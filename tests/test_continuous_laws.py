@@ -15,7 +15,11 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
-from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
+from trajeval_ros.continuous_time.continuous_trajectory import (
+    ContinuousTrajectory,
+    MarkovPoses,
+    fit_trajectory,
+)
 from trajeval_ros.continuous_time.hyperparameters import (
     Hyperparameters,
     most_likely,
@@ -29,6 +33,7 @@ from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.banded_gaussian import Chain
@@ -36,6 +41,7 @@ from trajeval_ros.geometry.block_tridiagonal import Factor
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+UNIT_ROUNDOFF = float(np.finfo(np.float64).eps) / 2.0
 KERNELS = [SQUARED_EXPONENTIAL, MATERN_52, MATERN_32]
 HYPERPARAMETERS = (Hyperparameters(3.0, 0.8, 1e-3), Hyperparameters(1.0, 0.7, 1e-3))
 UNCERTAIN = [name for name in MODELS if name not in ("linear", "nearest", "auto")]
@@ -185,15 +191,32 @@ def test_less_is_known_inside_a_gap(model: str) -> None:
     assert (steps[peak + 1 :] < 0.0).all()
 
 
+def lost_in_rounding(fitted: ContinuousTrajectory) -> float:
+    """Return how far rounding may lift a variance at a sample, as a share of the noise's.
+
+    A process explains |L^-1 k|^2 of its prior variance sigma^2, with L L^T = K of n samples, and
+    the variance is what is left. With an explicit L^-1 that is known to u cond(L) sigma^2, and
+    cond(L) is at most sqrt(n) sigma / noise.
+    """
+    if not isinstance(fitted.poses, TwoScaleGP):
+        return 0.0  # an information matrix is inverted: nothing is subtracted
+    fine = fitted.poses.fine
+    ratio = max(each.sigma / each.noise for each in fine.hyperparameters)
+    return math.sqrt(fine.segments.rows.shape[1]) * UNIT_ROUNDOFF * ratio**3
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-4])
 @pytest.mark.parametrize("model", ["matern", "matern52", "matern32", "wnoa", "wnoj"])
-def test_samples_are_interpolated_as_their_noise_vanishes(model: str) -> None:
+def test_samples_are_interpolated_as_their_noise_vanishes(model: str, noise: float) -> None:
     motion = smooth(60)
-    fitted = fit_trajectory(motion, model, Noise(1e-4, 1e-4))
+    fitted = fit_trajectory(motion, model, Noise(noise, noise))
     belief = fitted.at(motion.stamps)
     assert motion.rotations is not None
     expected = se3.poses(motion.rotations.as_matrix(), motion.positions)
-    np.testing.assert_allclose(belief.poses, expected, atol=5e-4)
-    assert np.abs(belief.covariances).max() < 1.001e-8
+    np.testing.assert_allclose(belief.poses, expected, rtol=0, atol=5.0 * noise)
+    # A sample and its neighbours say more than the sample alone.
+    most = np.linalg.eigvalsh(belief.covariances).max()
+    assert most <= noise**2 * (1.0 + lost_in_rounding(fitted))
 
 
 @pytest.mark.parametrize("model", ["matern", "matern52", "matern32", "wnoa", "wnoj", "linear"])
@@ -233,17 +256,21 @@ def test_same_hyperparameters_make_it_exactly_equivariant() -> None:
 @pytest.mark.parametrize("model", ["matern", "wnoa", "linear"])
 def test_no_clock_and_no_sign_of_a_quaternion_matters(model: str) -> None:
     motion = smooth(40)
-    assert motion.quaternions is not None
+    quaternions = motion.quaternions
+    assert quaternions is not None
     signs = np.where(np.arange(40) % 3, 1.0, -1.0)[:, None]
+    motion = dataclasses.replace(motion, rotations=Rotation.from_quat(quaternions))
     other = dataclasses.replace(
         motion,
         stamps=motion.stamps - 1_600_000_000_123_456_789,
-        rotations=Rotation.from_quat(signs * motion.quaternions),
+        rotations=Rotation.from_quat(signs * quaternions),
     )
     here = fit_trajectory(motion, model).at(motion.stamps[:-1] + 70_000_000)
     there = fit_trajectory(other, model).at(other.stamps[:-1] + 70_000_000)
-    np.testing.assert_allclose(there.poses, here.poses, atol=1e-9)
-    np.testing.assert_allclose(there.covariances, here.covariances, rtol=1e-6, atol=1e-12)
+    # Times count from the first stamp and q and -q are one matrix, so both fits are the same
+    # operations. An optimiser, given an input that differs in its last bit, may stop elsewhere.
+    np.testing.assert_array_equal(there.poses, here.poses)
+    np.testing.assert_array_equal(there.covariances, here.covariances)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])

@@ -14,7 +14,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
-from strategies import make_groundtruth
+from strategies import SAME_ROTATION_RAD, make_groundtruth
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -103,7 +103,8 @@ def test_what_is_written_is_read_again(
         np.testing.assert_allclose(read.velocities, trajectory.velocities, atol=1e-14)
         assert read.rotations is not None
         assert trajectory.rotations is not None
-        assert (read.rotations * trajectory.rotations.inv()).magnitude().max() < 1e-15
+        apart = (read.rotations * trajectory.rotations.inv()).magnitude()
+        assert apart.max() <= SAME_ROTATION_RAD
         assert (read.frame, read.child_frame) == ("odom", "imu")
     poses = read_trajectory(f"{bag}:/gt")
     np.testing.assert_array_equal(poses.positions, trajectory.positions)
@@ -315,7 +316,7 @@ def test_columns_equal_plain_deserialisation(bag: str, topic: str, shared_data: 
     q = [each.orientation for each in poses]
     rotations = Rotation.from_quat([[each.x, each.y, each.z, each.w] for each in q])
     assert read.rotations is not None
-    assert (read.rotations * rotations.inv()).magnitude().max() < 1e-15
+    assert (read.rotations * rotations.inv()).magnitude().max() <= SAME_ROTATION_RAD
     if hasattr(messages[0], "twist"):
         twists = [each.twist.twist.linear for each in messages]
         expected = rotations.apply([[each.x, each.y, each.z] for each in twists])

@@ -18,7 +18,6 @@ from trajeval_ros.io.sources import read_trajectory
 MIB = 1 << 20
 
 
-@pytest.mark.slow
 def test_messages_that_become_much_are_taken_one_by_one(tmp_path: Path) -> None:
     compressor = zstandard.ZstdCompressor()
     zeros = compressor.compress(bytes(64 * MIB))

@@ -18,11 +18,11 @@ BEGIN = 1_700_000_000 * SECOND
 class Clock:
     """A clock that only sleeping and sending move."""
 
-    def __init__(self, cost_s: float = 0.0) -> None:
+    def __init__(self, cost_s: float = 0.0, wait_s: float = 0.0) -> None:
         self.time_s = 100.0
         self.sent: list[tuple[float, str]] = []
         self.ticks: list[int] = []
-        self.cost_s = cost_s
+        self.cost_s, self.wait_s = cost_s, wait_s
 
     def now(self) -> float:
         return self.time_s
@@ -31,9 +31,11 @@ class Clock:
         assert duration_s > 0.0
         self.time_s += duration_s
 
-    def publish(self, channel: str, payload: bytes) -> None:  # noqa: ARG002
+    def publish(self, channel: str, payload: bytes) -> float:  # noqa: ARG002
+        self.time_s += self.wait_s
         self.sent.append((self.time_s - 100.0, channel))
         self.time_s += self.cost_s
+        return self.wait_s
 
     def play(self, times_s: Sequence[float], rate: float, stop_s: float = 1e9) -> Played[str]:
         return play(
@@ -83,6 +85,20 @@ def test_what_is_late_is_sent_at_once_and_the_lag_is_told() -> None:
     assert len(clock.sent) == 100
     assert played.worst_lag_s == pytest.approx(99 * 0.09, abs=0.01)
     assert len(clock.ticks) <= 102
+
+
+@given(TIMES, st.sampled_from([0.3, 1.0, 5.0]), st.sampled_from([0.02, 0.3]))
+def test_what_comes_after_waiting_for_subscribers_is_not_sent_at_once(
+    times_s: list[float], rate: float, wait_s: float
+) -> None:
+    clock = Clock(wait_s=wait_s)
+    played = clock.play(times_s, rate)
+    sent = np.array([moment for moment, _ in clock.sent])
+    # The distances of the recording, and the waiting on top; a millisecond is sent at once.
+    assert np.all(np.diff(sent) >= np.diff(times_s) / rate + wait_s - 0.0011)
+    assert played.waited_s == pytest.approx(wait_s * len(times_s), abs=1e-6)
+    assert played.worst_lag_s <= 0.0011
+    assert clock.ticks == sorted(clock.ticks)
 
 
 def test_stopping_keeps_what_was_sent() -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from strategies import SAME_ROTATION_RAD
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.sources import read_trajectory
@@ -86,7 +87,7 @@ def test_every_layout_gives_the_same_poses(layout: str, tmp_path: Path) -> None:
     assert trajectory.stamps.tolist() == STAMPS
     np.testing.assert_array_equal(trajectory.positions, POSITIONS)
     assert trajectory.rotations is not None
-    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() < 1e-15
+    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
     assert any("nanoseconds" in note for note in trajectory.notes) == (
         IN_NANOSECONDS[0] in LAYOUTS[layout]
     )
@@ -143,7 +144,7 @@ def test_kitti_takes_its_times_from_beside_it(name: str, tmp_path: Path) -> None
     assert trajectory.stamped
     assert any(name in note for note in trajectory.notes)
     assert trajectory.rotations is not None
-    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() < 1e-15
+    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
 
 
 @pytest.mark.parametrize("times", [None, "0\n1\n"])
@@ -203,7 +204,7 @@ def test_long_quaternions_are_normalised_and_said(tmp_path: Path) -> None:
     path.write_text(table(POSITIONS, 2.0 * XYZW, times=IN_SECONDS))
     trajectory = read_trajectory(str(path))
     assert trajectory.rotations is not None
-    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() < 1e-15
+    assert (trajectory.rotations * ROTATIONS.inv()).magnitude().max() <= SAME_ROTATION_RAD
     assert any("normalised" in note for note in trajectory.notes)
 
 

@@ -16,8 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message, write_messages
-from ros_processes import assert_same, offline, until
+from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
+from waiting import until
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory

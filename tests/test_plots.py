@@ -63,32 +63,31 @@ def _colour_share(pixels: np.ndarray, colour: str) -> float:
     return float(np.mean(np.abs(pixels - wanted).max(axis=2) < 0.02))
 
 
-def test_writes_every_figure_and_none_is_blank(tmp_path: Path) -> None:
-    paths = write_figures([_evaluation()], tmp_path)
-    assert [path.name for path in paths] == ALL
-    for path in paths:
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The figures of `_evaluation()`."""
+    return write_figures([_evaluation()], tmp_path_factory.mktemp("figures"))
+
+
+def test_writes_every_figure_and_none_is_blank(drawn: list[Path]) -> None:
+    assert [path.name for path in drawn] == ALL
+    for path in drawn:
         pixels = _pixels(path)
         assert pixels.std() > 0.05
         assert min(pixels.shape[:2]) > 200
         assert _colour_share(pixels, canvas.COLOURS[0]) > 5e-4
 
 
-@pytest.mark.slow
-def test_same_evaluation_gives_the_same_bytes(tmp_path: Path) -> None:
-    evaluation = _evaluation()
-    first = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
-    assert first == [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
-
-
-def test_settings_of_the_user_are_neither_followed_nor_changed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("settings", [{}, {"font.size": 20.0, "axes.facecolor": "red"}])
+def test_same_evaluation_gives_the_same_bytes_whatever_the_users_settings(
+    settings: dict[str, object], drawn: list[Path], tmp_path: Path
+) -> None:
     import matplotlib
 
-    evaluation = _evaluation()
-    plain = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
-    with matplotlib.rc_context({"font.size": 20.0, "axes.facecolor": "red"}):
-        styled = [path.read_bytes() for path in write_figures([evaluation], tmp_path)]
-        assert matplotlib.rcParams["font.size"] == 20.0
-    assert styled == plain
+    with matplotlib.rc_context(settings):
+        again = write_figures([_evaluation()], tmp_path)
+        assert settings.items() <= matplotlib.rcParams.items()
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in drawn]
 
 
 @pytest.mark.slow

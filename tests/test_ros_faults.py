@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from ros_processes import (
     ODOMETRY,
-    PATIENCE_S,
     TRUTH,
     Evaluator,
     Peer,
@@ -25,9 +24,9 @@ from ros_processes import (
     offline,
     replay,
     replay_command,
-    until,
 )
 from strategies import assert_same_numbers
+from waiting import PATIENCE_S, until
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.live.live_folder import evaluate_folder

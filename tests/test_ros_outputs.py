@@ -18,8 +18,8 @@ from ros_processes import (
     evaluating,
     offline,
     replay,
-    until,
 )
+from waiting import until
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

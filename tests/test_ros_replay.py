@@ -11,16 +11,9 @@ from typing import Any
 
 import pytest
 from ros_bags import STORE
-from ros_processes import (
-    ODOMETRY,
-    PATIENCE_S,
-    TRUTH,
-    TYPES,
-    listening,
-    replay,
-    replay_command,
-)
+from ros_processes import ODOMETRY, TRUTH, TYPES, listening, replay, replay_command
 from rosbags.highlevel import AnyReader
+from waiting import PATIENCE_S
 
 from trajeval_ros.io.bags.bag import Bag
 

@@ -7,13 +7,13 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S, until
 
 from trajeval_ros.cli.app import main
 
@@ -28,7 +28,6 @@ DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("*"), *Path("/etc/vulkan/icd.d"
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
-PATIENCE_S = 120.0
 LIVE = ROOT / "tests" / "rerun_driver.py"
 
 pytestmark = pytest.mark.slow
@@ -77,24 +76,25 @@ def test_views_have_nothing_to_report_at_three_times(
 ) -> None:
     from rerun.experimental import ViewerClient
 
-    seen = []
+    def shown(viewer: ViewerClient) -> int:
+        viewer.save_screenshot(str(tmp_path / "screen.png"))
+        return coloured(tmp_path / "screen.png")
+
+    seen = [100]
     with headless_viewer(pictures[kind]) as url, ViewerClient.connect(url) as viewer:
         (line,) = viewer.get_state().recordings[0].timelines
         assert line.name == "ros_time"
         for share in (0.25, 0.6, 1.0):
             now = round(line.start + share * (line.end - line.start))
             viewer.set_time("ros_time", timestamp=np.datetime64(now, "ns"), play_state="paused")
-            time.sleep(2.0)
-            png = tmp_path / f"{share}.png"
-            viewer.save_screenshot(str(png))
-            seen.append(coloured(png))
+            until(lambda: shown(viewer) > seen[-1], "the path grows, and it is in sight")
+            seen.append(shown(viewer))
             state = viewer.get_state()
             assert len(state.views) >= 6
             assert [report for view in state.views for report in view.reports] == []
         told = [each for each in viewer.get_logs() if each.level in ("WARN", "ERROR")]
     assert [each.message for each in told if "oftware rasterizer" not in each.message] == []
-    # The path grows, and it is in sight.
-    assert 100 < seen[0] < seen[1] < seen[2]
+    assert seen == sorted(seen)
 
 
 @needs_driver
@@ -141,14 +141,13 @@ def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Pa
         tab = browser.new_page(viewport={"width": 1280, "height": 720})
         tab.on("request", lambda request: asked_for.append(request.url))
         tab.goto(f"{address}&renderer=webgl", wait_until="commit")
-        png, until = tmp_path / "page.png", time.monotonic() + PATIENCE_S
-        drawn = 0
-        while drawn < 500 and time.monotonic() < until:
-            time.sleep(2.0)
-            tab.screenshot(path=png, timeout=1e3 * PATIENCE_S)
-            drawn = coloured(png)
+
+        def drawn() -> int:
+            tab.screenshot(path=tmp_path / "page.png", timeout=1e3 * PATIENCE_S)
+            return coloured(tmp_path / "page.png")
+
+        until(lambda: drawn() >= 500, "the page shows the picture")
         browser.close()
-    assert drawn >= 500
     assert any(each.endswith(".wasm") for each in asked_for)
     # Ctrl-C ends it, and what it has started.
     process.send_signal(signal.SIGINT)

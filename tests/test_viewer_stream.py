@@ -11,9 +11,9 @@ import signal
 import socket
 import subprocess
 import sys
-import time
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +28,15 @@ pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
 from rerun_driver import flight_at
 from rrd import Rrd
+from waiting import PATIENCE_S, until
 
 ROOT = Path(__file__).resolve().parent.parent
 DRIVER = Path(__file__).with_name("rerun_driver.py")
 NAME = "vio_odometry"
 FRAME = f"world/estimate/{NAME}"
-PATIENCE_S = 240.0
-# A tick comes every 50 ms. Whoever waits for a viewer waits for seconds, or for ever.
-WAITED_S = 0.5
+# A stream holds 2000 things to draw. A flight of so many seconds has fewer in all, so that its
+# file lacks nothing however busy the machine is, and however fast it is flown.
+FLIGHT_S, FAST = 30.0, 20.0
 
 
 @pytest.fixture
@@ -72,36 +73,85 @@ def rerun(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
             process.send_signal(signal.SIGCONT)
             process.terminate()
             try:
-                process.wait(10.0)
+                process.wait(PATIENCE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
 
 
-def receiver(port: int, file: Path) -> Any:
+@contextmanager
+def receiver(port: int, file: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Listen as a viewer does, and keep what comes in a file."""
-    return rerun("--bind", "127.0.0.1", "--port", str(port), "--save", str(file))
+    with rerun("--bind", "127.0.0.1", "--port", str(port), "--save", str(file)) as process:
+        until(lambda: listens(port), f"it listens at port {port}")
+        yield process
 
 
-def drive(
-    value: str, folder: Path, seconds: float = 30.0, speed: float = 3.0, place: str = "0,0,0"
-) -> Any:
-    """Begin to draw a flight in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, str(DRIVER), value, str(folder), str(seconds), str(speed), place],
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+def listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def told(process: Any) -> dict[str, Any]:
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, err
-    assert "Traceback" not in err
-    report: dict[str, Any] = json.loads(out.splitlines()[-1])
-    assert report["longest_wait_s"] < WAITED_S
-    return report
+class Driver:
+    """A process that draws a flight."""
+
+    def __init__(
+        self,
+        value: str,
+        folder: Path,
+        seconds: float = FLIGHT_S,
+        speed: float = FAST,
+        place: str = "0,0,0",
+        pauses: str = "",
+    ) -> None:
+        # Not in the folder, whose disk may be full; open for as long as the process runs.
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115
+        self._err = tempfile.TemporaryFile()  # noqa: SIM115
+        arguments = [value, str(folder), str(seconds), str(speed), place, pauses]
+        self._process = subprocess.Popen(
+            [sys.executable, str(DRIVER), *arguments],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=self._out,
+            stderr=self._err,
+        )
+
+    def wait_for(self, line: str) -> None:
+        until(
+            lambda: line in read(self._out) or self._process.poll() is not None,
+            f"the driver says {line!r}",
+        )
+        assert line in read(self._out), read(self._err)
+
+    def go_on(self) -> None:
+        """Go on after a pause."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(b"\n")
+        self._process.stdin.flush()
+
+    def report(self) -> dict[str, Any]:
+        """Wait until it has ended, and return what it tells."""
+        try:
+            assert self._process.wait(PATIENCE_S) == 0, read(self._err)
+        finally:
+            self._process.kill()
+            self._process.wait()
+        assert "Traceback" not in read(self._err)
+        report: dict[str, Any] = json.loads(read(self._out).splitlines()[-1])
+        return report
+
+
+def read(file: Any) -> str:
+    """Read a file that another process writes with the same offset."""
+    return os.pread(file.fileno(), 2**26, 0).decode()
+
+
+def seen(file: Path) -> np.ndarray:
+    """Return the stamps of the errors that a viewer has received so far."""
+    try:
+        stamps, _ = Rrd(file).numbers(f"metrics/position_error/{NAME}")
+    except Exception:  # while the file is being written its last part may be half of one
+        return np.empty(0, np.int64)
+    return stamps
 
 
 def assert_whole(file: Path, report: dict[str, Any]) -> None:
@@ -118,7 +168,7 @@ def assert_whole(file: Path, report: dict[str, Any]) -> None:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rrd, dict[str, Any], Path]:
     """The file of a run without any viewer."""
     folder = tmp_path_factory.mktemp("file")
-    report = told(drive("file", folder))
+    report = Driver("file", folder).report()
     return Rrd(folder / "run.rrd"), report, folder / "run.rrd"
 
 
@@ -133,8 +183,8 @@ def test_file_has_the_numbers_that_were_handed_over(
 
 @pytest.mark.slow
 def test_file_stays_small(tmp_path: Path) -> None:
-    told(drive("file", tmp_path, seconds=120.0, speed=1.0))
-    assert (tmp_path / "run.rrd").stat().st_size / 120.0 <= 10_000.0
+    Driver("file", tmp_path, seconds=45.0, speed=1.0).report()
+    assert (tmp_path / "run.rrd").stat().st_size / 45.0 <= 10_000.0
 
 
 def shown_at(picture: Rrd, now: int) -> np.ndarray:
@@ -174,7 +224,7 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
 
 def test_far_from_the_origin_nothing_steps(tmp_path: Path) -> None:
     place = np.array([432_100.0, 5_012_345.0, 410.0])
-    report = told(drive("file", tmp_path, 10.0, 3.0, ",".join(map(str, place))))
+    report = Driver("file", tmp_path, 10.0, FAST, ",".join(map(str, place))).report()
     picture = Rrd(tmp_path / "run.rrd")
     (origin,) = picture.rows("__properties/origin", "groundtruth_m")[1]
     truth, estimate = flight_at(place, 10.0)
@@ -196,7 +246,7 @@ def test_far_from_the_origin_nothing_steps(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_viewer_that_is_absent(port: int, tmp_path: Path) -> None:
-    report = told(drive(f"connect:{url(port)}", tmp_path))
+    report = Driver(f"connect:{url(port)}", tmp_path).report()
     assert report["closed"] == [True, True]
     assert report["dropped"][0] == 0 < report["dropped"][1]
     assert_whole(tmp_path / "run.rrd", report)
@@ -204,34 +254,39 @@ def test_viewer_that_is_absent(port: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_viewer_that_is_late_gets_everything(port: int, tmp_path: Path) -> None:
-    process = drive(f"serve:{port}", tmp_path)
-    time.sleep(6.0)
+    driver = Driver(f"serve:{port}", tmp_path, pauses="20,29")
+    driver.wait_for("paused at 20")
+    until(lambda: listens(port), "it serves")
     with rerun(url(port), "--save", str(tmp_path / "late.rrd")):
-        report = told(process)
-        time.sleep(1.0)
+        until(lambda: len(seen(tmp_path / "late.rrd")), "it shows something")
+        driver.go_on()
+        driver.wait_for("paused at 29")
+        until(lambda: len(seen(tmp_path / "late.rrd")) > 0.9 * 20 * 29, "it shows all")
+        driver.go_on()
+        report = driver.report()
     assert_whole(tmp_path / "run.rrd", report)
-    late = Rrd(tmp_path / "late.rrd")
-    stamps, _ = late.numbers(f"metrics/position_error/{NAME}")
-    first = report["handed"]["position_error"][0][0]
-    assert stamps[0] == first
-    assert len(stamps) > 0.9 * len(report["handed"]["position_error"])
+    assert seen(tmp_path / "late.rrd")[0] == report["handed"]["position_error"][0][0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["serve", "connect"])
-def test_viewer_that_freezes_for_a_minute(mode: str, port: int, tmp_path: Path) -> None:
-    if mode == "connect":
-        viewer, value = receiver(port, tmp_path / "seen.rrd"), f"connect:{url(port)}"
-    else:
-        viewer, value = rerun(url(port), "--save", str(tmp_path / "seen.rrd")), f"serve:{port}"
-    with viewer as frozen:
-        time.sleep(2.0)
-        process = drive(value, tmp_path, seconds=72.0, speed=1.0)
-        time.sleep(6.0)
+def test_viewer_that_freezes_is_not_waited_for(mode: str, port: int, tmp_path: Path) -> None:
+    file = tmp_path / "seen.rrd"
+    with ExitStack() as stack:
+        if mode == "connect":
+            frozen = stack.enter_context(receiver(port, file))
+            driver = Driver(f"connect:{url(port)}", tmp_path, 60.0, 2.0, pauses="10")
+        else:
+            driver = Driver(f"serve:{port}", tmp_path, 60.0, 2.0, pauses="10")
+            until(lambda: listens(port), "it serves")
+            frozen = stack.enter_context(rerun(url(port), "--save", str(file)))
+        driver.wait_for("paused at 10")
+        until(lambda: len(seen(file)), "it shows something")
         frozen.send_signal(signal.SIGSTOP)
-        time.sleep(60.0)
+        driver.go_on()
+        driver.wait_for("all is handed over")  # whoever waited for the viewer would never say so
         frozen.send_signal(signal.SIGCONT)
-        report = told(process)
+        report = driver.report()
     assert report["closed"][0]
     assert report["dropped"][0] == 0
     assert_whole(tmp_path / "run.rrd", report)
@@ -239,12 +294,14 @@ def test_viewer_that_freezes_for_a_minute(mode: str, port: int, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_viewer_that_is_killed(port: int, tmp_path: Path) -> None:
-    process = drive(f"serve:{port}", tmp_path)
-    time.sleep(4.0)
+    driver = Driver(f"serve:{port}", tmp_path, pauses="10")
+    driver.wait_for("paused at 10")
+    until(lambda: listens(port), "it serves")
     with rerun(url(port), "--save", str(tmp_path / "seen.rrd")) as killed:
-        time.sleep(2.0)
+        until(lambda: len(seen(tmp_path / "seen.rrd")), "it shows something")
         killed.kill()
-    report = told(process)
+    driver.go_on()
+    report = driver.report()
     assert report["closed"] == [True, True]
     assert report["dropped"] == [0, 0]
     assert_whole(tmp_path / "run.rrd", report)
@@ -252,24 +309,30 @@ def test_viewer_that_is_killed(port: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
-    with receiver(port, tmp_path / "first.rrd") as killed:
-        time.sleep(2.0)
-        process = drive(f"connect:{url(port)}", tmp_path, seconds=60.0, speed=2.5)
-        time.sleep(8.0)
+    first, second = tmp_path / "first.rrd", tmp_path / "second.rrd"
+    value = f"connect:{url(port)}"
+    with receiver(port, first) as killed:
+        driver = Driver(value, tmp_path, 60.0, 2.5, pauses="20,40,55")
+        driver.wait_for("paused at 20")
+        until(lambda: len(seen(first)), "the first shows something")
         killed.kill()
         killed.wait()
-    time.sleep(3.0)
-    with receiver(port, tmp_path / "second.rrd"):
-        report = told(process)
-        time.sleep(1.0)
+    driver.go_on()
+    driver.wait_for("paused at 40")
+    with receiver(port, second):
+        driver.go_on()
+        driver.wait_for("paused at 55")
+        until(second.exists, "the second has something")
+        driver.go_on()
+        report = driver.report()
+        last = report["handed"]["position_error"][-1][0]
+        until(lambda: seen(second)[-1:] == [last], "the second shows the end")
     assert report["dropped"][0] == 0 < report["dropped"][1]
     assert_whole(tmp_path / "run.rrd", report)
     # The path that it has missed is drawn anew for the second.
-    _, rows = Rrd(tmp_path / "second.rrd").strips(f"{FRAME}/path/past")
+    _, rows = Rrd(second).strips(f"{FRAME}/path/past")
     begin = simulate(0, 60.0).estimate.positions[:5]
     assert min(np.linalg.norm(begin - row[0][0], axis=1).min() for row in rows) < 1e-3
-    numbers, _ = Rrd(tmp_path / "second.rrd").numbers(f"metrics/position_error/{NAME}")
-    assert numbers[-1] == report["handed"]["position_error"][-1][0]
 
 
 @contextmanager
@@ -290,7 +353,7 @@ def small_disk(folder: Path, size: str) -> Iterator[None]:
 @pytest.mark.slow
 def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
     with small_disk(tmp_path, "350k"):
-        report = told(drive("file", tmp_path, seconds=75.0, speed=1.5))
+        report = Driver("file", tmp_path, seconds=75.0, speed=1.5).report()
         picture = Rrd(tmp_path / "run.rrd")
     assert report["trouble"] == [
         f"{tmp_path / 'run.rrd'} can't be written: no space left on device"
@@ -305,7 +368,7 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_disk_without_any_room_leaves_no_stub(tmp_path: Path) -> None:
     with small_disk(tmp_path, "60k"):
-        report = told(drive("file", tmp_path, seconds=15.0, speed=1.5))
+        report = Driver("file", tmp_path, seconds=15.0).report()
         assert report["closed"] == [True]
         assert not (tmp_path / "run.rrd").exists()
     assert "no space left on device" in report["trouble"][0]
@@ -324,7 +387,7 @@ def test_sink_that_cannot_be_had(value: str, said: str, port: int, tmp_path: Pat
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", port))
         taken.listen()
-        report = told(drive(value.format(port=port), tmp_path, seconds=5.0))
+        report = Driver(value.format(port=port), tmp_path, seconds=5.0).report()
     assert said.format(port=port) in report["trouble"][-1]
 
 

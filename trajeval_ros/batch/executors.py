@@ -93,9 +93,7 @@ def dask_pool(address: str) -> Pool:
     @contextmanager
     def start(workers: int) -> Iterator[Executor]:  # noqa: ARG001 - it has the workers it has
         with connect() as client:
-            # Numbers come out the same wherever they are computed, but a key of its own for each
-            # run keeps two comparisons at the same time apart.
-            yield client.get_executor(pure=False)
+            yield _Workers(client)
 
     return Pool(start, threads, ahead=max(8, threads))
 
@@ -196,6 +194,36 @@ def _failure(error: Exception) -> str:
     if type(error).__name__ == "KilledWorker":
         return _DIED
     return f"{type(error).__name__}: {error}"
+
+
+class _Workers(Executor):
+    """The workers of a Dask client.
+
+    Dask's own executor looks at a future's state after its result was fetched. If the worker has
+    died in between, the state is no longer "finished", and the result is unpacked as an error.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand something over to a worker."""
+        # Numbers come out the same wherever they are computed, but a key of its own for each
+        # run keeps two comparisons at the same time apart.
+        remote = self._client.submit(fn, *args, pure=False, **kwargs)
+        local: Future[Any] = Future()
+        self._client.loop.add_callback(_pass_on, remote, local)
+        return local
+
+
+async def _pass_on(remote: Any, local: Future[Any]) -> None:
+    """Wait for a future of Dask and give its outcome to another one."""
+    try:
+        result = await remote
+    except Exception as error:
+        local.set_exception(error)
+    else:
+        local.set_result(result)
 
 
 @contextmanager

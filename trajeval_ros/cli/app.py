@@ -13,6 +13,7 @@ import typer
 from trajeval_ros import __version__
 from trajeval_ros.cli.compare import compare
 from trajeval_ros.cli.compare_association import compare_association
+from trajeval_ros.cli.demo import demo
 from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.gauge_study import gauge_study
@@ -36,6 +37,7 @@ app = typer.Typer(
 app.command()(compare)
 app.command()(evaluate)
 app.command()(compare_association)
+app.command()(demo)
 app.command(cls=RosCommand, help=EVALUATOR_HELP)(evaluator)
 app.command()(finish)
 app.command()(gauge_study)

@@ -75,7 +75,9 @@ def replay(
 
     Messages go out byte by byte as they were recorded, at their log times; those of ROS 1 are
     encoded anew. Publishers are reliable, so that every subscriber can connect; what subscribers
-    need `use_sim_time` for is on /clock. Ctrl-C ends it in order.
+    need `use_sim_time` for is on /clock. A message is kept until reliable subscribers have it:
+    where they are too slow, the replay waits for them and says so. What a subscriber's own queue
+    is too short for is lost there. Ctrl-C ends it in order.
 
     All topics at five times the speed, as soon as each has a subscriber:
 
@@ -154,6 +156,8 @@ def _print_summary(playback: Playback, played: Played[Channel], rate: float) -> 
         lag = f"fell behind by {played.worst_lag_s:.2f} s: a lower --rate keeps the times"
     else:
         lag = f"at most {played.worst_lag_s * 1e3:.1f} ms late"
+    if played.waited_s:
+        lag += f", after {played.waited_s:.1f} s of waiting for subscribers that are slower"
     damaged = f"; {playback.damaged} damaged ones passed over" if playback.damaged else ""
     print(
         f"{'replayed' if played.is_complete else 'stopped after'} {bag_time:.1f} s of the bag in "

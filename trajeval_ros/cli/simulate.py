@@ -246,7 +246,7 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
         return
     if not overwrite:
         raise InputError(f"{output} exists; name another folder, or add --overwrite")
-    if not _is_simulated(output):
+    if not is_simulated(output):
         raise InputError(
             f"{output} is not a bag that trajeval simulate wrote, so it is not overwritten; "
             "name another folder"
@@ -271,7 +271,7 @@ def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
         ) from error
 
 
-def _is_simulated(folder: Path) -> bool:
+def is_simulated(folder: Path) -> bool:
     """Whether a folder holds a bag with the two simulated topics, and no other file."""
     metadata = folder / "metadata.yaml"
     if folder.is_symlink() or not metadata.is_file():

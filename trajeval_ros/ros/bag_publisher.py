@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 
 NODE_NAME = "trajeval_replay"
 
-_DEPTH = 1000  # messages kept for subscribers that are slower
-_LAST_DELIVERY_S = 5.0  # what slow subscribers get to acknowledge the last messages
+_LATCHED_DEPTH = 1000  # messages kept for subscribers that come late
+# What slow subscribers get to acknowledge the last messages. One that was killed is given up by
+# Fast DDS after 20 s.
+_LAST_DELIVERY_S = 30.0
+_LAST_DELIVERY_STOPPED_S = 5.0
+_ASK_EVERY_S = 0.2
 _LOOK_EVERY_S = 0.02
 
 
@@ -63,26 +67,62 @@ def replay(
             playback.messages(),
             playback.begin_ns,
             rate,
-            publish=lambda channel, payload: publishers[channel].publish(payload),
+            publish=lambda channel, payload: _send(publishers[channel], payload, stop),
             tick=tick,
             is_stopped=lambda: stop.is_asked_for,
         )
-        _deliver(list(publishers.values()))
+        _deliver(list(publishers.values()), stop)
         node.destroy_node()
     return played
 
 
 def _publisher(node: Node, channel: Channel) -> Any:
-    """Return a publisher that every kind of subscriber can connect to."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    """Return a publisher that every kind of subscriber can connect to.
 
-    latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
-    qos = QoSProfile(
-        depth=_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=latched if channel.is_latched else volatile,
-    )
+    It keeps each message until all reliable subscribers have acknowledged it, and when it can
+    keep no more, sending fails. A latched topic keeps a number of messages: those that late
+    subscribers shall get are kept for ever, and would fill it.
+    """
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    if channel.is_latched:
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=_LATCHED_DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+    else:
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_ALL,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.VOLATILE,
+        )
     return node.create_publisher(message_class(channel.type), channel.name, qos)
+
+
+def _send(publisher: Any, payload: bytes, stop: Stop) -> float:
+    """Publish a message as soon as there is room for it; returns how long that took, seconds.
+
+    A signal ends the waiting, and the message is not sent.
+    """
+    from rclpy.duration import Duration
+
+    began = time.monotonic()
+    waited_s, acknowledged = 0.0, False
+    while True:
+        try:
+            publisher.publish(payload)
+        except RuntimeError:  # the base of rclpy's error, which is private
+            # Waiting helps if there is no room. With all acknowledged it was something else.
+            if acknowledged:
+                raise
+        else:
+            return waited_s
+        if stop.is_asked_for:
+            return waited_s
+        acknowledged = publisher.wait_for_all_acked(Duration(seconds=_ASK_EVERY_S))
+        waited_s = time.monotonic() - began
 
 
 def _clock(node: Node) -> Callable[[int], None]:
@@ -115,11 +155,13 @@ def _without_subscriber(
         time.sleep(_LOOK_EVERY_S)
 
 
-def _deliver(publishers: Sequence[Any]) -> None:
+def _deliver(publishers: Sequence[Any], stop: Stop) -> None:
     """Wait until subscribers have acknowledged all messages, which an exit would lose."""
     from rclpy.duration import Duration
 
-    until = time.monotonic() + _LAST_DELIVERY_S
+    began = time.monotonic()
     for publisher in publishers:
-        left = max(0.0, until - time.monotonic())
-        publisher.wait_for_all_acked(Duration(seconds=left))
+        while not publisher.wait_for_all_acked(Duration(seconds=_ASK_EVERY_S)):
+            patience_s = _LAST_DELIVERY_STOPPED_S if stop.is_asked_for else _LAST_DELIVERY_S
+            if time.monotonic() > began + patience_s:
+                return

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,50 +23,99 @@ _LOOK_EVERY_S = 0.25
 _SIZE = "1600x900"
 
 
-def save_png(file: Path, png: Path) -> None:
+def save_png(file: Path, png: Path, *, patience_s: float = _PATIENCE_S) -> None:
     """Write what the viewer shows of a file (.rrd) at first open.
 
+    Args:
+        file: What to show.
+        png: What to write.
+        patience_s: After so many seconds the viewer is ended, and with it the attempt.
+
     Raises:
-        InputError: rerun-sdk is not installed, or there is nothing to draw with.
+        InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
+            doesn't answer in time.
     """
     sdk()
+    # `--screenshot-to` takes its picture before the file is loaded.
+    with headless_viewer(file, patience_s=patience_s) as url:
+        ask_for_screenshot(url, png)
+
+
+def ask_for_screenshot(url: str, png: Path) -> None:
+    """Have a viewer write what it shows.
+
+    Raises:
+        InputError: It can't be reached, or doesn't answer.
+    """
     from rerun.experimental import ViewerClient
 
-    # `--screenshot-to` takes its picture before the file is loaded.
-    with headless_viewer(file) as url, ViewerClient.connect(url) as viewer:
-        time.sleep(_SETTLE_S)
-        viewer.save_screenshot(str(png.resolve()))
+    try:
+        with ViewerClient.connect(url) as viewer:
+            # rerun-sdk 0.39 has it under its older name.
+            look = viewer.get_state if hasattr(viewer, "get_state") else viewer.viewer_state
+            while not (state := look()).recordings or state.loading:
+                time.sleep(_LOOK_EVERY_S)
+            time.sleep(_SETTLE_S)
+            viewer.save_screenshot(str(png.resolve()))
+    except (OSError, RuntimeError, ValueError) as error:  # all that the SDK makes of its failures
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"Rerun's viewer took no screenshot ({said}); on a machine that is busy, try again "
+            "when it is less so"
+        ) from error
+    if not png.exists():
+        raise InputError(f"Rerun's viewer took a screenshot, but could not write {png}")
 
 
 @contextmanager
-def headless_viewer(file: Path) -> Iterator[str]:
+def headless_viewer(file: Path, *, patience_s: float = _PATIENCE_S) -> Iterator[str]:
     """Run the viewer of a file (.rrd) without a window; yields where it listens.
 
+    Args:
+        file: What to show.
+        patience_s: After so many seconds the viewer is ended, and connections to it fail: the
+            SDK itself waits for ever for a viewer that is stuck.
+
     Raises:
-        InputError: rerun-sdk is not installed, or there is nothing to draw with.
+        InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
+            isn't up in time.
     """
     port = free_port()
     silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     options = ("--headless", "--hide-welcome-screen", "--window-size", _SIZE)
     with rerun_program(port, *options, str(file), **silent) as viewer:
-        _wait_for(viewer, port)
-        yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+        late = threading.Event()
+
+        def end() -> None:
+            late.set()
+            viewer.kill()
+
+        timer = threading.Timer(patience_s, end)
+        timer.start()
+        try:
+            _wait_for(viewer, port)
+            yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+        except InputError as error:
+            if late.is_set():
+                raise InputError(
+                    f"Rerun's viewer did not draw {file} within {patience_s:g} s; try again when "
+                    "the machine is less busy"
+                ) from error
+            raise
+        finally:
+            timer.cancel()
 
 
 def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
     """Wait until the viewer listens, and has found what to draw with."""
-    until = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < until:
-        try:
-            socket.create_connection((LOOPBACK, port), _LOOK_EVERY_S).close()
-        except OSError:
-            time.sleep(_LOOK_EVERY_S)
-        else:
-            time.sleep(_SETTLE_S)
-            if viewer.poll() is None:
-                return
-        if viewer.poll() is not None:
+    while viewer.poll() is None:
+        with socket.socket() as probe:
+            listens = probe.connect_ex((LOOPBACK, port)) == 0
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            viewer.wait(_SETTLE_S if listens else _LOOK_EVERY_S)
             break
+        if listens:
+            return
     raise InputError(
         "Rerun's viewer finds nothing to draw with; it needs a Vulkan driver: that of Debian and "
         "Ubuntu, mesa-vulkan-drivers, needs no graphics card"

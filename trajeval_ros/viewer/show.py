@@ -14,6 +14,11 @@ _MAGIC = b"RRF"
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
+def has_display() -> bool:
+    """Return whether a window can be opened; other systems than Linux are taken to have one."""
+    return sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))
+
+
 def show(file: Path, *, in_browser: bool = False) -> None:
     """Open a file (.rrd) in the viewer, and wait until it is closed.
 
@@ -33,7 +38,7 @@ def show(file: Path, *, in_browser: bool = False) -> None:
         raise InputError(f"{file} can't be read: {reason}") from error
     if magic != _MAGIC:
         raise InputError(f"{file} is no file of Rerun's; name one that --rrd wrote, or a folder")
-    if not (in_browser or sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))):
+    if not (in_browser or has_display()):
         raise InputError("there is no display here; use --web, and open the page in a browser")
     port, page = free_port(), free_port()
     options = ["--serve-web", "--web-viewer-port", str(page)] if in_browser else []

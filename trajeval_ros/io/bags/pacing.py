@@ -23,7 +23,8 @@ class Played(Generic[ChannelT]):
 
     Attributes:
         counts: Number of messages by channel.
-        worst_lag_s: By how much the latest message was late, seconds.
+        worst_lag_s: By how much the latest message was late, seconds; waiting is not counted.
+        waited_s: How long sending waited for subscribers, seconds.
         reached_ns: Bag time of the end.
         took_s: How long it took, seconds.
         is_complete: Whether it came to the end, not stopped before.
@@ -31,6 +32,7 @@ class Played(Generic[ChannelT]):
 
     counts: Counter[ChannelT] = field(default_factory=Counter)
     worst_lag_s: float = 0.0
+    waited_s: float = 0.0
     reached_ns: int = 0
     took_s: float = 0.0
     is_complete: bool = True
@@ -41,7 +43,7 @@ def play(
     begin_ns: int,
     rate: float,
     *,
-    publish: Callable[[ChannelT, bytes], None],
+    publish: Callable[[ChannelT, bytes], float],
     tick: Callable[[int], None],
     is_stopped: Callable[[], bool] = lambda: False,
     now: Callable[[], float] = time.monotonic,
@@ -49,11 +51,14 @@ def play(
 ) -> Played[ChannelT]:
     """Publish messages when they are due; what is late is published at once, never left out.
 
+    While sending waits for subscribers, bag time stands still. Otherwise all that became due
+    meanwhile would be sent at once to those that are behind already.
+
     Args:
         messages: Bag time in ns, channel and payload, in order of time.
         begin_ns: Bag time of the beginning.
         rate: Seconds of bag time per second.
-        publish: Sends a message.
+        publish: Sends a message; returns how long it waited for subscribers, seconds.
         tick: Told the bag time every `TICK_S`; it never goes back, nor past a message unsent.
         is_stopped: Asked at least every `TICK_S` while waiting.
         now: A monotonic clock, seconds.
@@ -80,7 +85,9 @@ def play(
             sleep(max(_SHORTEST_SLEEP_S, min(due, next_tick) - moment))
         if not played.is_complete:
             break
-        publish(channel, payload)
+        waited_s = publish(channel, payload)
+        began += waited_s
+        played.waited_s += waited_s
         played.counts[channel] += 1
         played.worst_lag_s = max(played.worst_lag_s, moment - due)
         played.reached_ns = max(played.reached_ns, time_ns)

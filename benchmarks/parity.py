@@ -1,0 +1,249 @@
+"""Compares `trajeval evaluate` with evo_ape, number by number, on pairs from a new seed.
+
+The pairs are those of tests/data/parity, generated anew. Both programs run as processes on the
+same files. The exit status is 1 if a number differs by more than the tolerance.
+
+Usage: make parity, or make parity SEED=1 for the pairs of that seed
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.process import CommandFailedError, environment, run
+
+REFERENCES = Path(__file__).parents[1] / "tests" / "data" / "parity" / "references.json"
+TRAJEVAL = Path(sys.executable).parent / "trajeval"
+STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
+OURS = {"trans_part": "position_m", "angle_deg": "rotation_deg"}
+UNITS = {"trans_part": "m ", "angle_deg": "deg "}
+BOTH = tuple(OURS)
+POSITION = ("trans_part",)
+# evo's options, ours, and the errors to compare.
+ALIGNMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "": (("--gauge", "none"), BOTH),
+    "-a": (("--gauge", "se3"), BOTH),
+    "-as": (("--gauge", "sim3"), POSITION),
+    "--align_origin": (("--gauge", "se3", "--align-states", "1"), POSITION),
+}
+COLUMNS = tuple((name, error) for name, (_, errors) in ALIGNMENTS.items() for error in errors)
+KNOWN = {  # defects of ours, which tests/parity.py expects too
+    "repeated_stamps_gt": "repeated stamps",
+    "repeated_stamps_both": "repeated stamps",
+    "repeated_stamps_long_est": "repeated stamps",
+    "half_period_unsorted": "two states that are equally near, in an unsorted file",
+}
+WITHHELD, BOTH_REFUSE, ONE_REFUSES = "withheld", "both refuse", "one refuses"
+NOT_COMPARED = {WITHHELD: "- ", BOTH_REFUSE: "refused ", ONE_REFUSES: "refused!"}
+
+Numbers = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The worst statistic of one error of one pair; `share` is of the tolerance."""
+
+    pair: str
+    alignment: str
+    error: str
+    statistic: str
+    ours: float
+    evos: float
+    share: float
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        return (
+            f"{self.pair}, evo_ape {self.alignment} -r {self.error}, {self.statistic}: "
+            f"{self.ours!r} here, {self.evos!r} by evo, {self.share:.2g} of the tolerance"
+        )
+
+
+@dataclass(frozen=True)
+class Programs:
+    """Both programs and where they work."""
+
+    evo_ape: Path
+    folder: Path
+    environment: Mapping[str, str]
+
+    def evo(self, files: Mapping[str, str], alignment: str, error: str) -> Numbers | str:
+        """Return evo's statistics and number of pairs, or what it says where it refuses."""
+        kind = "kitti" if files["groundtruth"].startswith("car_kitti") else "tum"
+        with tempfile.TemporaryDirectory() as kept:
+            archive = Path(kept, "result.zip")
+            command = [
+                *(str(self.evo_ape), kind, *self._paths(files), *alignment.split()),
+                *("-r", error, "--save_results", str(archive), "--no_warnings"),
+            ]
+            try:
+                run(command, self.environment)
+            except CommandFailedError as failed:
+                return str(failed)
+            with zipfile.ZipFile(archive) as result:
+                numbers: Numbers = json.loads(result.read("stats.json"))
+                errors = np.load(io.BytesIO(result.read("error_array.npy")))
+        return {**numbers, "count": len(errors)}
+
+    def ours(self, files: Mapping[str, str], alignment: str) -> dict[str, Any] | str:
+        """Return our ATE by metric, or what we say where we refuse."""
+        groundtruth, estimate = self._paths(files)
+        command = [
+            *(str(TRAJEVAL), "evaluate", "-g", groundtruth, "-e", estimate, "--protocol", "evo"),
+            *(*ALIGNMENTS[alignment][0], "--quiet", "--json", "-"),
+        ]
+        try:
+            output = run(command, self.environment).output
+        except CommandFailedError as failed:
+            return str(failed)
+        ate: dict[str, Any] = json.loads(output)["runs"][0]["ate"]
+        return ate
+
+    def _paths(self, files: Mapping[str, str]) -> tuple[str, str]:
+        return str(self.folder / files["groundtruth"]), str(self.folder / files["estimate"])
+
+
+def tolerance(pair: str, alignment: str, error: str, value: float) -> float:
+    """Return by how much two correct programs may differ: `Row.tolerance` of tests/parity.py."""
+    usual = max(1e-8 * abs(value), 1e-10)
+    if error == "trans_part" and pair.startswith("utm"):
+        return max(usual, 3e-9)  # a float64 step at 5e6 m is 9.3e-10 m
+    if error == "trans_part" and pair == "straight_flat":
+        return max(usual, 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.05)
+    if pair == "car_kitti" and alignment == "--align_origin":
+        # evo turns all poses by the file's first matrices, which are rotations to 1e-9: 1 km from
+        # the first pose that is 1e-6 m.
+        return max(usual, 1e-6)
+    return usual
+
+
+def compare(
+    pair: str, column: tuple[str, str], ours: dict[str, Any] | str, evos: Numbers | str
+) -> Difference | str:
+    """Return the worst difference, or why there is none to tell."""
+    alignment, error = column
+    if isinstance(ours, str) or isinstance(evos, str):
+        if isinstance(ours, str) and isinstance(evos, str):
+            return BOTH_REFUSE
+        refused = ours if isinstance(ours, str) else str(evos)
+        return f"{ONE_REFUSES}: {refused}"
+    mine = ours[OURS[error]]
+    if mine is None:
+        return WITHHELD
+    if mine["count"] != evos["count"]:
+        counts = float(mine["count"]), float(evos["count"])
+        return Difference(pair, alignment, error, "number of pairs", *counts, float("inf"))
+    return max(
+        (
+            Difference(
+                *(pair, alignment, error, name, mine[name], evos[name]),
+                abs(mine[name] - evos[name]) / tolerance(pair, alignment, error, evos[name]),
+            )
+            for name in STATISTICS
+        ),
+        key=lambda each: each.share,
+    )
+
+
+def compare_pair(
+    programs: Programs, pair: str, files: Mapping[str, str]
+) -> dict[tuple[str, str], Difference | str]:
+    """Run both programs with all options on one pair."""
+    found: dict[tuple[str, str], Difference | str] = {}
+    for alignment, (_, errors) in ALIGNMENTS.items():
+        ours = programs.ours(files, alignment)
+        for error in errors:
+            evos = programs.evo(files, alignment, error)
+            found[alignment, error] = compare(pair, (alignment, error), ours, evos)
+    return found
+
+
+def cell(pair: str, found: Difference | str) -> str:
+    """Return the difference, with a mark where it is more than the tolerance."""
+    if isinstance(found, str):
+        return NOT_COMPARED[found.partition(":")[0]]
+    mark = " " if found.share <= 1.0 else "*" if pair in KNOWN else "!"
+    return f"{abs(found.ours - found.evos):.1e}{mark}"
+
+
+def report(
+    console: Console, results: Mapping[str, Mapping[tuple[str, str], Difference | str]]
+) -> bool:
+    """Print the table and the worst; return whether all is within the tolerance."""
+    table = Table(box=box.SIMPLE_HEAD, padding=0, collapse_padding=True)
+    table.add_column("pair", no_wrap=True, min_width=max(map(len, results)))
+    for alignment, error in COLUMNS:
+        heading = f"{alignment.removeprefix('--align_') or 'none'}\n{UNITS[error]}"
+        table.add_column(heading, justify="right", no_wrap=True, min_width=9)
+    for pair, found in results.items():
+        table.add_row(pair, *(cell(pair, found[column]) for column in COLUMNS))
+    console.print(
+        "largest difference by pair and evo's alignment; ! too much, * known, - withheld"
+    )
+    console.print(table)
+    flat = [(pair, each) for pair, found in results.items() for each in found.values()]
+    judged = [(pair, each) for pair, each in flat if pair not in KNOWN]
+    differences = [each for _, each in judged if isinstance(each, Difference)]
+    refusals = [
+        f"{pair}: {each}"
+        for pair, each in judged
+        if isinstance(each, str) and each.startswith(ONE_REFUSES)
+    ]
+    withheld = sum(each == WITHHELD for _, each in flat)
+    console.print(f"{len(differences)} sets of {len(STATISTICS)} statistics compared")
+    console.print(f"{withheld} rotation errors withheld: positions don't determine the rotation")
+    for pair, why in KNOWN.items():
+        console.print(f"known to differ: {pair}, by {why}")
+    console.print(f"worst: {max(differences, key=lambda each: each.share)}")
+    wrong = [str(each) for each in differences if not each.share <= 1.0] + refusals
+    for each in wrong:
+        console.print(f"DIFFERS: {each}")
+    return not wrong
+
+
+def main() -> int:
+    """Generate, run, compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--evo", required=True, type=Path, help="the program evo_ape")
+    parser.add_argument("--seed", type=int, default=int(time.time()), help="of the pairs")
+    options = parser.parse_args()
+    console = Console(soft_wrap=True)
+    console.print(f"seed {options.seed}; the same again: make parity SEED={options.seed}")
+    pairs: dict[str, dict[str, str]] = json.loads(REFERENCES.read_text(encoding="utf-8"))["pairs"]
+    # evo reads no KITTI file with 13 columns.
+    pairs = {name: files for name, files in pairs.items() if not name.endswith("_frames")}
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as home:
+        generator = [sys.executable, "-m", "benchmarks.parity_pairs", folder, str(options.seed)]
+        subprocess.run(generator, check=True)
+        alone = {**environment(Path(home)), "OPENBLAS_NUM_THREADS": "1"}
+        programs = Programs(options.evo, Path(folder), alone)
+        run([str(options.evo), "--help"], programs.environment)  # writes its settings
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            jobs = {
+                name: pool.submit(compare_pair, programs, name, files)
+                for name, files in pairs.items()
+            }
+            results = {name: job.result() for name, job in jobs.items()}
+    return 0 if report(console, results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+"""From the calls of other programs in data/parity to the options of `trajeval evaluate`.
+
+data/parity/README.md has the table.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from parity import REFERENCES, Row, Setting
+
+# evo_rpe's pairs of states, from the reference's path and within 20 % of the length.
+EVO_RELATIVE = "base: evo\nlengths: [{length}]\nselection: {{rule: toolbox}}\n"
+RPG_GAUGES = {"none": "none", "posyaw": "yaw", "se3": "se3", "sim3": "sim3"}
+RPG_LENGTHS = "10%,20%,30%,40%,50%,8,16"
+KITTI_GAUGES = {
+    "none": {},
+    "first frame": {"gauge": "se3", "align_states": "1"},
+    "6dof": {"gauge": "se3"},
+    "7dof": {"gauge": "sim3"},
+}
+
+
+# Why a row is not compared.
+OTHER_ALIGNMENT = "trajeval has no alignment by scale alone"
+OTHER_ERROR = "trajeval has no such error: evo's `full`, the KITTI tool's frame-to-frame RPE"
+OTHER_SUB_TRAJECTORIES = "trajeval chooses no sub-trajectories like this option of evo_rpe"
+REFUSED = "the program refused the files"
+DEFECT = "a defect of the program, which trajeval doesn't reproduce"
+TOO_FEW = "the program reports zeros of fewer than two sub-trajectories"
+WITHHELD = "positions don't determine the rotation, so trajeval withholds its error"
+
+# Pairs whose rotation is withheld when aligned by so many states (None: all) by se3 or sim3.
+UNDETERMINED = {("straight_flat", None), ("straight_flat", "50"), ("five_poses", "3")} | {
+    (pair, "50")
+    for pair in (
+        *("half_period", "half_period_unsorted"),
+        *(f"repeated_stamps_{each}" for each in ("est", "both", "long_est")),
+    )
+}
+
+
+def rows() -> list[Row]:
+    """Return every row of every reference."""
+    return [row for entry in REFERENCES["references"] for row in _TOOLS[entry["tool"]](entry)]
+
+
+def _rows(entry: dict[str, Any], setting: Setting | None, **others: Any) -> list[Row]:
+    why = others.pop("unanswered", None)
+    refused = REFUSED if "results" not in entry else None
+    names = entry.get("results") or {"": None}
+    return [
+        Row(entry["pair"], entry["tool"], name, entry, why or refused, setting, **others)
+        for name in names
+    ]
+
+
+_EVO_OPTIONS = ("-r", "-d", "-u", "-t", "--n_to_align", "--t_offset", "--t_max_diff")
+_EVO_FLAGS = ("-a", "-s", "-as", "--align_origin", "--all_pairs", "--pairs_from_reference")
+
+
+def _evo_words(call: str) -> tuple[str, dict[str, str]]:
+    """Return the program and its options of "evo_ape tum GROUNDTRUTH ESTIMATE OPTIONS"."""
+    program, _, _, _, *words = call.split()
+    given: dict[str, str] = {}
+    rest = iter(words)
+    for word in rest:
+        assert word in _EVO_FLAGS + _EVO_OPTIONS, call
+        given[word] = next(rest) if word in _EVO_OPTIONS else ""
+    return program, given
+
+
+def _evo(entry: dict[str, Any]) -> list[Row]:
+    program, given = _evo_words(entry["call"])
+    relative = program == "evo_rpe"
+    if "-s" in given:
+        return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
+    if given["-r"] == "full":
+        return _rows(entry, None, unanswered=OTHER_ERROR)
+    reference_pairs = {"-t": "0.2", "--all_pairs": "", "--pairs_from_reference": "", "-u": "m"}
+    if relative and not reference_pairs.items() <= given.items():
+        return _rows(entry, None, unanswered=OTHER_SUB_TRAJECTORIES)
+    gauge = "sim3" if "-as" in given else "none"
+    if "-a" in given or "--align_origin" in given:
+        gauge = "se3"
+    setting = Setting(
+        "evo",
+        gauge=gauge,
+        align_states="1" if "--align_origin" in given else given.get("--n_to_align"),
+        max_time_difference=_number(given.get("--t_max_diff")),
+        time_offset=_number(given.get("--t_offset")),
+        protocol_text=EVO_RELATIVE.format(length=given["-d"]) if relative else None,
+    )
+    made = _rows(entry, setting, relative=relative)
+    return [_withheld(row, given["-r"] == "angle_deg") for row in made]
+
+
+def _number(text: str | None) -> float | None:
+    return None if text is None else float(text)
+
+
+def _withheld(row: Row, rotational: bool) -> Row:
+    setting = row.setting
+    assert setting is not None
+    undetermined = (row.pair, setting.align_states) in UNDETERMINED
+    if undetermined and rotational and not row.relative and setting.gauge in ("se3", "sim3"):
+        return dataclasses.replace(row, unanswered=WITHHELD)
+    return row
+
+
+def _rpg(entry: dict[str, Any]) -> list[Row]:
+    relative = "length_m" in entry
+    states = entry["align_num_frames"]
+    everything = relative or (states == -1 and entry["align_type"] in ("se3", "sim3"))
+    setting = Setting(
+        "rpg",
+        gauge=RPG_GAUGES[entry["align_type"]],
+        align_states=None if states == -1 else str(states),
+        lengths=RPG_LENGTHS if everything else "none",
+    )
+    reasons = {"slip": DEFECT, "few": TOO_FEW}
+    made = _rows(entry, setting, relative=relative, unanswered=reasons.get(entry.get("note", "")))
+    return [_withheld(row, row.quantity == "abs_e_rot_stats") for row in made]
+
+
+def _kitti(entry: dict[str, Any]) -> list[Row]:
+    if entry["alignment"] not in KITTI_GAUGES:
+        return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
+    made = _rows(entry, Setting("kitti", **KITTI_GAUGES[entry["alignment"]]))
+    return [dataclasses.replace(row, unanswered=_why_not_kitti(row)) for row in made]
+
+
+def _why_not_kitti(row: Row) -> str | None:
+    if row.quantity.startswith("rpe_"):
+        return OTHER_ERROR
+    # The references' note `late`: only the ATE isn't affected.
+    return DEFECT if row.entry.get("note") == "late" and row.quantity != "ate_position" else None
+
+
+_TOOLS = {"evo": _evo, "rpg": _rpg, "kitti": _kitti}

@@ -1,0 +1,166 @@
+"""evo, rpg_trajectory_evaluation and the KITTI rule, number by number, on data/parity."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+import parity
+import parity_calls
+import pytest
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import NoMatchError
+
+ROWS = parity_calls.rows()
+Groups = dict[tuple[str, ...], list[parity.Row]]
+
+
+class DisagreementError(Exception):
+    """All of these numbers are different."""
+
+
+def by(rows: list[parity.Row], *attributes: str) -> Groups:
+    groups: Groups = defaultdict(list)
+    for row in rows:
+        groups[tuple(getattr(row, each) for each in attributes)].append(row)
+    return groups
+
+
+COMPARED = [row for row in ROWS if row.unanswered is None]
+AGREEING = by([row for row in COMPARED if row.known is None], "pair", "tool")
+KNOWN = by([row for row in COMPARED if row.known is not None], "pair", "tool", "known")
+RAW = by([row for row in COMPARED if row.raw and row.known is None], "tool")
+
+UNANSWERED = {
+    ("evo", parity_calls.OTHER_ERROR): 48,
+    ("evo", parity_calls.OTHER_ALIGNMENT): 48,
+    ("evo", parity_calls.OTHER_SUB_TRAJECTORIES): 286,
+    ("evo", parity_calls.WITHHELD): 16,
+    ("evo", parity_calls.REFUSED): 3,
+    ("rpg", parity_calls.DEFECT): 48,
+    ("rpg", parity_calls.TOO_FEW): 24,
+    ("rpg", parity_calls.WITHHELD): 16,
+    ("kitti", parity_calls.OTHER_ERROR): 6,
+    ("kitti", parity_calls.OTHER_ALIGNMENT): 232,
+    ("kitti", parity_calls.DEFECT): 108,
+}
+
+
+def test_every_number_is_compared_or_counted_here() -> None:
+    compared = Counter((row.tool, row.known) for row in COMPARED)
+    assert compared == {
+        ("evo", None): 289,
+        ("evo", parity.REPEATED): 31,
+        ("evo", parity.TIES): 12,
+        ("rpg", None): 1334,
+        ("kitti", None): 150,
+        ("kitti", parity.COLUMNS): 192,
+    }
+    assert Counter((row.tool, row.unanswered) for row in ROWS if row.unanswered) == UNANSWERED
+
+
+@pytest.mark.parametrize("pair", ["five_poses", "car_kitti"])
+def test_the_command_gives_these_numbers(pair: str, tmp_path: Path) -> None:
+    settings = {row.setting for row in COMPARED if row.pair == pair and row.setting is not None}
+    for setting in settings:
+        result = tmp_path / "result.json"
+        assert main([*setting.words(pair, tmp_path), "--quiet", f"--json={result}"]) == 0
+        (run,) = json.loads(result.read_text(encoding="utf-8"))["runs"]
+        for metric, ours in parity.evaluated(pair, setting).ate.items():
+            assert run["ate"][metric] == (None if ours is None else dataclasses.asdict(ours))
+
+
+@pytest.mark.parametrize("name", parity.REFERENCES["files_sha256"])
+def test_files_are_those_that_the_numbers_are_of(name: str) -> None:
+    content = (parity.FOLDER / "pairs" / name).read_bytes()
+    assert hashlib.sha256(content).hexdigest() == parity.REFERENCES["files_sha256"][name]
+
+
+def test_files_are_what_the_generator_writes(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "benchmarks.parity_pairs", str(tmp_path)]
+    subprocess.run(command, cwd=Path(__file__).parents[1], check=True)
+    for name in parity.REFERENCES["files_sha256"]:
+        kept, again = (
+            np.loadtxt(folder / name, ndmin=2) for folder in (parity.FOLDER / "pairs", tmp_path)
+        )
+        # Another C library may round the last decimal, and coordinates of 5e6 m, differently.
+        last_decimal = 1e-4 if name.startswith("few_digits") else 1e-9
+        np.testing.assert_allclose(again, kept, rtol=2.0**-52, atol=1.001 * last_decimal)
+
+
+@pytest.mark.parametrize("group", AGREEING, ids="-".join)
+def test_numbers_are_the_programs(group: tuple[str, str]) -> None:
+    different = [text for row in AGREEING[group] if (text := row.disagreement())]
+    assert different == []
+
+
+@pytest.mark.parametrize(
+    "group",
+    [
+        pytest.param(
+            group,
+            id="-".join(group[:2]),
+            marks=pytest.mark.xfail(strict=True, raises=DisagreementError, reason=group[2]),
+        )
+        for group in KNOWN
+    ],
+)
+def test_known_disagreements(group: tuple[str, str, str]) -> None:
+    different = [text for row in KNOWN[group] if (text := row.disagreement())]
+    if len(different) == len(KNOWN[group]):
+        raise DisagreementError(*different)
+    assert different == [], "some of the rows agree now: `Row.known` is out of date"
+
+
+@pytest.mark.xfail(strict=True, raises=DisagreementError, reason=parity.REPAIRED)
+@pytest.mark.parametrize("tool", ["evo", "kitti"])
+def test_matrices_are_used_as_they_are_in_the_file(tool: str) -> None:
+    different = [text for row in RAW[(tool,)] if (text := row.disagreement(of_raw=False))]
+    if different:
+        raise DisagreementError(*different)
+
+
+def test_rotations_that_positions_dont_determine_are_withheld() -> None:
+    for row in ROWS:
+        if row.unanswered == parity_calls.WITHHELD:
+            assert row.setting is not None
+            evaluation = parity.evaluated(row.pair, row.setting)
+            assert evaluation.alignment.undetermined, str(row)
+            assert row.ours() is None, str(row)
+
+
+def test_fewer_than_two_sub_trajectories_are_no_zeros() -> None:
+    for row in ROWS:
+        if row.unanswered == parity_calls.TOO_FEW:
+            ours = row.ours()
+            assert ours is None or (ours.count == 1 and ours.rmse > 0.0), str(row)
+
+
+def test_where_evo_finds_no_match_there_is_none() -> None:
+    refused = [
+        row
+        for row in ROWS
+        if row.unanswered == parity_calls.REFUSED
+        and row.entry["error"].startswith("SyncException")
+    ]
+    assert {row.pair for row in refused} == {"limit_stamps", "half_period"}
+    for row in refused:
+        assert row.setting is not None
+        with pytest.raises(NoMatchError):
+            parity.evaluated(row.pair, row.setting)
+
+
+@pytest.mark.parametrize("pair", parity.PAIRS)
+def test_scales_are_the_toolboxs(pair: str) -> None:
+    for row in ROWS:
+        if row.pair == pair and row.tool == "rpg" and not row.relative:
+            assert row.setting is not None
+            ours = parity.evaluated(pair, row.setting).alignment.similarity.scale
+            assert ours == pytest.approx(row.entry["scale"], rel=1e-9), str(row)

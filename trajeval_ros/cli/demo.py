@@ -1,0 +1,287 @@
+"""`trajeval demo`: a simulated flight, evaluated live and recorded, and what to look at."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from trajeval_ros.cli.pictures import HAVE_RERUN, PICTURE
+from trajeval_ros.cli.simulate import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
+from trajeval_ros.exceptions import InputError, TrajevalError
+
+_MODALITY = "stereo-inertial"
+_RATE = 5
+_PATIENCE_S = 600  # for nodes to find each other, and for the last figures
+_INTERRUPTED = 130
+_COMPARED: dict[str, tuple[str | int, ...]] = {
+    "pairs": ("association", "pairs"),
+    "position ATE [m]": ("ate", "position_m", "rmse"),
+    "rotation ATE [deg]": ("ate", "rotation_deg", "rmse"),
+    "error after 40 m [%]": ("re", "segments", -1, "position_percent", "mean"),
+}
+_FIGURE = "trajectory_top.png"
+
+
+def demo(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="New, or of an earlier demo."),
+    ] = Path("demo_output"),
+) -> None:
+    """Simulate a flight, evaluate it live and recorded, and draw it: about a minute.
+
+    With ROS 2 (rclpy), the flight is replayed to the live evaluator, in a process of its own, and
+    the live numbers stand beside those of the recording. Without ROS 2, the recording alone is
+    evaluated. The picture needs rerun-sdk and a Vulkan driver; without it the demo goes on.
+
+        trajeval demo
+    """
+    bag, live, recorded = folder / "flight", folder / "live", folder / "recorded"
+    _make_way(folder, bag, [live, recorded])
+    has_ros = find_spec("rclpy") is not None
+    status = 0
+    try:
+        _heading("Simulate a flight, and odometry that drifts")
+        print(_quietly("simulate", str(bag), "--overwrite").splitlines()[0])
+        if has_ros:
+            _heading(f"Evaluate it live, replayed at {_RATE} times its speed")
+            _evaluate_live(bag, live)
+            _heading("Evaluate the recording, and compare")
+        else:
+            _heading("Evaluate the recording (there is no rclpy here, so nothing runs live)")
+        _evaluate(bag, recorded, *(["--quiet"] if has_ros else []))
+        if has_ros:
+            _compare(live / "result.json", recorded / "result.json")
+        _heading("Evaluate a visual-inertial estimator: do its errors fit its covariances?")
+        _judge(folder / "certain_flight", folder / "certainty")
+    except TrajevalError as error:
+        print(f"trajeval: {error}", file=sys.stderr)
+        status = 2
+    shown = live if (live / PICTURE).exists() else recorded
+    _heading("Draw the picture")
+    print("by Rerun's viewer, without a window; this takes some seconds", flush=True)
+    picture = folder / "rerun.png"
+    why_none = _draw(shown / PICTURE, picture)
+    _heading("What is where" if not status else "The demo failed; what is where")
+    _tell(shown, picture, why_none)
+    if status:
+        raise typer.Exit(status)
+
+
+def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
+    """Remove the results of an earlier demo, and nothing else.
+
+    Raises:
+        InputError: The folder holds something else.
+    """
+    if folder.is_dir() and any(folder.iterdir()) and not is_simulated(bag):
+        raise InputError(f"{folder} is not of an earlier demo; name another folder")
+    for each in results:
+        shutil.rmtree(each, ignore_errors=True)
+    (folder / "rerun.png").unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def _evaluate_live(bag: Path, output: Path) -> None:
+    """Replay the bag to the live evaluator, and end that in order.
+
+    Raises:
+        InputError: The evaluator fails, or doesn't end.
+    """
+    node = _begin(
+        "evaluator", "--ros-args",
+        "-p", f"groundtruth_topic:={GROUNDTRUTH_TOPIC}",
+        "-p", f"estimate_topics:=[{ESTIMATE_TOPIC}]",
+        "-p", f"modality:={_MODALITY}",
+        "-p", f"output:={json.dumps(str(output))}",
+        "-p", f"rerun:={'file' if HAVE_RERUN else 'none'}",
+    )  # fmt: skip
+    try:
+        # Without its own lines: those of the node are enough.
+        waiting = ("--wait-for-subscribers", str(_PATIENCE_S))
+        _quietly("replay", str(bag), "--rate", str(_RATE), *waiting)
+        node.send_signal(signal.SIGINT)
+        status = node.wait(_PATIENCE_S)
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"the live evaluator did not end within {_PATIENCE_S} s") from error
+    finally:
+        node.kill()
+        node.wait()
+    if status:
+        raise InputError(f"the live evaluator ended with status {status}")
+
+
+def _evaluate(bag: Path, output: Path, *options: str) -> None:
+    """Evaluate a recorded flight."""
+    _run(
+        "evaluate", "--groundtruth", f"{bag}:{GROUNDTRUTH_TOPIC}",
+        "--estimate", f"{bag}:{ESTIMATE_TOPIC}", "--modality", _MODALITY,
+        "--output", str(output), *options,
+    )  # fmt: skip
+
+
+def _judge(bag: Path, output: Path) -> None:
+    """Evaluate an estimator that states covariances, those included."""
+    _quietly("simulate", str(bag), "--profile", "euroc", "--duration", "30", "--overwrite")
+    _evaluate(bag, output, "--covariance", f"{bag}.npz", "--lengths", "none")
+
+
+def _compare(live: Path, recorded: Path) -> None:
+    """Print numbers of both results side by side, and why they differ if they do."""
+    results = [json.loads(each.read_text(encoding="utf-8")) for each in (live, recorded)]
+    for line in comparison(*results):
+        print(line)
+
+
+def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
+    """Return lines that compare two results of the same bag, and say why they differ.
+
+    Args:
+        live: Result of the live evaluator.
+        recorded: Result of `trajeval evaluate`.
+    """
+    results = (live, recorded)
+    received = {
+        "groundtruth messages": [each["groundtruth"]["poses"] for each in results],
+        "odometry messages": [each["runs"][0]["estimate"]["poses"] for each in results],
+    }
+    numbers = {
+        label: [_number(each["runs"][0], path) for each in results]
+        for label, path in _COMPARED.items()
+    }
+    lines = [f"{'':22}{'live':>12}{'recorded':>12}"]
+    for label, values in received.items():
+        lost = values[1] - values[0]
+        lines.append(_row(label, values) + (f"   {lost} lost" if lost else ""))
+    lines += [_row(label, values) for label, values in numbers.items()]
+    lost = sum(values[1] - values[0] for values in received.values())
+    if lost:
+        lines.append(
+            f"The columns differ because {lost} messages were lost between replay and evaluator: "
+            "this machine was too busy. Run the demo again when it is less so."
+        )
+    elif all(_agree(*values) for values in numbers.values()):
+        lines.append("Every message arrived, and both columns agree.")
+    else:
+        lines.append("The columns differ although every message arrived: please report this.")
+    return lines
+
+
+def _row(label: str, values: list[float]) -> str:
+    return f"{label:22}" + "".join(f"{each:12.6g}" for each in values)
+
+
+def _agree(one: float, other: float) -> bool:
+    """Return whether two numbers are the same but for the order of sums: 1e-9, as documented."""
+    return abs(one - other) <= 1e-9 * max(abs(one), abs(other))
+
+
+def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
+    """Return a number of a run by its path."""
+    value: Any = run
+    for each in path:
+        value = value[each]
+    return float(value)
+
+
+def _draw(recording: Path, png: Path) -> str:
+    """Draw the picture; returns why there is none, empty if there is one."""
+    if not HAVE_RERUN:
+        return "rerun-sdk is not installed: pip install 'trajeval-ros[rerun]'"
+    if not recording.exists():
+        return "there is no recording to draw"
+    from trajeval_ros.viewer.screenshot import save_png
+
+    try:
+        save_png(recording, png)
+    except TrajevalError as error:
+        return str(error)
+    return ""
+
+
+def _tell(shown: Path, picture: Path, why_none: str) -> None:
+    """Print where everything is, and what to type next."""
+    from trajeval_ros.viewer.show import has_display
+
+    recording, report, figure = shown / PICTURE, shown / "result.json", shown / _FIGURE
+    print(f"picture:    {f'none: {why_none}' if why_none else _near(picture)}")
+    print(f"recording:  {_near(recording) if recording.exists() else 'none'}")
+    print(f"report:     {_near(report) if report.exists() else 'none'}", end="")
+    print(f", figures beside it, such as {_near(figure)}" if figure.exists() else "")
+    if recording.exists() and HAVE_RERUN:
+        more = "" if has_display() else " --web"
+        print(f"next, to see it move:\n  {_command()} view {_quoted(recording)}{more}")
+    else:
+        print(f"next, to see what a recording of yours holds:\n  {_command()} info YOUR.mcap")
+
+
+def _command() -> str:
+    """Return what to type for `trajeval`."""
+    beside = Path(sys.executable).with_name("trajeval")
+    if not beside.exists():
+        return f"{_quoted(Path(sys.executable))} -m trajeval_ros"
+    known = shutil.which("trajeval")
+    return "trajeval" if known and Path(known) == beside else _quoted(beside)
+
+
+def _near(path: Path) -> str:
+    """Return a path as it is shortest from here."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def _quoted(path: Path) -> str:
+    return shlex.quote(_near(path))
+
+
+def _run(*arguments: str) -> None:
+    """Run a verb.
+
+    Raises:
+        InputError: It fails.
+    """
+    _refuse(arguments, _begin(*arguments).wait())
+
+
+def _quietly(*arguments: str) -> str:
+    """Run a verb, and return what it would print.
+
+    Raises:
+        InputError: It fails.
+    """
+    process = _begin(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        out, err = process.communicate()
+    finally:
+        process.kill()
+    if process.returncode:
+        sys.stderr.write(err)
+    _refuse(arguments, process.returncode)
+    return str(out)
+
+
+def _refuse(arguments: tuple[str, ...], status: int) -> None:
+    if status in (_INTERRUPTED, -signal.SIGINT):
+        raise KeyboardInterrupt
+    if status:
+        raise InputError(f"trajeval {arguments[0]} ended with status {status}")
+
+
+def _begin(*arguments: str, **options: Any) -> subprocess.Popen[Any]:
+    """Begin a verb in a process of its own."""
+    sys.stdout.flush()
+    return subprocess.Popen([sys.executable, "-m", "trajeval_ros", *arguments], **options)
+
+
+def _heading(words: str) -> None:
+    """Print a line that stands out."""
+    print(f"\n--- {words}", flush=True)
