@@ -22,7 +22,7 @@ from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
 from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.results_table import Rows
 from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
@@ -40,7 +40,7 @@ def tasks_of(folder: Path, count: int, deadly: tuple[int, ...] = ()) -> list[Tas
     tasks = []
     for number in range(count):
         estimate = str(write_run(folder / f"{number}.txt", 1.0 + 0.01 * number))
-        kind: type[Run] = DeadlyRun if number in deadly else Run
+        kind: type[PlannedRun] = DeadlyRun if number in deadly else PlannedRun
         run = kind("vio", "hall", str(number), truth, estimate)
         tasks.append(Task(run, protocol, ("truth", str(number))))
     return tasks

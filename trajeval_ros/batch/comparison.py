@@ -14,7 +14,7 @@ from typing import Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
 from trajeval_ros.batch.records import Record, has_record, read_record, write_record
 from trajeval_ros.batch.results_table import (
@@ -117,10 +117,10 @@ class _Batch:
         self.plan = plan
         self.records = records
         self.progress = Progress(total=sum(not run.missing for run in plan.runs))
-        self.failures: dict[Run, str] = {}
-        self.tasks: dict[Run, Task] = {}
-        self.own_coverage: dict[Run, float] = {}
-        self._evaluated: set[Run] = set()
+        self.failures: dict[PlannedRun, str] = {}
+        self.tasks: dict[PlannedRun, Task] = {}
+        self.own_coverage: dict[PlannedRun, float] = {}
+        self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
         self._start_pool = start_pool
         self._tell = tell
@@ -216,7 +216,7 @@ class _Batch:
             self.progress.new = len(self._evaluated)
         self._tell(self.progress)
 
-    def _fail(self, run: Run, reason: str) -> None:
+    def _fail(self, run: PlannedRun, reason: str) -> None:
         self.failures[run] = reason
         self.progress.failed += 1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import Record
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.results.result_json import write_whole
@@ -68,7 +68,7 @@ def settings_of(plan: Plan) -> dict[str, Any]:
     }
 
 
-def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
+def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
     """Yield the rows of an evaluated run.
 
     Args:
@@ -111,7 +111,7 @@ def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[
     yield from _rows(relative["pooled"], {**same, "kind": POOLED})
 
 
-def row_of_failure(run: Run, reason: str) -> dict[str, Any]:
+def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
     """Return the row of a run without numbers: it stays in the table."""
     return {
         **_names(run),
@@ -122,7 +122,7 @@ def row_of_failure(run: Run, reason: str) -> dict[str, Any]:
     }
 
 
-def _names(run: Run) -> dict[str, str]:
+def _names(run: PlannedRun) -> dict[str, str]:
     return {"algorithm": run.algorithm, "sequence": run.sequence, "trial": run.trial}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.plan import Run
+from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -42,7 +42,7 @@ class Task:
         span: Stamps, in the groundtruth's clock, that the estimate is cut to; None for all.
     """
 
-    run: Run
+    run: PlannedRun
     protocol: Protocol
     inputs: tuple[str, str]
     span: Span | None = None
