@@ -35,7 +35,7 @@ from trajeval_ros.visual_inertial.gauge_covariance import (
     free_covariance,
     to_left,
 )
-from trajeval_ros.visual_inertial.sampler import Run, Sampler
+from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler
 from trajeval_ros.visual_inertial.scene import Scene
 
 SUBSETS = [*ALIGNMENTS, (Gauge.YAW, 4), (Gauge.SE3, 5), (Gauge.SIM3, 5)]
@@ -48,12 +48,12 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def run(scene: Scene) -> Run:
+def run(scene: Scene) -> SampledEstimate:
     return Sampler(scene).draw(np.random.default_rng(8))
 
 
 @pytest.fixture(scope="module")
-def sides(scene: Scene, run: Run) -> tuple[Trajectory, Trajectory]:
+def sides(scene: Scene, run: SampledEstimate) -> tuple[Trajectory, Trajectory]:
     return trajectory_of(scene, scene.truth), trajectory_of(scene, run.state)
 
 
@@ -134,7 +134,7 @@ def test_it_forgets_which_gauge_the_covariance_came_from(
 
 
 def test_first_state_and_all_states_are_one_gauge_for_yaw(
-    sides: tuple[Trajectory, Trajectory], run: Run
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
 ) -> None:
     truth, estimate = sides
     covariance = some_covariance(run.information.toarray())
@@ -216,7 +216,7 @@ def test_band_of_chi_square() -> None:
 
 
 def test_refuses_what_has_no_covariance_in_the_gauge(
-    sides: tuple[Trajectory, Trajectory], run: Run
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
 ) -> None:
     truth, estimate = sides
     for gauge in (Gauge.PLANAR, Gauge.TRANSLATION):
@@ -238,7 +238,9 @@ def test_refuses_what_has_no_covariance_in_the_gauge(
         )
 
 
-def test_large_coordinates_cost_no_digits(sides: tuple[Trajectory, Trajectory], run: Run) -> None:
+def test_large_coordinates_cost_no_digits(
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
+) -> None:
     truth, estimate = sides
     covariance = some_covariance(run.information.toarray())
     far = Trajectory(

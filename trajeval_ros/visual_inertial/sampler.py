@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class SampledEstimate:
     """An estimate in a frame of its own, and how sure it is.
 
     Attributes:
@@ -41,21 +41,21 @@ class Run:
     information: scipy.sparse.csr_matrix
     marginals: Array
 
-    def elsewhere(self, generator: np.random.Generator) -> Run:
+    def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
         """Return the run in a frame that is turned about gravity and shifted at will."""
         yaw = generator.uniform(-np.pi, np.pi)
         turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
         shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
         blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), turn)
         wide = np.kron(np.eye(3), turn)
-        return Run(
+        return SampledEstimate(
             self.state.transformed(turn, shift),
             (blocks @ self.information @ blocks.T).tocsr(),
             wide @ self.marginals @ wide.T,
         )
 
 
-def solved(scene: Scene, generator: np.random.Generator) -> Run:
+def solved(scene: Scene, generator: np.random.Generator) -> SampledEstimate:
     """Return what the estimator makes of one set of measurements, in the free gauge.
 
     Raises:
@@ -66,7 +66,7 @@ def solved(scene: Scene, generator: np.random.Generator) -> Run:
     # As its own reference, its first rotation is perturbed on the left like all others.
     state = state.referred_to(state.rotations[0], state.positions[0])
     information = information_of(problem, state)
-    run = Run(state, information, _Held(information).marginals())
+    run = SampledEstimate(state, information, _Held(information).marginals())
     return run.elsewhere(generator)
 
 
@@ -84,12 +84,12 @@ class Sampler:
         self._held = _Held(self._information)
         self._marginals = self._held.marginals()
 
-    def draw(self, generator: np.random.Generator) -> Run:
+    def draw(self, generator: np.random.Generator) -> SampledEstimate:
         """Return one run; its landmarks are the true ones, moved into its frame."""
         step = np.concatenate(
             [self._held.sampled(generator), np.zeros(self._truth.landmarks.size)]
         )
-        run = Run(self._truth.moved(step), self._information, self._marginals)
+        run = SampledEstimate(self._truth.moved(step), self._information, self._marginals)
         return run.elsewhere(generator)
 
 
