@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.cdr_steps import Elements, Run, Span, Step, String, steps_of
+from trajeval_ros.io.bags.cdr_steps import Elements, FixedFields, Span, Step, String, steps_of
 from trajeval_ros.io.bags.message_definitions import Fields
 
 Numbers = NDArray[Any]
@@ -173,7 +173,7 @@ class _Batch:
     def walk(self, steps: tuple[Step, ...]) -> None:
         """Find where the fields are; messages that end before are left out."""
         for step in steps:
-            if isinstance(step, Run):
+            if isinstance(step, FixedFields):
                 self._align(step.alignment)
                 self._require(step.size)
                 for span in step.spans:
@@ -258,7 +258,7 @@ class _Batch:
     def _equal_elements(self, step: Elements, counts: Index) -> None:
         """Walk elements that all have the same size."""
         run, stride = step.steps[0], step.stride
-        assert isinstance(run, Run)
+        assert isinstance(run, FixedFields)
         assert stride is not None
         some = counts > 0
         alignment = min(run.alignment, self.limit)

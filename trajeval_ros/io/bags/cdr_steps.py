@@ -35,7 +35,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Run:
+class FixedFields:
     """Numbers one after the other, at fixed distances from the first.
 
     Attributes:
@@ -84,12 +84,12 @@ class Elements:
     @property
     def stride(self) -> int | None:
         """The distance between elements that are all of one size; None if they may not be."""
-        if len(self.steps) == 1 and isinstance(run := self.steps[0], Run):
+        if len(self.steps) == 1 and isinstance(run := self.steps[0], FixedFields):
             return -(-run.size // run.alignment) * run.alignment
         return None
 
 
-Step = Run | String | Elements
+Step = FixedFields | String | Elements
 
 
 @dataclass
@@ -168,7 +168,7 @@ def _elements(path: str, kind: Many, wanted: frozenset[str] | None, limit: int) 
 
 def _smallest(step: Step) -> int:
     """Return the least number of bytes that a step takes."""
-    if isinstance(step, Run):
+    if isinstance(step, FixedFields):
         return step.size
     if isinstance(step, Elements) and step.count is not None:
         return step.count * step.smallest
@@ -188,7 +188,7 @@ def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
             spans[-1].append(column)
         else:
             spans.append([column])
-    return [Run(run.alignment, run.size, tuple(_span(each) for each in spans))]
+    return [FixedFields(run.alignment, run.size, tuple(_span(each) for each in spans))]
 
 
 def _column(run: _Leaves, name: str) -> Column | None:
@@ -226,7 +226,7 @@ def _span(columns: list[Column]) -> Span:
 
 def _found(step: Step, wanted: frozenset[str]) -> set[str]:
     """Return the wanted paths that a step gives."""
-    if isinstance(step, Run):
+    if isinstance(step, FixedFields):
         return {path for span in step.spans for path in span.columns}
     if step.path is None:
         return set()
