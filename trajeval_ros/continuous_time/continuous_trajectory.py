@@ -32,7 +32,7 @@ _FEW = 10
 _ORDER = 2
 
 
-class Poses(Protocol):
+class PoseModel(Protocol):
     """Any model, fitted."""
 
     def at(self, times: Array) -> Belief:
@@ -82,7 +82,7 @@ def _positions(samples: Samples, order: int) -> Process:
     return Process.fit(Positions(), order, samples.times, measured, noise)
 
 
-_FITS: dict[str, Callable[[Samples], Poses]] = {
+_FITS: dict[str, Callable[[Samples], PoseModel]] = {
     "matern": lambda samples: TwoScaleGP.fit(samples, (MATERN_32, MATERN_52)),
     "matern32": lambda samples: TwoScaleGP.fit(samples, (MATERN_32,)),
     "matern52": lambda samples: TwoScaleGP.fit(samples, (MATERN_52,)),
@@ -107,7 +107,7 @@ class ContinuousTrajectory:
 
     model: str
     samples: Samples
-    poses: Poses
+    poses: PoseModel
     statements: tuple[str, ...]
 
     def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
