@@ -35,7 +35,7 @@ ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class SubTrajectoryErrors:
     """The relative errors of all sub-trajectories of one length.
 
     Attributes:
@@ -83,13 +83,13 @@ class Evaluation:
     aligned: Trajectory
     absolute: AbsoluteErrors
     ate: dict[str, Statistics | None]
-    segments: tuple[Segments, ...] | None
+    segments: tuple[SubTrajectoryErrors, ...] | None
     pooled: dict[str, Statistics | None]
     warnings: tuple[str, ...]
     score: Score | None = None
 
     @property
-    def longest(self) -> Segments | None:
+    def longest(self) -> SubTrajectoryErrors | None:
         """The longest sub-trajectories in metres that there are, whose mean is the drift."""
         with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
         return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
@@ -224,7 +224,7 @@ def _known_covariances(estimate: Trajectory) -> Array:
 
 def _relative(
     pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
-) -> tuple[Segments, ...] | None:
+) -> tuple[SubTrajectoryErrors, ...] | None:
     """Measure the errors (27) of all sub-trajectories of all lengths."""
     if not protocol.lengths or not _have_rotations(pairs):
         return None
@@ -255,7 +255,7 @@ def _relative(
             errors = dataclasses.replace(errors, tilt_deg=None)
         in_metres = length.unit != "s"
         segments.append(
-            Segments(
+            SubTrajectoryErrors(
                 length=length,
                 length_m=float(value) if in_metres else None,
                 duration_s=None if in_metres else float(value),
@@ -297,7 +297,7 @@ def _segment_statistics(
     }
 
 
-def _pooled(segments: tuple[Segments, ...]) -> dict[str, Statistics | None]:
+def _pooled(segments: tuple[SubTrajectoryErrors, ...]) -> dict[str, Statistics | None]:
     by_metre = [(each.errors, each.length_m) for each in segments if each.length_m]
     if not by_metre:
         return {"position_percent": None, "rotation_deg_per_m": None}

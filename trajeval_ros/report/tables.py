@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     return table
 
 
-def length_text(segment: Segments) -> str:
+def length_text(segment: SubTrajectoryErrors) -> str:
     """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
     if segment.length_m is None:
         return f"{segment.duration_s:g} s"

@@ -23,7 +23,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns, probabilistic_json
-from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _run(run: Run) -> dict[str, Any]:
     }
 
 
-def _segment(segment: Segments) -> dict[str, Any]:
+def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
     size = (
         {"duration_s": segment.duration_s}
         if segment.length_m is None
