@@ -31,7 +31,7 @@ from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
-from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.geometry.block_tridiagonal import Factor
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -78,7 +78,7 @@ def test_block_tridiagonal_is_its_dense_matrix(seed: int, count: int, size: int)
     inverse = np.linalg.inv(dense)
     own, beside = factor.inverse_blocks()
     scale = np.abs(inverse).max()
-    links = Chain(csr_matrix(dense)).marginals(size * np.arange(count), size)
+    links = BandedGaussian(csr_matrix(dense)).marginals(size * np.arange(count), size)
     np.testing.assert_allclose(own, links, atol=1e-9 * scale)
     for row in range(count):
         here = slice(row * size, (row + 1) * size)

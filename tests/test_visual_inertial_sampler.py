@@ -9,7 +9,7 @@ from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.sampler import Sampler
@@ -27,7 +27,7 @@ def test_chain_is_the_dense_gaussian(size: int, width: int) -> None:
     generator = np.random.default_rng(size + width)
     root = np.triu(np.tril(generator.normal(size=(size, size))), -width) + 5.0 * np.eye(size)
     information = root @ root.T
-    chain = Chain(scipy.sparse.csr_matrix(information))
+    chain = BandedGaussian(scipy.sparse.csr_matrix(information))
     covariance = np.linalg.inv(information)
     # The samples of all unit vectors are a square root of the covariance.
     root = chain.sampled(np.eye(size))
@@ -44,7 +44,7 @@ def test_chain_is_the_dense_gaussian(size: int, width: int) -> None:
 
 def test_chain_refuses_what_is_no_information() -> None:
     with pytest.raises(DegenerateGeometryError, match="leave directions open"):
-        Chain(scipy.sparse.csr_matrix(np.diag([1.0, 0.0, 1.0])))
+        BandedGaussian(scipy.sparse.csr_matrix(np.diag([1.0, 0.0, 1.0])))
 
 
 @pytest.mark.parametrize("of_a_track", [False, True])

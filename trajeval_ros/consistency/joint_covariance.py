@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.banded_gaussian import Chain, bandwidth
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -136,7 +136,7 @@ class JointCovariance:
         inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
         return inverse
 
-    def chain(self) -> Chain | None:
+    def chain(self) -> BandedGaussian | None:
         """Return the factors of the information, in some gauge; None where it isn't banded.
 
         Raises:
@@ -146,7 +146,7 @@ class JointCovariance:
         if bandwidth(self.information) > _WIDEST_BAND:
             return None
         try:
-            return Chain(self._held())
+            return BandedGaussian(self._held())
         except DegenerateGeometryError:
             raise self._indefinite() from None
 

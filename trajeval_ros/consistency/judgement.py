@@ -45,7 +45,7 @@ from trajeval_ros.consistency.s_transformation import (
     turning,
 )
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -166,7 +166,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
 
 
 def _blocks_of_chain(
-    chain: Chain,
+    chain: BandedGaussian,
     covariance: JointCovariance,
     rows: NDArray[np.int64],
     similarity: Similarity,

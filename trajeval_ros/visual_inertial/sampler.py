@@ -15,7 +15,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve
@@ -99,7 +99,7 @@ class _Held:
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
         self._size = information.shape[0]
         self._kept = np.setdiff1d(np.arange(self._size), GAUGE_INDICES)
-        self._chain = Chain(information[self._kept][:, self._kept].tocsr())
+        self._chain = BandedGaussian(information[self._kept][:, self._kept].tocsr())
 
     def sampled(self, generator: np.random.Generator) -> Array:
         """Return a perturbation (9N,)."""
