@@ -22,7 +22,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
 from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
-from trajeval_ros.likelihood.observable_directions import Chain, gauge_chain
+from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_chain
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
@@ -63,7 +63,7 @@ class Assessment:
     belief: Belief
     error: AbsoluteError
     edges: relative_density.RelativeError | None
-    chain: Chain | None
+    chain: GaugeScores | None
     ate: UncertainAte
     log_bayes: dict[str, float]
     statements: tuple[str, ...]
@@ -183,7 +183,7 @@ def _with_tolerance(known: Belief, oriented: bool) -> Belief:
     return Belief(known.poses, known.covariances + np.diag(tolerance))
 
 
-def _chain_of(residuals: Residuals) -> Chain | None:
+def _chain_of(residuals: Residuals) -> GaugeScores | None:
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:

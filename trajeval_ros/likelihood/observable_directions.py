@@ -46,7 +46,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Chain:
+class GaugeScores:
     """Scores of one estimate in three gauges.
 
     Attributes:
@@ -64,7 +64,7 @@ class Chain:
     tilt: Condition
 
 
-def gauge_chain(residuals: Residuals) -> Chain:
+def gauge_chain(residuals: Residuals) -> GaugeScores:
     """Return the scores of an estimate in all gauges, whatever its own is.
 
     Raises:
@@ -76,7 +76,7 @@ def gauge_chain(residuals: Residuals) -> Chain:
         sim3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SIM3))
     except DegenerateGeometryError:
         sim3 = None
-    return Chain(
+    return GaugeScores(
         None if sim3 is None else sim3.log_likelihood,
         se3.log_likelihood,
         yaw.log_likelihood,

@@ -9,7 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from trajeval_ros.likelihood.assessment import Assessment
-    from trajeval_ros.likelihood.observable_directions import Chain
+    from trajeval_ros.likelihood.observable_directions import GaugeScores
 
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -61,7 +61,7 @@ def _noise(position_m: float, rotation_rad: float) -> dict[str, float]:
     return {"position_m": position_m, "rotation_deg": math.degrees(rotation_rad)}
 
 
-def _chain(chain: Chain) -> dict[str, Any]:
+def _chain(chain: GaugeScores) -> dict[str, Any]:
     scale, tilt = chain.scale, chain.tilt
     return {
         "log_likelihood_sim3": chain.sim3,
