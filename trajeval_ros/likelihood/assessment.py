@@ -22,7 +22,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
 from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
 from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
-from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_chain
+from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
@@ -187,7 +187,7 @@ def _chain_of(residuals: Residuals) -> GaugeScores | None:
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:
-        return gauge_chain(residuals)
+        return gauge_scores(residuals)
     except DegenerateGeometryError:
         return None
 

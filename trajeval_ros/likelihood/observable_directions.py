@@ -64,7 +64,7 @@ class GaugeScores:
     tilt: Condition
 
 
-def gauge_chain(residuals: Residuals) -> GaugeScores:
+def gauge_scores(residuals: Residuals) -> GaugeScores:
     """Return the scores of an estimate in all gauges, whatever its own is.
 
     Raises:
