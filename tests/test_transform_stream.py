@@ -16,7 +16,7 @@ from ros_bags import Transform, transforms_message
 from strategies import START, seeds
 
 from trajeval_ros.io.bags.bag import Bag
-from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, chain
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, compose_transforms
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.pairing import POSITION, QUATERNION, states
 from trajeval_ros.ros.poses import States
@@ -91,7 +91,7 @@ def offline(run: Iterable[Arriving]) -> tuple[NDArray[np.int64], NDArray[np.floa
         )
         for key, several in by_key.items()
     }
-    stamps, positions, quaternions = chain(edges, "map", "camera", "t")
+    stamps, positions, quaternions = compose_transforms(edges, "map", "camera", "t")
     return stamps, states(positions, quaternions)
 
 

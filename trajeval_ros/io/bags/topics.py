@@ -27,7 +27,7 @@ from trajeval_ros.io.bags.pose_messages import (
     plan_of,
     poses_of,
 )
-from trajeval_ros.io.bags.transform_tree import Edge, chain
+from trajeval_ros.io.bags.transform_tree import Edge, compose_transforms
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
 if TYPE_CHECKING:
@@ -286,7 +286,7 @@ def _transform_trajectory(bag: Bag, topic: str, frames: tuple[str, str]) -> Traj
     parent, child = frames
     where = f"{bag.path}:{topic}:{parent}.{child}"
     edges, damaged = read_edges(bag, topic)
-    stamps, positions, quaternions = chain(edges, parent, child, where)
+    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
         stamps,
