@@ -63,7 +63,7 @@ class Columns:
     sequences: dict[str, Columns]
 
 
-class Plan:
+class CdrPlan:
     """How the wanted fields of one type are found in serialised messages."""
 
     def __init__(

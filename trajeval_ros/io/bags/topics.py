@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Advance, Bag, Topic, encoding_of
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.cdr import Columns, Plan
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.growing_columns import GrowingPoses
@@ -99,7 +99,7 @@ class _Decoders:
             for each in topic.connections
         }
 
-    def _plan(self, connection: Connection, *, covariances: bool) -> Plan | FoxglovePlan:
+    def _plan(self, connection: Connection, *, covariances: bool) -> CdrPlan | FoxglovePlan:
         encoding = encoding_of(connection)
         if self.topic.type in FOXGLOVE_TYPES:
             return FoxglovePlan(self.topic.type, encoding)
