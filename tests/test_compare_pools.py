@@ -23,7 +23,7 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
 from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
 from trajeval_ros.batch.plan import Plan, PlannedRun
-from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.protocol import Protocol, metres
@@ -82,7 +82,7 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.protocol)
     progress = compare(plan, tmp_path / "out", lambda: local_pool(2))
     assert (progress.done, progress.failed) == (7, 1)
-    (lost,) = Rows(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
+    (lost,) = ResultsTable(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
     assert "died" in lost["reason"]
 
 
@@ -160,7 +160,7 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
     assert len(again) == 120
     assert {name: again[name] for name in kept} == kept
-    rows = Rows(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
+    rows = ResultsTable(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
     assert len(rows) == len({row["key"] for row in rows}) == 120
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.matrix import markdown_table, markdown_text, number_text
 
@@ -121,7 +121,7 @@ class Verdict:
 class Values:
     """The numbers of a table, run by run, that gates ask for."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: ResultsTable) -> None:
         self.settings = rows.settings
         names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256")
         columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())

@@ -14,7 +14,7 @@ from trajeval_ros.batch.drawing import Advance, draw_all
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.batch.summary_tables import Summary, definition, matrices
 from trajeval_ros.io.results.result_json import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
@@ -117,7 +117,7 @@ def _runs(folder: Path, summary: Summary, figures: Mapping[str, tuple[str, ...]]
         "groundtruth", "estimate", "pairs", "estimate_coverage", "span_s", "scale",
         "estimate_sha256", "groundtruth_sha256",
     )  # fmt: skip
-    for row in Rows(folder / RUNS).select((*names, *more), status=OK):
+    for row in ResultsTable(folder / RUNS).select((*names, *more), status=OK):
         key = row["key"]
         statistics[key].append(_statistics(row))
         if key not in facts:

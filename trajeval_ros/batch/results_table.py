@@ -181,7 +181,7 @@ def state_of(path: Path) -> str:
     return bytes(metadata.get(b"trajeval.state", b"")).decode()
 
 
-class Rows:
+class ResultsTable:
     """A table that was written, column by column as asked for.
 
     Attributes:

@@ -13,7 +13,7 @@ from typing import Any
 
 from trajeval_ros.batch.comparison import POOLED, RUNS
 from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.results_table import ATE, OK, RE, Rows
+from trajeval_ros.batch.results_table import ATE, OK, RE, ResultsTable
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.report.matrix import Cell, Matrix, number_text
@@ -93,7 +93,7 @@ def summary_of(folder: Path) -> Summary:
     Raises:
         InputError: Its table can't be read.
     """
-    rows = Rows(folder / RUNS)
+    rows = ResultsTable(folder / RUNS)
     names = (*_NAMES, "status", "reason", "own_groundtruth_coverage", "key", "warnings")
     each: dict[tuple[str, ...], dict[str, Any]] = {}
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)

@@ -187,7 +187,7 @@ def compare(
 def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
     """Return gates and what they compare with; refuses what can't be compared before the work."""
     from trajeval_ros.batch.gates import Gate, Values, require_same_settings
-    from trajeval_ros.batch.results_table import Rows, settings_of
+    from trajeval_ros.batch.results_table import ResultsTable, settings_of
 
     if (path is None) != (not texts):
         raise SettingsError(
@@ -196,7 +196,7 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
     if path is None:
         return None
     gates = [Gate.parse(text) for text in texts]
-    values = Values(Rows(path))
+    values = Values(ResultsTable(path))
     require_same_settings(values, settings_of(plan), gates)
     for gate in gates:
         values.find(gate.path)
@@ -207,10 +207,10 @@ def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print what became better and worse; exit with status 1 if something is worse."""
     from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
-    from trajeval_ros.batch.results_table import Rows
+    from trajeval_ros.batch.results_table import ResultsTable
 
     gates, values = before
-    now = Values(Rows(folder / RUNS))
+    now = Values(ResultsTable(folder / RUNS))
     verdicts = judge(gates, values, now)
     text = to_markdown(verdicts, title, remarks_on(values, now))
     write_text(folder / GATES_FILE, text)
