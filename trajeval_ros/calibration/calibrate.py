@@ -30,7 +30,7 @@ from trajeval_ros.calibration.significance import (
     judge,
     unobservable,
 )
-from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
+from trajeval_ros.calibration.solve import COLUMNS_OF, CalibrationFit, basis_of, solve
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
@@ -159,7 +159,7 @@ def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> fl
 
 
 def _judged(
-    solution: Solution,
+    solution: CalibrationFit,
     increments: Increments,
     guess: OffsetGuess,
     base: int,
