@@ -43,7 +43,7 @@ class Alignment:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class AlignmentSolution:
     """The least-squares alignment of some moments, and how well they determine its rotation.
 
     The curvature of the cost about its flattest axis is a squared lever arm: positions that far
@@ -83,10 +83,10 @@ class Solution:
         )
 
 
-def solve(gauge: Gauge, moments: Moments) -> Solution:
+def solve(gauge: Gauge, moments: Moments) -> AlignmentSolution:
     """Return the least-squares alignment, eq. (13) in the gauge: Alg. 1, or with eq. (18)."""
     if not gauge.has_translation:
-        return Solution(gauge, Similarity.identity())
+        return AlignmentSolution(gauge, Similarity.identity())
     sigma = moments.covariance_pq
     if gauge.turns_freely:
         # numpy's own way to this routine costs three times the decomposition.
@@ -101,7 +101,7 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
         rotation = _about_gravity(np.arctan2(sine, cosine))
         curvature = float(np.hypot(sine, cosine))
     else:
-        return Solution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
+        return AlignmentSolution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
     # Line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma.
     best_scale = 1.0
     if moments.variance_q > 0.0:
@@ -112,7 +112,7 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
     lever_squared = best_scale * curvature
     if lever_squared <= _ROUNDING * best_scale**2 * moments.variance_q:
         lever_squared = 0.0
-    return Solution(
+    return AlignmentSolution(
         gauge,
         _mean_to_mean(rotation, best_scale if gauge.has_scale else 1.0, moments),
         math.sqrt(lever_squared),
