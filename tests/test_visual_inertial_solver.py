@@ -8,16 +8,16 @@ from visual_inertial_scenes import CONFIGURATIONS, scene_of
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, Solution, solve
+from trajeval_ros.visual_inertial.solver import Handling, SolverResult, solve
 
 
-def _solve(scene: Scene, seed: int, handling: Handling, **settings: float) -> Solution:
+def _solve(scene: Scene, seed: int, handling: Handling, **settings: float) -> SolverResult:
     problem = scene.measured(np.random.default_rng([1, seed]))
     start = scene.disturbed(np.random.default_rng([2, seed]))
     return solve(problem, start, handling, **settings)
 
 
-def _position_rmse(scene: Scene, solution: Solution) -> float:
+def _position_rmse(scene: Scene, solution: SolverResult) -> float:
     truth, state = scene.truth, solution.state
     angle = lie.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
     turn = lie.exp(angle * np.array([0.0, 0.0, 1.0]))

@@ -58,7 +58,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class SolverResult:
     """Where the iterations ended.
 
     Attributes:
@@ -84,7 +84,7 @@ def solve(
     function_tolerance: float = 1e-6,
     *,
     keep_last_step: bool = True,
-) -> Solution:
+) -> SolverResult:
     """Minimise eq. (1).
 
     Args:
@@ -138,7 +138,7 @@ def solve(
         state, here, reached = candidate, descent.at(candidate), cost
         trace.append(descent.traced(state, here))
     columns = (np.array(column) for column in zip(*trace, strict=True))
-    return Solution(state, reached, iterations, reason, Trace(*columns))
+    return SolverResult(state, reached, iterations, reason, Trace(*columns))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from trajeval_ros.visual_inertial.gauge_covariance import (
     transform,
 )
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, Solution, Trace, solve
+from trajeval_ros.visual_inertial.solver import Handling, SolverResult, Trace, solve
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def covariances(scene: Scene, trial: int = 0) -> Covariances:
 
 def _trial(
     scene: Scene, trial: int, handling: Handling, weight: float
-) -> tuple[tuple[float, ...], Solution]:
+) -> tuple[tuple[float, ...], SolverResult]:
     problem = scene.measured(np.random.default_rng([_DRAW, trial]))
     start = scene.disturbed(np.random.default_rng([_START, trial]))
     begin = time.perf_counter()
