@@ -25,7 +25,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
-from trajeval_ros.viewer.stream import Stream, give_way
+from trajeval_ros.viewer.stream import DrawingThread, give_way
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 NAME = "vio_odometry"
@@ -58,7 +58,7 @@ def main(value: str, folder: Path, seconds: float, speed: float, place: str = "0
     give_way()
     for sink in sinks_for(value, folder / "run.rrd", "flight"):
         scene = LiveScene("flight", [NAME], Gauge.YAW)
-        streams.append((Stream(sink, scene), scene))
+        streams.append((DrawingThread(sink, scene), scene))
     waits, handed = [], {"position_error": [], "ate_position": [], "alignment": []}
 
     def put(draw) -> None:

@@ -22,7 +22,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.viewer import colours, live_path, scene_entities
 from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
 from trajeval_ros.viewer.paths import gaps, pieces
-from trajeval_ros.viewer.stream import Stream
+from trajeval_ros.viewer.stream import DrawingThread
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -181,7 +181,7 @@ class Slow:
 
 def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
     sink, drawn = Slow(), []
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(30.0))
     for each in range(5000):
         stream.put(lambda each=each: drawn.append(each))
@@ -196,7 +196,7 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
 
 def test_drops_are_told_while_it_goes_on() -> None:
     sink = Slow()
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(30.0))
     for _ in range(3000):
         stream.put(lambda: None)
