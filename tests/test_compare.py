@@ -20,12 +20,12 @@ import pyarrow.parquet
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.results_table import ResultsTable
-from trajeval_ros.batch.summary_tables import Summary, matrices, summary_of
+from trajeval_ros.batch.summary_tables import ComparisonSummary, matrices, summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 
 
-def run(config: Path, **more: bool) -> tuple[Progress, Summary]:
+def run(config: Path, **more: bool) -> tuple[Progress, ComparisonSummary]:
     out = config.parent / "out"
     progress = compare(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
     return progress, summary_of(out)

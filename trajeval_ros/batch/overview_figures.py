@@ -10,7 +10,7 @@ from trajeval_ros.batch.comparison import RECORDS
 from trajeval_ros.batch.drawing import Draft
 from trajeval_ros.batch.records import Array, read_record
 from trajeval_ros.batch.results_table import RE
-from trajeval_ros.batch.summary_tables import Summary, Trial
+from trajeval_ros.batch.summary_tables import ComparisonSummary, Trial
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
@@ -19,7 +19,7 @@ MOST_SEQUENCES = 50
 _UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
-def drafts_of(folder: Path, summary: Summary) -> list[Draft]:
+def drafts_of(folder: Path, summary: ComparisonSummary) -> list[Draft]:
     """Return the figures: absolute errors, relative errors, and trajectories by sequence.
 
     The latter two of the first `MOST_SEQUENCES`.
@@ -31,7 +31,7 @@ def drafts_of(folder: Path, summary: Summary) -> list[Draft]:
     return [*_absolute_plots(summary), *_relative_plots(summary), *_overlays(folder, summary)]
 
 
-def _absolute_plots(summary: Summary) -> list[Draft]:
+def _absolute_plots(summary: ComparisonSummary) -> list[Draft]:
     plots = []
     for metric in ("position_m", "rotation_deg"):
         series = []
@@ -55,7 +55,7 @@ def _absolute_plots(summary: Summary) -> list[Draft]:
     return plots
 
 
-def _relative_plots(summary: Summary) -> list[Draft]:
+def _relative_plots(summary: ComparisonSummary) -> list[Draft]:
     lengths = summary.settings["lengths"]
     by_place = {
         (row["algorithm"], row["sequence"], row["length"], row["metric"]): row
@@ -97,7 +97,7 @@ def _pooled_box(row: dict[str, Any] | None) -> Box | None:
     return Box(*(row[name] for name in ("p5", "p25", "median", "p75", "p95")))
 
 
-def _overlays(folder: Path, summary: Summary) -> list[Draft]:
+def _overlays(folder: Path, summary: ComparisonSummary) -> list[Draft]:
     """Draw on each sequence the trial of each algorithm that has the median error."""
     plots = []
     for sequence in summary.sequences[:MOST_SEQUENCES]:

@@ -49,7 +49,7 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class ComparisonSummary:
     """What a comparison says.
 
     Attributes:
@@ -87,7 +87,7 @@ class Summary:
         return found
 
 
-def summary_of(folder: Path) -> Summary:
+def summary_of(folder: Path) -> ComparisonSummary:
     """Read what a comparison left.
 
     Raises:
@@ -116,7 +116,9 @@ def summary_of(folder: Path) -> Summary:
         )
         for run, row in each.items()
     )
-    return Summary(rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED)))
+    return ComparisonSummary(
+        rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED))
+    )
 
 
 def definition(settings: dict[str, Any]) -> str:
@@ -134,7 +136,7 @@ def definition(settings: dict[str, Any]) -> str:
     )
 
 
-def matrices(summary: Summary) -> list[Matrix]:
+def matrices(summary: ComparisonSummary) -> list[Matrix]:
     """Return the tables: absolute errors by sequence, relative errors by length."""
     tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
     in_metres = not any(length.endswith("s") for length in summary.settings["lengths"])
@@ -145,7 +147,7 @@ def matrices(summary: Summary) -> list[Matrix]:
     return [table for table in tables if table is not None]
 
 
-def _absolute(summary: Summary, metric: str) -> Matrix | None:
+def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     rows = []
     partial = False
     for algorithm in summary.algorithms:
@@ -187,7 +189,7 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
     return Cell(value, " ".join(notes))
 
 
-def _relative(summary: Summary, metric: str) -> Matrix | None:
+def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     lengths = summary.settings["lengths"]
     pooled: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
     for row in summary.pooled:
@@ -222,7 +224,7 @@ def _relative(summary: Summary, metric: str) -> Matrix | None:
 
 
 def _matrix(
-    summary: Summary,
+    summary: ComparisonSummary,
     name: str,
     title: str,
     caption: str,
@@ -238,7 +240,7 @@ def _matrix(
     return Matrix(name, title, caption, headings, tuple(rows), tuple(runs), tuple(coverage))
 
 
-def failures(summary: Summary) -> list[str]:
+def failures(summary: ComparisonSummary) -> list[str]:
     """Return a line for each run without numbers."""
     return [
         f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.executors import Pool
     from trajeval_ros.batch.gates import Gate, Values
     from trajeval_ros.batch.plan import Plan
-    from trajeval_ros.batch.summary_tables import Summary
+    from trajeval_ros.batch.summary_tables import ComparisonSummary
 
     Baseline = tuple[list[Gate], Values]
 
@@ -231,7 +231,7 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
     return local_pool(workers) if cluster is None else dask_pool(cluster)
 
 
-def _write_tables(folder: Path, summary: Summary) -> None:
+def _write_tables(folder: Path, summary: ComparisonSummary) -> None:
     from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report import matrix as tables
 
@@ -245,7 +245,7 @@ def _write_tables(folder: Path, summary: Summary) -> None:
         write_text(folder / f"{each.name}.csv", tables.to_csv(each))
 
 
-def _print(summary: Summary, progress: Progress, folder: Path) -> None:
+def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report.matrix import to_terminal
