@@ -86,7 +86,7 @@ def compare(
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{records} can't be made: {reason}") from error
-    batch = _Batch(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
+    batch = _RunningComparison(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
     if (folder / RUNS).is_file() and (folder / POOLED).is_file():
         tasks = list(batch.planned())
         state = batch.state
@@ -103,7 +103,7 @@ def compare(
     return batch.progress
 
 
-class _Batch:
+class _RunningComparison:
     """The runs of one comparison: what is to be done, and why what failed did."""
 
     def __init__(
@@ -225,7 +225,7 @@ class _Batch:
         self._tell(self.progress)
 
 
-def _write_tables(folder: Path, batch: _Batch, state: str) -> None:
+def _write_tables(folder: Path, batch: _RunningComparison, state: str) -> None:
     pooled: list[dict[str, Any]] = []
 
     def rows() -> Iterator[dict[str, Any]]:
