@@ -102,7 +102,7 @@ class CdrPlan:
         """
         everything = np.arange(len(begins))
         if self._is_ros1:
-            batch = _Batch(buffer, "<", _ROS1_ALIGNMENT, everything, begins, sizes)
+            batch = _MessageBatch(buffer, "<", _ROS1_ALIGNMENT, everything, begins, sizes)
             return batch.columns(self._steps[_ROS1_ALIGNMENT], padding=0)
         large = sizes >= _ENCAPSULATION_SIZE
         rows = everything if large.all() else everything[large]
@@ -114,17 +114,21 @@ class CdrPlan:
             order, limit = _ENCAPSULATIONS[kind]
             some = rows if _are_same(kinds) else rows[kinds == kind]
             origins = begins[some] + _ENCAPSULATION_SIZE
-            batch = _Batch(buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE)
+            batch = _MessageBatch(
+                buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE
+            )
             parts.append(batch.columns(self._steps[limit], padding=_PADDING))
         if len(parts) == 1:
             return parts[0]
         if parts:
             return joined(parts, in_order=True)
         nothing = everything[:0]
-        return _Batch(buffer, "<", 8, nothing, nothing, nothing).columns(self._steps[8], padding=0)
+        return _MessageBatch(buffer, "<", 8, nothing, nothing, nothing).columns(
+            self._steps[8], padding=0
+        )
 
 
-class _Batch:
+class _MessageBatch:
     """Messages, or elements of sequences, that are walked together.
 
     Attributes:
@@ -161,7 +165,7 @@ class _Batch:
         self.at = at
         self._numbers: list[tuple[Span, Index]] = []
         self._texts: dict[str, Texts] = {}
-        self._sequences: dict[str, list[_Batch]] = {}
+        self._sequences: dict[str, list[_MessageBatch]] = {}
 
     def columns(self, steps: tuple[Step, ...], padding: int) -> Columns:
         """Walk, and return the columns of the messages that end where they should."""
@@ -313,9 +317,9 @@ class _Batch:
         self.at = at
         self._keep(good)
 
-    def _elements_at(self, owners: Index, places: Index) -> _Batch:
+    def _elements_at(self, owners: Index, places: Index) -> _MessageBatch:
         """Return a batch of elements of the messages `owners` (M,), that begin at `places`."""
-        return _Batch(
+        return _MessageBatch(
             self.buffer,
             self.order,
             self.limit,
