@@ -40,7 +40,7 @@ class States(NamedTuple):
 
 
 @dataclass
-class Told:
+class StreamStatus:
     """What a stream has told beside its states.
 
     Attributes:
@@ -94,7 +94,7 @@ class PoseStream:
 
     def __init__(self, topic: str) -> None:
         """Begin, for a topic."""
-        self.told = Told()
+        self.told = StreamStatus()
         self.arrivals = Arrivals()
         self.news: list[str] = []
         self.trouble = ""
