@@ -26,7 +26,7 @@ from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.held_messages import Held
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.ros.subscriptions import Taken
+from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.ros.timing import Latency
 
 Floats = NDArray[np.float64]
@@ -212,7 +212,7 @@ class LiveEstimate:
         if self.watch is not None:
             self.watch(pairs)
 
-    def _take(self, message_type: str, taken: Taken, arrived: Stamps) -> None:
+    def _take(self, message_type: str, taken: ReceivedMessages, arrived: Stamps) -> None:
         if message_type == PATH_TYPE:
             for payload, each in zip(taken.payloads, arrived.tolist(), strict=True):
                 self._take_path(payload, each)
