@@ -23,7 +23,7 @@ from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
 from trajeval_ros.online.reports import Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.trail import Trail
-from trajeval_ros.ros.held_messages import Held
+from trajeval_ros.ros.held_messages import HeldMessages
 from trajeval_ros.ros.poses import States
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.subscriptions import ReceivedMessages
@@ -79,7 +79,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge)
-        self._held = Held() if hold else None
+        self._held = HeldMessages() if hold else None
         self._released: list[Update] = []
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._newest: tuple[str, bytes] | None = None
