@@ -66,7 +66,7 @@ def solved(scene: Scene, generator: np.random.Generator) -> SampledEstimate:
     # As its own reference, its first rotation is perturbed on the left like all others.
     state = state.referred_to(state.rotations[0], state.positions[0])
     information = information_of(problem, state)
-    run = SampledEstimate(state, information, _Held(information).marginals())
+    run = SampledEstimate(state, information, _FixedGaugeGaussian(information).marginals())
     return run.elsewhere(generator)
 
 
@@ -81,7 +81,7 @@ class Sampler:
         """
         self._truth = scene.truth
         self._information = information_of(scene.noise_free(), scene.truth)
-        self._held = _Held(self._information)
+        self._held = _FixedGaugeGaussian(self._information)
         self._marginals = self._held.marginals()
 
     def draw(self, generator: np.random.Generator) -> SampledEstimate:
@@ -93,7 +93,7 @@ class Sampler:
         return run.elsewhere(generator)
 
 
-class _Held:
+class _FixedGaugeGaussian:
     """The motion's Gaussian with position and yaw of the first keyframe held: eq. (10)."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
