@@ -51,7 +51,7 @@ class LiveFolder:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _EvaluatedEstimate:
     """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
 
     place: int
@@ -71,7 +71,7 @@ def evaluate_folder(folder: Path) -> LiveFolder:
             f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
             "evaluator's output folder"
         )
-    found: list[_Found] = []
+    found: list[_EvaluatedEstimate] = []
     failed: list[dict[str, str]] = []
     for path in paths:
         try:
@@ -93,7 +93,7 @@ def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Fl
         np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
 
 
-def _evaluate(path: Path) -> _Found:
+def _evaluate(path: Path) -> _EvaluatedEstimate:
     """Evaluate one estimate."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
@@ -105,7 +105,7 @@ def _evaluate(path: Path) -> _Found:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
-def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
+def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _EvaluatedEstimate:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
     protocol = protocol_from("default", **state["settings"])
@@ -143,7 +143,9 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs) -> _Found:
             ("estimate", estimate, pairs.estimate, notes),
         )
     )
-    return _Found(description["place"], next(sides), Run(next(sides), evaluation, live))
+    return _EvaluatedEstimate(
+        description["place"], next(sides), Run(next(sides), evaluation, live)
+    )
 
 
 def _association(
