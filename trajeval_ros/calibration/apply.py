@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
 from trajeval_ros.geometry.marker import HandEye
@@ -115,7 +115,7 @@ def evaluate_calibrated(
     protocol: Protocol,
     wanted: Wanted,
     *,
-    systematic: Systematic | None = None,
+    systematic: SystematicErrors | None = None,
     same_as: Calibrated | None = None,
 ) -> Calibrated:
     """Evaluate an estimate with what is asked for calibrated, if the recording shows it.

@@ -45,7 +45,7 @@ _SHORT_FOR_SKEW_S = 120.0
 
 
 @dataclass(frozen=True)
-class Systematic:
+class SystematicErrors:
     """What parts of one real run differ by, beyond what any of them can know; 0 when simulated.
 
     Attributes:
@@ -103,7 +103,7 @@ def calibrate(
     around_s: float = 0.0,
     search_s: float | None = SEARCH_S,
     with_skew: bool = False,
-    systematic: Systematic | None = None,
+    systematic: SystematicErrors | None = None,
     horizon_s: float = HORIZON_S,
     most_increments: int = MOST_INCREMENTS,
 ) -> Calibration:
@@ -146,7 +146,7 @@ def calibrate(
     solution = solve(increments, gauge, with_skew)
     if solution is None:
         return _without(guess, increments, with_skew)
-    return _judged(solution, increments, guess, base, systematic or Systematic(), with_skew)
+    return _judged(solution, increments, guess, base, systematic or SystematicErrors(), with_skew)
 
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
@@ -163,7 +163,7 @@ def _judged(
     increments: Increments,
     guess: OffsetGuess,
     base: int,
-    systematic: Systematic,
+    systematic: SystematicErrors,
     with_skew: bool,
 ) -> Calibration:
     """Return the verdicts on a solution."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.calibrate import Systematic, calibrate
+from trajeval_ros.calibration.calibrate import SystematicErrors, calibrate
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -63,7 +63,7 @@ class OnlineClock:
         report: What is known by now.
     """
 
-    def __init__(self, gauge: Gauge, systematic: Systematic | None = None) -> None:
+    def __init__(self, gauge: Gauge, systematic: SystematicErrors | None = None) -> None:
         """Begin empty.
 
         Args:
