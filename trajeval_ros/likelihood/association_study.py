@@ -38,7 +38,7 @@ class ReportedAte:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class AssociationComparison:
     """Of one estimate.
 
     Attributes:
@@ -57,7 +57,7 @@ def compare_associations(
     poor: Trajectory,
     estimate: Trajectory,
     protocol: Protocol,
-) -> Comparison:
+) -> AssociationComparison:
     """Compare associations of one estimate.
 
     Args:
@@ -87,7 +87,7 @@ def compare_associations(
     }
     reported = [_plain(name, poor, estimate, ruled(rule)) for name, rule in plain.items()]
     reported += _continuous(poor, estimate, ruled(modelled))
-    return Comparison(estimate.name, true, tuple(reported))
+    return AssociationComparison(estimate.name, true, tuple(reported))
 
 
 def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> ReportedAte:
