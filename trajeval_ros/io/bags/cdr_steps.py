@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Many, UnplannedError
+from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Repeated, UnplannedError
 
 _CLOSE = 64  # bytes between columns that are fetched at once
 
@@ -112,8 +112,8 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
     steps: list[Step] = []
     run: _Leaves | None = None
     for path, kind in _leaves(fields, ""):
-        count = kind.count if isinstance(kind, Many) else None
-        inner = kind.kind if isinstance(kind, Many) and count is not None else kind
+        count = kind.count if isinstance(kind, Repeated) else None
+        inner = kind.kind if isinstance(kind, Repeated) and count is not None else kind
         if isinstance(inner, str) and inner != TEXT:
             alignment = min(np.dtype(inner).itemsize, limit)
             # A run keeps its distances wherever it begins if nothing in it is aligned coarser.
@@ -128,7 +128,7 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
         if kind == TEXT:
             steps.append(String(path if is_wanted else None))
         else:
-            assert isinstance(kind, Many)
+            assert isinstance(kind, Repeated)
             steps.append(_elements(path, kind, wanted, limit))
     steps += _finished(run, wanted)
     missing = (wanted or frozenset()) - {
@@ -150,7 +150,7 @@ def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
     return leaves
 
 
-def _elements(path: str, kind: Many, wanted: frozenset[str] | None, limit: int) -> Elements:
+def _elements(path: str, kind: Repeated, wanted: frozenset[str] | None, limit: int) -> Elements:
     inside: frozenset[str] | None
     if wanted is None or path in wanted:
         inside = None
