@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pacing import Played, play
 from trajeval_ros.io.bags.playback import CLOCK_TOPIC, Channel, Playback
-from trajeval_ros.ros.lifetime import Stop, ros
+from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import message_class
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _no_clock(time_ns: int) -> None:
 
 
 def _without_subscriber(
-    publishers: dict[Channel, Any], patience_s: float, stop: Stop
+    publishers: dict[Channel, Any], patience_s: float, stop: StopSignal
 ) -> list[Channel]:
     """Wait until every topic has a subscriber; return the channels that still have none."""
     until = time.monotonic() + patience_s

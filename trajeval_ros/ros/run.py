@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from trajeval_ros.ros.lifetime import Stop, ros
+from trajeval_ros.ros.lifetime import StopSignal, ros
 
 # Services and the simulated clock are served so often. An executor makes its wait set anew for
 # every event, which at /clock's rate alone would take longer than all evaluation.
@@ -67,7 +67,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
     return 0 if written else 2
 
 
-def _work(duties: Sequence[PeriodicTask], stop: Stop) -> None:
+def _work(duties: Sequence[PeriodicTask], stop: StopSignal) -> None:
     while not stop.is_asked_for:
         for each in duties:
             each.do_if_due(time.monotonic())
