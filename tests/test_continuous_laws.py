@@ -21,7 +21,7 @@ from trajeval_ros.continuous_time.hyperparameters import (
     most_likely,
     negative_log_likelihood,
 )
-from trajeval_ros.continuous_time.interpolated import Linear
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
@@ -298,7 +298,7 @@ def test_brownian_motion_is_linear_interpolation() -> None:
     motion = smooth(30)
     samples = Samples.of(motion, Noise(1e-7, 1e-7))
     times = np.linspace(0.01, samples.times[-1] - 0.01, 200)
-    linear = Linear(samples).at(times).poses
+    linear = LinearInterpolation(samples).at(times).poses
     for manifold, measured, axes in (
         (Positions(), samples.poses[:, :3, 3], linear[:, :3, 3]),
         (Rotations(), samples.poses[:, :3, :3], linear[:, :3, :3]),

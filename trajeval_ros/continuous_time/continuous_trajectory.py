@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.gp_segments import MOST_TURN_RAD
-from trajeval_ros.continuous_time.interpolated import Linear, Nearest
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation, Nearest
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
@@ -89,7 +89,7 @@ _FITS: dict[str, Callable[[Samples], PoseModel]] = {
     "paper": lambda samples: PiecewiseGP.fit(samples, (SQUARED_EXPONENTIAL,), joint=True),
     "wnoa": lambda samples: MarkovPoses.fit(samples, 2),
     "wnoj": lambda samples: MarkovPoses.fit(samples, 3),
-    "linear": Linear,
+    "linear": LinearInterpolation,
     "nearest": Nearest,
 }
 

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearInterpolation:
     """Positions on straight lines, rotations by slerp, as sure as a sample everywhere."""
 
     samples: Samples
