@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.gp_segments import MOST_TURN_RAD
-from trajeval_ros.continuous_time.interpolated import LinearInterpolation, Nearest
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation, NearestSample
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
@@ -90,7 +90,7 @@ _FITS: dict[str, Callable[[Samples], PoseModel]] = {
     "wnoa": lambda samples: MarkovPoses.fit(samples, 2),
     "wnoj": lambda samples: MarkovPoses.fit(samples, 3),
     "linear": LinearInterpolation,
-    "nearest": Nearest,
+    "nearest": NearestSample,
 }
 
 
@@ -187,7 +187,7 @@ def _most_predictive(samples: Samples) -> str:
     def cost(model: str) -> float:
         belief = _FITS[model](kept).at(some.times[held])
         axes = 6 if samples.oriented else 3
-        noise = Nearest(kept).at(some.times[held]).covariances
+        noise = NearestSample(kept).at(some.times[held]).covariances
         spread = (belief.covariances + noise)[:, :axes, :axes]
         missed = se3.log(se3.inverse(belief.poses) @ truth)[:, :axes]
         surprise = np.einsum(

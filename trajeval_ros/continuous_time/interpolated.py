@@ -31,7 +31,7 @@ class LinearInterpolation:
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
+class NearestSample:
     """The pose of the sample that is nearest in time, as sure as that sample."""
 
     samples: Samples
