@@ -21,8 +21,8 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
-    Growing,
     Index,
+    MessageIndexBuilder,
     Messages,
     Registry,
     head_of,
@@ -127,7 +127,7 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
 
 def walked(data: bytes, registry: Registry | None = None) -> Messages:
     """Return the messages in a chunk's records; schemas and channels are added to a registry."""
-    found = Growing()
+    found = MessageIndexBuilder()
     for opcode, offset, length in records(data):
         if opcode == MESSAGE and length >= MESSAGE_HEAD:
             found.add(data, offset, offset - HEAD, length)

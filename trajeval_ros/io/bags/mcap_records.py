@@ -63,7 +63,7 @@ class Messages:
         return len(self.offsets)
 
 
-class Growing:
+class MessageIndexBuilder:
     """`Messages` while they are found, one by one."""
 
     def __init__(self) -> None:
