@@ -27,8 +27,8 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
+    MessageIndex,
     MessageIndexBuilder,
-    Messages,
     Registry,
     head_of,
 )
@@ -53,7 +53,7 @@ class Scan:
 
     registry: Registry = field(default_factory=Registry)
     chunks: list[Chunk] = field(default_factory=list)
-    messages: Messages = field(default_factory=lambda: MessageIndexBuilder().done())
+    messages: MessageIndex = field(default_factory=lambda: MessageIndexBuilder().done())
     counts: Counter[int] = field(default_factory=Counter)
     end: int = len(MAGIC)
     damage: list[str] = field(default_factory=list)
@@ -148,5 +148,5 @@ def _look_into_chunks(source: ByteSource, found: Scan) -> None:
                 chunk.last = int(messages.log_times.max())
 
 
-def _known(messages: Messages, registry: Registry) -> NDArray[np.bool_]:
+def _known(messages: MessageIndex, registry: Registry) -> NDArray[np.bool_]:
     return np.isin(messages.channels, np.fromiter(registry.channels, np.int64))
