@@ -32,7 +32,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.gauge_covariance import free_covariance, to_left
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 RUNS = 500
 PER_POSE_DOF = 6
@@ -71,7 +71,7 @@ def _solved(scene: Scene, count: int) -> Iterator[tuple[Drawn, float]]:
     for seed in range(count):
         problem = scene.measured(np.random.default_rng([77, seed]))
         start = scene.disturbed(np.random.default_rng([78, seed]))
-        solution = solve(problem, start, Handling.FREE, function_tolerance=1e-9)
+        solution = solve(problem, start, GaugeHandling.FREE, function_tolerance=1e-9)
         covariance = to_left(free_covariance(problem, solution.state), solution.state)
         residuals = 2 * len(problem.pixels) + 9 * (problem.keyframes - 1)
         unknowns = 9 * problem.keyframes + 3 * problem.landmarks - 4

@@ -17,7 +17,7 @@ from trajeval_ros.visual_inertial.gauge_covariance import (
     to_left,
     transform,
 )
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 NUMBERS, COVARIANCES = 1e-9, 1e-10
 
@@ -92,9 +92,13 @@ def test_transformation_of_covariance(case: Case) -> None:
 
 @pytest.mark.parametrize(
     ("handling", "name"),
-    [(Handling.FIXATION, "fix"), (Handling.PRIOR, "prior"), (Handling.FREE, "free")],
+    [
+        (GaugeHandling.FIXATION, "fix"),
+        (GaugeHandling.PRIOR, "prior"),
+        (GaugeHandling.FREE, "free"),
+    ],
 )
-def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: str) -> None:
+def test_solver_takes_the_steps_of_ceres(case: Case, handling: GaugeHandling, name: str) -> None:
     expected = case.numbers["solver"][name]
     solution = solve(case.problem, case.state, handling, keep_last_step=False)
     assert solution.iterations == expected["ceres_iterations"]
@@ -105,6 +109,6 @@ def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: s
     again = solve(case.problem, converged.state, handling, function_tolerance=1e-14)
     assert relative(again.state.positions, converged.state.positions) < NUMBERS
     # With the prior the reference itself is a step, 2e-9, short of the minimum.
-    within = 3e-9 if handling is Handling.PRIOR else NUMBERS
+    within = 3e-9 if handling is GaugeHandling.PRIOR else NUMBERS
     assert relative(converged.state.positions, np.array(expected["converged_p"])) < within
     assert relative(converged.state.velocities, np.array(expected["converged_v"])) < within

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from trajeval_ros.visual_inertial.scene import Profile, Scene
-    from trajeval_ros.visual_inertial.solver import Handling
+    from trajeval_ros.visual_inertial.solver import GaugeHandling
     from trajeval_ros.visual_inertial.study import Covariances, Trials
 
 _SEED = 0
@@ -119,7 +119,7 @@ def _recorded(
     return scenes
 
 
-def _compared(name: str, scene: Scene, trials: int) -> dict[Handling, Trials]:
+def _compared(name: str, scene: Scene, trials: int) -> dict[GaugeHandling, Trials]:
     from trajeval_ros.visual_inertial.study import compare
 
     with progress(f"{name}, {trials} trials") as advance:
@@ -131,7 +131,7 @@ def _write(
     folder: Path,
     profile: str,
     trials: int,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
@@ -180,7 +180,7 @@ def _draw(
     profile: str,
     trials: int,
     swept: Scene,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
@@ -208,7 +208,7 @@ def _draw(
 
 def _print(
     folder: Path,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     matrices: dict[str, Covariances],
 ) -> None:
     from trajeval_ros.report import gauge_tables, tables

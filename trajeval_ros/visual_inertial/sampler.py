@@ -18,7 +18,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def solved(scene: Scene, generator: np.random.Generator) -> SampledEstimate:
         DegenerateGeometryError: More than the gauge's four directions are open.
     """
     problem, start = scene.measured(generator), scene.disturbed(generator)
-    state = solve(problem, start, Handling.FREE, function_tolerance=_TOLERANCE).state
+    state = solve(problem, start, GaugeHandling.FREE, function_tolerance=_TOLERANCE).state
     # As its own reference, its first rotation is perturbed on the left like all others.
     state = state.referred_to(state.rotations[0], state.positions[0])
     information = information_of(problem, state)

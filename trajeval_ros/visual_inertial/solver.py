@@ -32,7 +32,7 @@ _ROUNDING = 1e-12
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
-class Handling(Enum):
+class GaugeHandling(Enum):
     """How the gauge freedom is handled (gauge paper, Table I)."""
 
     FIXATION = "fixation"
@@ -79,7 +79,7 @@ class SolverResult:
 def solve(
     problem: Problem,
     initial: State,
-    handling: Handling,
+    handling: GaugeHandling,
     prior_weight: float = 1e5,
     function_tolerance: float = 1e-6,
     *,
@@ -97,7 +97,7 @@ def solve(
             does so too, and reproduces the paper's differences between gauges; True is nearer
             to the minimum.
     """
-    descent = _Descent(problem, handling, prior_weight if handling is Handling.PRIOR else 0.0)
+    descent = _Descent(problem, handling, prior_weight if handling is GaugeHandling.PRIOR else 0.0)
     state, here = initial, descent.at(initial)
     radius, shrink = _FIRST_RADIUS, 2.0
     scale = 1.0 / (1.0 + np.sqrt(here.curvature))
@@ -172,10 +172,10 @@ class _Linearised:
 class _Descent:
     """What depends on how the gauge is handled."""
 
-    def __init__(self, problem: Problem, handling: Handling, weight: float) -> None:
+    def __init__(self, problem: Problem, handling: GaugeHandling, weight: float) -> None:
         self.problem, self.weight = problem, weight
         self.free = np.ones(9 * problem.keyframes, dtype=bool)
-        if handling is Handling.FIXATION:
+        if handling is GaugeHandling.FIXATION:
             self.free[GAUGE_INDICES] = False
 
     def at(self, state: State) -> _Linearised:
