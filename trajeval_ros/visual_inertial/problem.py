@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Visual(NamedTuple):
+class ReprojectionErrors(NamedTuple):
     """The M reprojection errors and their Jacobians.
 
     d r / d landmark is `by_point`, d r / d position its negative, and d r / d rotation is
@@ -126,7 +126,7 @@ class Problem:
         visual, inertial = self.residuals(state)
         return 0.5 * float(np.vdot(visual, visual) + np.vdot(inertial, inertial))
 
-    def visual(self, state: State) -> Visual:
+    def visual(self, state: State) -> ReprojectionErrors:
         """Return the reprojection errors with their Jacobians."""
         rays, points = self._points(state)
         to_camera = np.swapaxes(state.rotations @ self.camera_in_body, 1, 2)
@@ -135,7 +135,7 @@ class Problem:
         turned = to_camera[self.keyframe_of]
         slope = points[:, :2] / points[:, 2:]
         by_point = scale[:, None, None] * (turned[:, :2] - slope[:, :, None] * turned[:, None, 2])
-        return Visual(self._reprojection(points), by_point, rays)
+        return ReprojectionErrors(self._reprojection(points), by_point, rays)
 
     def inertial(self, state: State) -> InertialErrors:
         """Return the preintegration errors with their Jacobians."""
