@@ -15,7 +15,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
-from trajeval_ros.visual_inertial.reduction import Reduced, reduce_landmarks
+from trajeval_ros.visual_inertial.reduction import ReducedSystem, reduce_landmarks
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -209,7 +209,7 @@ class _Descent:
         gain = -0.5 * float(here.gradient @ step) + 0.5 * float((damping * step) @ step)
         return step, gain
 
-    def _solved(self, reduced: Reduced, prior: Array) -> Array:
+    def _solved(self, reduced: ReducedSystem, prior: Array) -> Array:
         matrix, gradient = reduced.matrix, reduced.gradient
         matrix[GAUGE_INDICES, GAUGE_INDICES] += self.weight
         gradient[GAUGE_INDICES] += prior
