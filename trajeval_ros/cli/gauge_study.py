@@ -16,7 +16,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from trajeval_ros.visual_inertial.scene import Profile, Scene
+    from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
     from trajeval_ros.visual_inertial.solver import GaugeHandling
     from trajeval_ros.visual_inertial.study import Covariances, Trials
 
@@ -96,7 +96,7 @@ def gauge_study(
 
 
 def _recorded(
-    sources: list[str], start: float, duration: float, sensors: Profile
+    sources: list[str], start: float, duration: float, sensors: SensorProfile
 ) -> dict[str, Scene]:
     import dataclasses
 

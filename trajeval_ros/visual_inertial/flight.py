@@ -15,7 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.visual_inertial.motion import recorded
 from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler, solved
-from trajeval_ros.visual_inertial.scene import Profile, Scene, make_scene
+from trajeval_ros.visual_inertial.scene import Scene, SensorProfile, make_scene
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Flight:
         )
 
 
-def fly(seed: int, duration_s: float, profile: Profile) -> Flight:
+def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
     """Return the flight of `simulation.simulate` with a camera and an IMU.
 
     Args:
