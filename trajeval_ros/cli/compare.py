@@ -20,11 +20,11 @@ from trajeval_ros.metrics.protocol import PROTOCOLS
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.executors import Pool
-    from trajeval_ros.batch.gates import Gate, Values
+    from trajeval_ros.batch.gates import Gate, GateValues
     from trajeval_ros.batch.plan import Plan
     from trajeval_ros.batch.summary_tables import ComparisonSummary
 
-    Baseline = tuple[list[Gate], Values]
+    Baseline = tuple[list[Gate], GateValues]
 
 SETTINGS, WORK, GATES, OUTPUT = "Settings, before those of the file", "Work", "Gates", "Output"
 GATES_FILE = "gates.md"
@@ -186,7 +186,7 @@ def compare(
 
 def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
     """Return gates and what they compare with; refuses what can't be compared before the work."""
-    from trajeval_ros.batch.gates import Gate, Values, require_same_settings
+    from trajeval_ros.batch.gates import Gate, GateValues, require_same_settings
     from trajeval_ros.batch.results_table import ResultsTable, settings_of
 
     if (path is None) != (not texts):
@@ -196,7 +196,7 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
     if path is None:
         return None
     gates = [Gate.parse(text) for text in texts]
-    values = Values(ResultsTable(path))
+    values = GateValues(ResultsTable(path))
     require_same_settings(values, settings_of(plan), gates)
     for gate in gates:
         values.find(gate.path)
@@ -206,11 +206,11 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
 def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print what became better and worse; exit with status 1 if something is worse."""
     from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
+    from trajeval_ros.batch.gates import GateValues, judge, remarks_on, to_markdown
     from trajeval_ros.batch.results_table import ResultsTable
 
     gates, values = before
-    now = Values(ResultsTable(folder / RUNS))
+    now = GateValues(ResultsTable(folder / RUNS))
     verdicts = judge(gates, values, now)
     text = to_markdown(verdicts, title, remarks_on(values, now))
     write_text(folder / GATES_FILE, text)
