@@ -19,7 +19,7 @@ from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, compose_transforms
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.pairing import POSITION, QUATERNION, states
-from trajeval_ros.ros.poses import States
+from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.transform_stream import TransformStream
 
 SECOND = 10**9
@@ -65,7 +65,7 @@ def a_run(
     return sorted(found, key=lambda each: each.arrives)
 
 
-def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[States]:
+def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[StateColumns]:
     """Let batches arrive as the node hands them over: what is static before what moves."""
     found = []
     for batch in batches:

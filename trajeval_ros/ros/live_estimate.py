@@ -24,7 +24,7 @@ from trajeval_ros.online.reports import Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.held_messages import HeldMessages
-from trajeval_ros.ros.poses import States
+from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.ros.timing import Latency
@@ -231,13 +231,13 @@ class LiveEstimate:
             self.clock.report = ClockReport(status="unobservable", reason=reason)
         path = self.stream.path(payload)
         rows = self.revised.renew(path.stamps, path.states)
-        new = States(path.stamps[rows], path.states[rows], path.rows[rows])
+        new = StateColumns(path.stamps[rows], path.states[rows], path.rows[rows])
         self.stream.count_new(new, arrived_ns)
         self._now_or_later(
             "estimate", new.stamps, lambda: self.evaluator.add_estimate(new.stamps, new.states)
         )
 
-    def _evaluate(self, poses: States, received: Stamps) -> None:
+    def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self._offset_ns, received)
         self.evaluator.add_estimate(poses.stamps, poses.states)
 

@@ -25,7 +25,7 @@ _TROUBLE_AFTER = 10  # messages in a row that give no pose
 _STEP_BACK_S = 1.0  # messages that merely overtake each other step back by less
 
 
-class States(NamedTuple):
+class StateColumns(NamedTuple):
     """States of N messages.
 
     Attributes:
@@ -106,7 +106,9 @@ class PoseStream:
         self._in_a_row = 0
         self._is_told = False
 
-    def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
+    def poses(
+        self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
+    ) -> StateColumns:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
         self._see_type(message_type)
         found = self._states(decode_poses(payloads, message_type))
@@ -114,12 +116,12 @@ class PoseStream:
         self._count(found)
         return found
 
-    def path(self, payload: bytes) -> States:
+    def path(self, payload: bytes) -> StateColumns:
         """Return all states of a path; which of them are new, `count_new` is told."""
         self._see_type(PATH_TYPE)
         return self._states(decode_path(payload))
 
-    def count_new(self, new: States, arrived_ns: int) -> None:
+    def count_new(self, new: StateColumns, arrived_ns: int) -> None:
         """Count the states that a path, which arrived at a time, is the first to have."""
         self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
         self._count(new)
@@ -130,7 +132,7 @@ class PoseStream:
             self._type = message_type
             self.told.note(f"format: {message_type}")
 
-    def _states(self, columns: PoseColumns) -> States:
+    def _states(self, columns: PoseColumns) -> StateColumns:
         """Return what the columns hold, without poses that have no time."""
         told = self.told
         told.drop("undecodable", columns.undecodable)
@@ -144,7 +146,7 @@ class PoseStream:
         untimed = int(np.count_nonzero(~timed))
         told.drop("zero_stamp", untimed)
         self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
-        return States(stamps[timed], states_[timed], columns.rows[timed])
+        return StateColumns(stamps[timed], states_[timed], columns.rows[timed])
 
     def _see_trouble(self, poses: int, dropped: int) -> None:
         """Tell, once, that messages come and give no poses."""
@@ -157,7 +159,7 @@ class PoseStream:
                 self._is_told = True
                 self.news.append(self.trouble)
 
-    def _count(self, found: States) -> None:
+    def _count(self, found: StateColumns) -> None:
         rows = found.states
         poses = np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isposinf(rows).any(axis=1)
         if not poses.any():

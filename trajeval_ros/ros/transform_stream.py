@@ -22,7 +22,7 @@ from trajeval_ros.io.bags.transform_tree import (
     leading_edge,
 )
 from trajeval_ros.online.pairing import states
-from trajeval_ros.ros.poses import PoseStream, States
+from trajeval_ros.ros.poses import PoseStream, StateColumns
 
 Stamps = NDArray[np.int64]
 
@@ -53,7 +53,9 @@ class TransformStream(PoseStream):
         self._until = _NEVER
         self._warn_at: float | None = None
 
-    def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
+    def poses(
+        self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
+    ) -> StateColumns:
         """Return the states that have become known with new messages, as of the last of these."""
         del message_type
         edges, undecodable = decode_transforms(payloads)
@@ -62,7 +64,7 @@ class TransformStream(PoseStream):
             if self._wants(key):
                 self._extend(key, columns)
         stamps = self._new_stamps()
-        found = States(
+        found = StateColumns(
             stamps,
             states(*compose(self._edges, self._way, stamps)),
             np.full(len(stamps), len(payloads) - 1),
