@@ -37,7 +37,7 @@ from trajeval_ros.consistency.result import (
     verdict_of,
 )
 from trajeval_ros.consistency.s_transformation import (
-    Transformation,
+    STransformation,
     carried,
     carried_information,
     errors_of,
@@ -77,7 +77,7 @@ class Aligned:
     states: int | None
     variances: Array | None = None
 
-    def transformation(self) -> Transformation:
+    def transformation(self) -> STransformation:
         """Return the S-transformation into the alignment's gauge.
 
         Raises:
@@ -90,7 +90,7 @@ class Aligned:
                 "one pair of states says nothing about consistency; there must be two"
             )
         aligned = self.similarity.trajectory(self.estimate)
-        return Transformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
+        return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
     def errors(self) -> Array:
         """Return the errors (N, 6)."""
@@ -170,7 +170,7 @@ def _blocks_of_chain(
     covariance: JointCovariance,
     rows: NDArray[np.int64],
     similarity: Similarity,
-    transformation: Transformation,
+    transformation: STransformation,
 ) -> Array:
     """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, of a run of any length."""
     turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
@@ -232,7 +232,7 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
     )
 
 
-def _in_own_gauge(blocks: Array, transformation: Transformation) -> tuple[str, Array]:
+def _in_own_gauge(blocks: Array, transformation: STransformation) -> tuple[str, Array]:
     """Return what may be said in the gauge of the first pose, and the covariances for it."""
     initial = initial_uncertainty(blocks, transformation)
     orbit = transformation.orbit[:, :3]
