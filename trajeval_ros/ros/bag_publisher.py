@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.pacing import Played, play
+from trajeval_ros.io.bags.pacing import PlaybackResult, play
 from trajeval_ros.io.bags.playback import CLOCK_TOPIC, Channel, Playback
 from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import message_class
@@ -31,7 +31,7 @@ def replay(
     arguments: Sequence[str] = (),
     begin: Callable[[Sequence[Channel]], None],
     advance: Callable[[int, int], None],
-) -> Played[Channel]:
+) -> PlaybackResult[Channel]:
     """Publish what is to be played; SIGINT and SIGTERM end it early.
 
     Args:
