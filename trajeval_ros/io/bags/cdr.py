@@ -37,7 +37,7 @@ _ROS1_ALIGNMENT = 1
 
 
 @dataclass(frozen=True)
-class Texts:
+class StringColumn:
     """A column of strings: `names[codes[row]]` is the one of a row."""
 
     names: tuple[str, ...]
@@ -59,7 +59,7 @@ class Columns:
 
     rows: Index
     numbers: dict[str, Numbers]
-    texts: dict[str, Texts]
+    texts: dict[str, StringColumn]
     sequences: dict[str, Columns]
 
 
@@ -164,7 +164,7 @@ class _MessageBatch:
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
         self.at = at
         self._numbers: list[tuple[Span, Index]] = []
-        self._texts: dict[str, Texts] = {}
+        self._texts: dict[str, StringColumn] = {}
         self._sequences: dict[str, list[_MessageBatch]] = {}
 
     def columns(self, steps: tuple[Step, ...], padding: int) -> Columns:
@@ -208,7 +208,8 @@ class _MessageBatch:
         self.rooms, self.at = self.rooms[good], _those(self.at, good)
         self._numbers = [(span, places[good]) for span, places in self._numbers]
         self._texts = {
-            path: Texts(texts.names, texts.codes[good]) for path, texts in self._texts.items()
+            path: StringColumn(texts.names, texts.codes[good])
+            for path, texts in self._texts.items()
         }
 
     def _count(self, smallest: int) -> Offsets:
@@ -237,10 +238,12 @@ class _MessageBatch:
         if step.path is not None:
             names, codes = _texts(self.buffer, places, lengths, self.limit != _ROS1_ALIGNMENT)
             if isinstance(codes, int) and codes == 0:
-                self._texts[step.path] = Texts(names, np.zeros(len(self.rows), dtype=np.int64))
+                self._texts[step.path] = StringColumn(
+                    names, np.zeros(len(self.rows), dtype=np.int64)
+                )
             else:
                 column = np.array(np.broadcast_to(codes, self.rows.shape))
-                self._texts[step.path] = Texts(names, column)
+                self._texts[step.path] = StringColumn(names, column)
                 self._keep(column >= 0)
 
     def _elements(self, step: Elements) -> None:
@@ -383,13 +386,13 @@ def joined(parts: Sequence[Columns], *, in_order: bool = False) -> Columns:
     )
 
 
-def _joined_texts(parts: Sequence[Texts], order: Any) -> Texts:
+def _joined_texts(parts: Sequence[StringColumn], order: Any) -> StringColumn:
     names: dict[str, int] = {}
     codes = []
     for part in parts:
         known = [names.setdefault(name, len(names)) for name in part.names]
         codes.append(np.array(known, dtype=np.int64)[part.codes])
-    return Texts(tuple(names), np.concatenate(codes)[order])
+    return StringColumn(tuple(names), np.concatenate(codes)[order])
 
 
 def _gather(buffer: Buffer, places: Index, dtype: np.dtype[Any]) -> Numbers:

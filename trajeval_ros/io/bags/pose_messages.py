@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns, Texts
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
 Floats = NDArray[np.float64]
@@ -209,7 +209,7 @@ def _floats(column: NDArray[Any]) -> Floats:
     return np.ascontiguousarray(column, dtype=np.float64)
 
 
-def _changes(frames: Texts, children: Texts | None) -> list[tuple[int, str, str]]:
+def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
     """Return (frame, child frame) as they follow each other, and the first row of each."""
     names = [name.lstrip("/") for name in frames.names]
     child_names = [name.lstrip("/") for name in children.names] if children else [""]
