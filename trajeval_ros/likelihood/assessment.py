@@ -21,7 +21,7 @@ from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
 from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
-from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
 from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
@@ -61,7 +61,7 @@ class Assessment:
     continuous: ContinuousTrajectory
     stamps: NDArray[np.int64]
     belief: Belief
-    error: AbsoluteError
+    error: AbsoluteErrorDensity
     edges: relative_density.RelativeError | None
     chain: GaugeScores | None
     ate: UncertainAte

@@ -18,7 +18,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import scales
-from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
@@ -85,12 +85,12 @@ def gauge_scores(residuals: Residuals) -> GaugeScores:
     )
 
 
-def _scale_of(error: AbsoluteError) -> Condition:
+def _scale_of(error: AbsoluteErrorDensity) -> Condition:
     value = np.log(scales(error.mode.element))
     return _condition(np.array([value]), error.covariance[-1:, -1:])
 
 
-def _tilt_of(error: AbsoluteError) -> Condition:
+def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
     """The level rotation vector that, after a yaw, makes the alignment's rotation."""
     rotation = error.mode.element[:3, :3]
     yaw = np.array([0.0, 0.0, lie.yaw_of_matrix(rotation)])
