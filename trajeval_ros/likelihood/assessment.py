@@ -62,7 +62,7 @@ class Assessment:
     stamps: NDArray[np.int64]
     belief: Belief
     error: AbsoluteErrorDensity
-    edges: relative_density.RelativeError | None
+    edges: relative_density.RelativeErrorDensity | None
     chain: GaugeScores | None
     ate: UncertainAte
     log_bayes: dict[str, float]
