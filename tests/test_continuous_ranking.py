@@ -14,7 +14,10 @@ from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
@@ -86,7 +89,7 @@ def bayes_factors(flight: Flight) -> tuple[float, float]:
     model = MarkovPoses.fit(samples, 2)
     belief = model.at(times)
     tolerance = Noise(0.005, np.radians(0.2))
-    groundtruth = JointGroundtruth.of(model, times, tolerance)
+    groundtruth = CorrelatedGroundtruth.of(model, times, tolerance)
     diagonal = np.square([0.005] * 3 + [tolerance.rotation_rad] * 3)
     belief.covariances[:] += np.diag(diagonal)
     joint, single = [], []

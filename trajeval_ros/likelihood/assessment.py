@@ -20,7 +20,10 @@ from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
-from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
 from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
 from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
@@ -144,7 +147,7 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
     if not all(each.error.residuals.oriented for each in assessments):
         markov = dataclasses.replace(markov, rotations=None)
     times = continuous.samples.seconds(common)
-    groundtruth = JointGroundtruth.of(markov, times, TOLERANCE)
+    groundtruth = CorrelatedGroundtruth.of(markov, times, TOLERANCE)
     scores = []
     for each in assessments:
         rows = np.searchsorted(each.stamps, common)
