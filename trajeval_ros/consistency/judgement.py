@@ -143,9 +143,11 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
             aligned.variances,
             covariance.pose_rows(rows),
         )
-        chain = covariance.chain()
-        if chain is not None:
-            blocks = _blocks_of_chain(chain, covariance, rows, aligned.similarity, transformation)
+        banded = covariance.banded()
+        if banded is not None:
+            blocks = _blocks_of_banded(
+                banded, covariance, rows, aligned.similarity, transformation
+            )
             if aligned.variances is not None:
                 blocks = blocks + independent_noise(transformation, aligned.variances)
             nees = _nees_by_pose(errors, blocks, aligned.first_with_nees)
@@ -165,8 +167,8 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
     )
 
 
-def _blocks_of_chain(
-    chain: BandedGaussian,
+def _blocks_of_banded(
+    banded: BandedGaussian,
     covariance: JointCovariance,
     rows: NDArray[np.int64],
     similarity: Similarity,
@@ -176,8 +178,8 @@ def _blocks_of_chain(
     turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
     columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
-    solved = chain.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
-    own = chain.marginals(rows * covariance.block, POSE_DOF)
+    solved = banded.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
+    own = banded.marginals(rows * covariance.block, POSE_DOF)
     return transformation.blocks(turn @ own @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
 
 

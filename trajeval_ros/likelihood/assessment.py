@@ -54,8 +54,8 @@ class Assessment:
         error: The generalised absolute error.
         edges: Its parts, edge by edge, re-linearised at the most likely alignment; None where
             positions alone are compared.
-        chain: Scores with scale and tilt; None where the gauge leaves rotations alone, or the
-            poses leave one open.
+        gauge_scores: Scores with scale and tilt; None where the gauge leaves rotations alone, or
+            the poses leave one open.
         ate: Of positions.
         log_bayes: By the name of each other estimate, nats, from the joint covariance.
         statements: What a reader of the numbers must know, one sentence each.
@@ -66,7 +66,7 @@ class Assessment:
     belief: Belief
     error: AbsoluteErrorDensity
     edges: relative_density.RelativeErrorDensity | None
-    chain: GaugeScores | None
+    gauge_scores: GaugeScores | None
     ate: UncertainAte
     log_bayes: dict[str, float]
     statements: tuple[str, ...]
@@ -110,7 +110,7 @@ def assess(evaluation: Evaluation) -> Assessment:
         joint,
     )
     assessment = Assessment(
-        continuous, stamps, belief, error, edges, _chain_of(residuals), ate, {}, ()
+        continuous, stamps, belief, error, edges, _gauge_scores_of(residuals), ate, {}, ()
     )
     return dataclasses.replace(assessment, statements=_statements(assessment))
 
@@ -186,7 +186,7 @@ def _with_tolerance(known: Belief, oriented: bool) -> Belief:
     return Belief(known.poses, known.covariances + np.diag(tolerance))
 
 
-def _chain_of(residuals: Residuals) -> GaugeScores | None:
+def _gauge_scores_of(residuals: Residuals) -> GaugeScores | None:
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:

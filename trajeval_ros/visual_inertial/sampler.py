@@ -99,12 +99,12 @@ class _FixedGaugeGaussian:
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
         self._size = information.shape[0]
         self._kept = np.setdiff1d(np.arange(self._size), GAUGE_INDICES)
-        self._chain = BandedGaussian(information[self._kept][:, self._kept].tocsr())
+        self._gaussian = BandedGaussian(information[self._kept][:, self._kept].tocsr())
 
     def sampled(self, generator: np.random.Generator) -> Array:
         """Return a perturbation (9N,)."""
         step = np.zeros(self._size)
-        step[self._kept] = self._chain.sampled(generator.standard_normal(len(self._kept)))
+        step[self._kept] = self._gaussian.sampled(generator.standard_normal(len(self._kept)))
         return step
 
     def marginals(self) -> Array:
@@ -112,6 +112,6 @@ class _FixedGaugeGaussian:
         blocks = np.zeros((self._size // 9, 9, 9))
         # Of the first keyframe, roll, pitch and velocity are not held.
         first = self._kept[:5]
-        blocks[0][np.ix_(first, first)] = self._chain.marginals(np.array([0]), 5)[0]
-        blocks[1:] = self._chain.marginals(np.arange(5, len(self._kept), 9), 9)
+        blocks[0][np.ix_(first, first)] = self._gaussian.marginals(np.array([0]), 5)[0]
+        blocks[1:] = self._gaussian.marginals(np.arange(5, len(self._kept), 9), 9)
         return blocks
