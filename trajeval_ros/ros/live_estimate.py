@@ -168,19 +168,19 @@ class LiveEstimate:
         Args:
             state: What is known beside the estimate: settings, groundtruth, live, warnings.
         """
-        told, evaluator = self.stream.told, self.evaluator
-        decided = told.poses - evaluator.buffer.waiting
+        status, evaluator = self.stream.status, self.evaluator
+        decided = status.poses - evaluator.buffer.waiting
         state = {
             **state,
             "estimate": {
-                "poses": told.poses,
+                "poses": status.poses,
                 "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
-                "duration_s": told.duration_s,
-                "frame": told.frame,
-                "child_frame": told.child_frame,
-                "notes": list(told.notes),
+                "duration_s": status.duration_s,
+                "frame": status.frame,
+                "child_frame": status.child_frame,
+                "notes": list(status.notes),
             },
-            "dropped": add_counts(told.dropped, evaluator.buffer.dropped),
+            "dropped": add_counts(status.dropped, evaluator.buffer.dropped),
             "aligned_by": evaluator.frozen_at,
         }
         if state == self._state:

@@ -44,8 +44,8 @@ class TransformStream(PoseStream):
     def __init__(self, source: str, parent: str, child: str) -> None:
         """Begin, for the pose of `child` in `parent`."""
         super().__init__(source)
-        self.told.frame, self.told.child_frame = parent, child
-        self.told.note("format: TF")
+        self.status.frame, self.status.child_frame = parent, child
+        self.status.note("format: TF")
         self._parent, self._child = parent, child
         self._edges: dict[EdgeKey, Edge] = {}
         self._way: Way = []
@@ -59,7 +59,7 @@ class TransformStream(PoseStream):
         """Return the states that have become known with new messages, as of the last of these."""
         del message_type
         edges, undecodable = decode_transforms(payloads)
-        self.told.drop("undecodable", undecodable)
+        self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
             if self._wants(key):
                 self._extend(key, columns)
@@ -80,7 +80,7 @@ class TransformStream(PoseStream):
     def hold(self, payloads: Sequence[bytes]) -> None:
         """Take static transforms."""
         edges, undecodable = decode_transforms(payloads)
-        self.told.drop("undecodable", undecodable)
+        self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
             known = self._edges.get(key)
             # What moves is no static frame.
