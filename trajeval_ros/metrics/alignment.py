@@ -98,7 +98,7 @@ def solve(gauge: Gauge, moments: Moments) -> AlignmentSolution:
         curvature = float(d[1] + flip * d[2])  # of the cost about its flattest axis, m^2/rad^2
     elif gauge.turns_about_gravity_only:
         sine, cosine = sigma[1, 0] - sigma[0, 1], sigma[0, 0] + sigma[1, 1]
-        rotation = _about_gravity(np.arctan2(sine, cosine))
+        rotation = lie.about_gravity(np.arctan2(sine, cosine))
         curvature = float(np.hypot(sine, cosine))
     else:
         return AlignmentSolution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
@@ -208,7 +208,7 @@ def align_first(
                     "the first state's rotations differ by half a turn about a level axis, which "
                     "leaves the yaw open; is z up in both trajectories?"
                 )
-            rotation = _about_gravity(float(lie.yaw(between)))
+            rotation = lie.about_gravity(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position
     similarity = Similarity(rotation, translation if gauge.has_translation else np.zeros(3))
     return Alignment(similarity, 1)
@@ -223,8 +223,3 @@ def position_weights(covariances: Array, error_m: float) -> Array:
     variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
     weights: Array = 1.0 / (variance + error_m**2 / 3.0)
     return weights
-
-
-def _about_gravity(angle: float) -> Array:
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
