@@ -31,7 +31,7 @@ _LONGEST_STAMP_DELAY_S = 1e-3
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftModel:
     """How the odometry errs. The defaults lose 0.5 to 1 % of the distance.
 
     Attributes:
@@ -63,7 +63,7 @@ class Simulation:
 
 
 def simulate(
-    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: Drift | None = None
+    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: DriftModel | None = None
 ) -> Simulation:
     """Simulate a flight and its odometry; the same arguments give the same arrays.
 
@@ -90,7 +90,7 @@ def simulate(
     flight = _Flight.random(generator)
     return Simulation(
         groundtruth=_groundtruth(generator, flight, duration_s),
-        estimate=_odometry(generator, flight, duration_s, gap_s, drift or Drift()),
+        estimate=_odometry(generator, flight, duration_s, gap_s, drift or DriftModel()),
     )
 
 
@@ -171,7 +171,7 @@ def _odometry(
     flight: _Flight,
     duration_s: float,
     gap_s: float,
-    drift: Drift,
+    drift: DriftModel,
 ) -> Trajectory:
     step_s = 1.0 / ESTIMATE_RATE_HZ
     # Neither clock knows the other: the phase is arbitrary, and all lies within the groundtruth.
