@@ -18,6 +18,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
 from trajeval_ros.metrics.alignment import Alignment, align, align_first, position_weights
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
 from trajeval_ros.metrics.errors import (
     AbsoluteErrors,
     RelativeErrors,
@@ -89,10 +90,14 @@ class Evaluation:
     score: Score | None = None
 
     @property
-    def longest(self) -> SubTrajectoryErrors | None:
-        """The longest sub-trajectories in metres that there are, whose mean is the drift."""
-        with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
-        return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
+    def drift(self) -> Drift | None:
+        """The drift over the longest sub-trajectories in metres; None if there are none."""
+        known = [
+            Drift(percent, each.length_m)
+            for each in self.segments or ()
+            if each.length_m is not None and (percent := each.statistics["position_percent"])
+        ]
+        return max(known, key=lambda drift: drift.length_m, default=None)
 
 
 def evaluate(
@@ -160,7 +165,9 @@ def evaluate_pairs(
         absolute=absolute,
         ate=ate,
         segments=segments,
-        pooled=_pooled(segments or ()),
+        pooled=pooled_drift(
+            [(each.errors, each.length_m) for each in segments or () if each.length_m]
+        ),
         warnings=(),
         score=None
         if protocol.score is None
@@ -283,29 +290,15 @@ def _segment_statistics(
     errors: RelativeErrors, length_m: float | None
 ) -> dict[str, Statistics | None]:
     position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
-    percent = per_metre = None
-    if length_m is not None and position is not None and rotation is not None:
-        percent, per_metre = position.scaled(100.0 / length_m), rotation.scaled(1.0 / length_m)
+    per_length = statistics_per_length(position, rotation, length_m)
     return {
         "position_m": position,
-        "position_percent": percent,
+        "position_percent": per_length["position_percent"],
         "rotation_deg": rotation,
-        "rotation_deg_per_m": per_metre,
+        "rotation_deg_per_m": per_length["rotation_deg_per_m"],
         "yaw_deg": statistics_of(errors.yaw_deg),
         "tilt_deg": statistics_of(errors.tilt_deg),
         "velocity_mps": statistics_of(errors.velocity_mps),
-    }
-
-
-def _pooled(segments: tuple[SubTrajectoryErrors, ...]) -> dict[str, Statistics | None]:
-    by_metre = [(each.errors, each.length_m) for each in segments if each.length_m]
-    if not by_metre:
-        return {"position_percent": None, "rotation_deg_per_m": None}
-    percent = [errors.position_m * (100.0 / length) for errors, length in by_metre]
-    per_metre = [errors.rotation_deg / length for errors, length in by_metre]
-    return {
-        "position_percent": statistics_of(np.concatenate(percent)),
-        "rotation_deg_per_m": statistics_of(np.concatenate(per_metre)),
     }
 
 

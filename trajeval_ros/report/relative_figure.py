@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
@@ -122,7 +123,7 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
 def _errors(segments: SubTrajectoryErrors, metric: str) -> NDArray[np.float64]:
     if metric == "position_percent":
         assert segments.length_m is not None
-        return segments.errors.position_m * (100.0 / segments.length_m)
+        return position_percent(segments.errors.position_m, segments.length_m)
     errors: NDArray[np.float64] = getattr(segments.errors, metric)
     return errors
 

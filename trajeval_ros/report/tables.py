@@ -112,12 +112,10 @@ def _score(evaluation: Evaluation) -> list[str]:
 
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories that there are, in words."""
-    longest = evaluation.longest
-    if longest is None:
+    drift = evaluation.drift
+    if drift is None:
         return ""
-    drift = longest.statistics["position_percent"]
-    assert drift is not None
-    return f"); drift {drift.mean:.3g} % of {longest.length_m:.4g} m (mean"
+    return f"); drift {drift.percent.mean:.3g} % of {drift.length_m:.4g} m (mean"
 
 
 def _dropped(evaluation: Evaluation) -> str:
