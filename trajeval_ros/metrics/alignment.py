@@ -143,7 +143,7 @@ def align(
         gauge: What the alignment may change.
         groundtruth: (N, 3), metres. For `planar` the height plays no part in the rotation.
         estimate: (N, 3), metres.
-        weights: (N,) positive, per pair, such as `position_weights`; None for all alike.
+        weights: (N,) positive, per pair, as in `weighted_alignment`; None for all alike.
 
     Raises:
         DegenerateGeometryError: Fewer states than the gauge needs, or no motion at all where a
@@ -212,14 +212,3 @@ def align_first(
     translation = groundtruth_position - rotation @ estimate_position
     similarity = Similarity(rotation, translation if gauge.has_translation else np.zeros(3))
     return Alignment(similarity, 1)
-
-
-def position_weights(covariances: Array, error_m: float) -> Array:
-    """Return a scalar weight per state from pose covariances (N, 6, 6), position first.
-
-    1 / (tr Sigma / 3 + e^2 / 3): the mean variance of an axis, with the size e of the errors
-    themselves as a floor, so that an over-confident state doesn't rule the alignment.
-    """
-    variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
-    weights: Array = 1.0 / (variance + error_m**2 / 3.0)
-    return weights

@@ -16,7 +16,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
-from trajeval_ros.metrics.alignment import Alignment, align, align_first, position_weights
+from trajeval_ros.metrics.alignment import Alignment, align, align_first
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
 from trajeval_ros.metrics.errors import (
@@ -29,6 +29,7 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.score import Score
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length, select
+from trajeval_ros.metrics.weighted_alignment import align_weighted
 
 Array = NDArray[np.float64]
 
@@ -206,15 +207,9 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         )
     first = slice(protocol.align_states)
     p, q = truth.positions[first], estimate.positions[first]
-    alignment = align(protocol.gauge, p, q)
     if protocol.align_weights == "covariance":
-        covariances = _known_covariances(estimate)[first]
-        for _ in range(2):  # the size of the errors, a part of the weights, depends on them
-            moved = alignment.similarity.positions(q)
-            error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
-            in_metres = alignment.similarity.scale**2 * covariances
-            alignment = align(protocol.gauge, p, q, position_weights(in_metres, error))
-    return alignment
+        return align_weighted(protocol.gauge, p, q, _known_covariances(estimate)[first])
+    return align(protocol.gauge, p, q)
 
 
 def _known_covariances(estimate: Trajectory) -> Array:
