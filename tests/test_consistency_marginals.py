@@ -15,7 +15,6 @@ from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros.consistency.judgement import Aligned, judge_marginals
 from trajeval_ros.consistency.marginal_covariances import (
-    about_world_axes,
     initial_uncertainty,
     is_covariance,
     unknown_covariances,
@@ -25,6 +24,7 @@ from trajeval_ros.consistency.marginal_covariances import (
 from trajeval_ros.consistency.nees import diagonal_blocks
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
@@ -95,7 +95,7 @@ def test_body_axes_are_turned_into_the_worlds(seed: int) -> None:
     rotation = Rotation.random(3, random_state=seed)
     covariance = _good(3)
     matrices = rotation.as_matrix()
-    turned = about_world_axes(covariance, matrices)
+    turned = world_from_body_rotations(covariance, matrices)
     # R exp(d) = exp(R d) R: a body-frame error d is R d in the world.
     error = generator.normal(size=(3, 6))
     world = error.copy()

@@ -105,7 +105,7 @@ class CovarianceSettings:
         import numpy as np
 
         from trajeval_ros.consistency.judgement import Aligned
-        from trajeval_ros.consistency.marginal_covariances import about_world_axes
+        from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 
         protocol, pairs = evaluation.protocol, evaluation.association
         if protocol.align_weights != NONE:
@@ -122,7 +122,9 @@ class CovarianceSettings:
         if self.body_frame and estimate.covariances is not None:
             if estimate.rotations is None:
                 raise InputError("the estimate has no orientations to turn its covariances by")
-            turned = about_world_axes(estimate.covariances, estimate.rotations.as_matrix())
+            turned = world_from_body_rotations(
+                estimate.covariances, estimate.rotations.as_matrix()
+            )
             estimate = dataclasses.replace(estimate, covariances=turned)
         variances = None
         if self.groundtruth_noise is not None:

@@ -57,20 +57,6 @@ def is_covariance(covariances: Array) -> NDArray[np.bool_]:
     return good
 
 
-def about_world_axes(covariances: Array, rotations: Array) -> Array:
-    """Return covariances (N, 6, 6) whose rotation is about the world's axes, as ROS has it.
-
-    Args:
-        covariances: With a rotation error about the body's axes, R exp(dtheta).
-        rotations: (N, 3, 3), body to world.
-    """
-    turned = covariances.copy()
-    turned[:, 3:] = rotations @ covariances[:, 3:]
-    result: Array = turned.copy()
-    result[:, :, 3:] = turned[:, :, 3:] @ np.swapaxes(rotations, 1, 2)
-    return result
-
-
 def initial_uncertainty(covariances: Array, transformation: STransformation) -> Array:
     """Return the covariance (k, k) of the first pose in the gauge's own directions."""
     gradient = transformation.coefficients[:, :6]

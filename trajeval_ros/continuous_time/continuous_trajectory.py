@@ -21,6 +21,7 @@ from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import body_from_world_positions
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -73,7 +74,7 @@ class MarkovPoses:
         rotations = np.broadcast_to(np.eye(3), (len(times), 3, 3))
         if self.rotations is not None:
             rotations, covariances[:, 3:, 3:] = self.rotations.at(times)
-        covariances[:, :3, :3] = se3.congruent(se3.transposed(rotations), spread)
+        covariances[:, :3, :3] = body_from_world_positions(spread, rotations)
         return Belief(se3.poses(rotations, positions), covariances)
 
 

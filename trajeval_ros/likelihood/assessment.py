@@ -18,6 +18,7 @@ from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
 from trajeval_ros.likelihood.correlated_groundtruth import (
@@ -101,7 +102,7 @@ def assess(evaluation: Evaluation) -> Assessment:
     joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
     ate = uncertain_ate(
         known.poses[:, :3, 3],
-        se3.world_covariances(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
+        world_from_body_twists(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
         pairs.estimate.positions
         if protocol.align_states is None
         else evaluation.aligned.positions,
