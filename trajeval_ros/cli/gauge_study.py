@@ -14,8 +14,6 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
     from trajeval_ros.visual_inertial.solver import GaugeHandling
     from trajeval_ros.visual_inertial.study import Covariances, Trials
@@ -190,7 +188,7 @@ def _draw(
 
     what = f"simulated sensors, profile {profile}, {trials} trials"
     with canvas.house_style():
-        figures: dict[str, Figure] = {
+        figures = {
             "prior_weight.png": gauge_figures.prior_weight(
                 SWEEP_WEIGHTS, sweep, f"sine plane, {what}"
             ),
