@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.consistency.s_transformation import Transformation, carried, errors_of
+from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -30,7 +30,7 @@ class Aligned(NamedTuple):
 
     errors: np.ndarray
     covariance: np.ndarray
-    transformation: Transformation
+    transformation: STransformation
     similarity: Similarity
 
 
@@ -70,7 +70,7 @@ def aligned_run(
     """Align a run and bring its covariance (9N, 9N) along."""
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    transformation = Transformation.of_alignment(gauge, states, truth, moved, velocities=True)
+    transformation = STransformation.of_alignment(gauge, states, truth, moved, velocities=True)
     turned = carried(covariance, similarity, 9)
     return Aligned(
         errors_of(truth, moved, velocities=True),

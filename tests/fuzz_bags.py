@@ -16,7 +16,7 @@ import atheris
 
 with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
-    from trajeval_ros.io.bags.cdr import Plan
+    from trajeval_ros.io.bags.cdr import CdrPlan
     from trajeval_ros.io.bags.foxglove import TYPES, FoxglovePlan
     from trajeval_ros.io.bags.mcap_index import McapReader
     from trajeval_ros.io.bags.message_definitions import STANDARD, ros1_fields
@@ -32,8 +32,8 @@ from mcap.writer import CompressionType, Writer
 
 POSE = "geometry_msgs/msg/PoseStamped"
 KINDS = sorted(STANDARD)
-PLANS = [Plan(STANDARD[kind]) for kind in KINDS]
-PLANS += [Plan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
+PLANS = [CdrPlan(STANDARD[kind]) for kind in KINDS]
+PLANS += [CdrPlan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
 POSES = plan_of(None, POSE)
 FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
 JSON = 254  # the first byte of messages in JSON

@@ -26,7 +26,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
-from trajeval_ros.viewer.stream import Stream, give_way
+from trajeval_ros.viewer.stream import DrawingThread, give_way
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 NAME = "vio_odometry"
@@ -61,7 +61,7 @@ def main(
     give_way()
     for sink in sinks_for(value, folder / "run.rrd", "flight"):
         scene = LiveScene("flight", [NAME], Gauge.YAW)
-        streams.append((Stream(sink, scene), scene))
+        streams.append((DrawingThread(sink, scene), scene))
     handed: dict = {"position_error": [], "ate_position": [], "alignment": []}
     pause_at = {round(float(each) / TICK_S): each for each in pauses.split(",") if each}
 

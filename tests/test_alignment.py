@@ -13,8 +13,9 @@ from strategies import Array, make_element, make_estimate, make_groundtruth, see
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.metrics.alignment import align, align_first, position_weights, solve
+from trajeval_ros.metrics.alignment import align, align_first, solve
 from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.weighted_alignment import position_weights
 
 UTM = np.array([4.5e5, 5.2e6, 400.0])
 ALIGNING = [Gauge.TRANSLATION, Gauge.YAW, Gauge.PLANAR, Gauge.SE3, Gauge.SIM3]

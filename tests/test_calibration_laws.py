@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import make_element, moved, seeds
 
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FAULT = Fault(0.08, 0.0, (0.4, -0.7, 1.1), (0.1, -0.05, 0.2))
-NONE = Systematic(0.0, 0.0)
+NONE = SystematicErrors(0.0, 0.0)
 few = hypothesis_settings(max_examples=3)
 
 

@@ -11,7 +11,7 @@ from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.apply import evaluate_calibrated
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
 from trajeval_ros.calibration.increments import OFFSET, Increments
 from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.calibration.solve import solve
@@ -20,7 +20,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 
-NONE = Systematic(0.0, 0.0)
+NONE = SystematicErrors(0.0, 0.0)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 Recording = Callable[[str], Trajectory]
 

@@ -25,7 +25,7 @@ from trajeval_ros.batch import comparison
 from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import dask_pool
-from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.summary_tables import summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
@@ -125,7 +125,7 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
     assert cluster.processes[-1].wait(PATIENCE_S) != 0
     assert (progress.done, progress.failed) == (100, 0)
     assert Counter(kept) == dict.fromkeys(kept, 1)
-    rows = Rows(tmp_path / "far" / "runs.parquet").select(
+    rows = ResultsTable(tmp_path / "far" / "runs.parquet").select(
         ["algorithm", "sequence", "trial", "key"], kind="ate", metric="position_m"
     )
     assert len(rows) == 100

@@ -19,13 +19,13 @@ from trajeval_ros.batch.comparison import compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gates import (
     Gate,
-    Values,
+    GateValues,
     judge,
     paired_interval,
     require_same_settings,
     to_markdown,
 )
-from trajeval_ros.batch.results_table import Rows
+from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 
@@ -115,8 +115,8 @@ def verdicts(today: Path, yesterday: Path, *gates: str) -> dict[tuple[str, str],
     now = table(today / "old", today / "runs.yaml")
     judged = judge(
         [Gate.parse(each) for each in gates or (GATE,)],
-        Values(Rows(yesterday / "old" / "runs.parquet")),
-        Values(Rows(now)),
+        GateValues(ResultsTable(yesterday / "old" / "runs.parquet")),
+        GateValues(ResultsTable(now)),
     )
     return {(each.algorithm, each.sequence): each.verdict for each in judged}
 
@@ -248,7 +248,7 @@ def test_what_can_not_be_judged_is_refused_before_any_work(
     "path", ["re.8m.position_percent.mean", "re.pooled.position_percent.mean", "ate.yaw_deg.p95"]
 )
 def test_other_numbers_can_be_judged(path: str, yesterday: Path) -> None:
-    values = Values(Rows(yesterday / "old" / "runs.parquet"))
+    values = GateValues(ResultsTable(yesterday / "old" / "runs.parquet"))
     judged = judge([Gate.parse(f"{path} worse than 1 %")], values, values)
     assert [each.verdict for each in judged] == 4 * ["same"]
     assert [each.trials for each in judged] == 4 * [4]
@@ -264,8 +264,8 @@ def test_the_last_digit_is_no_regression(today: Path, yesterday: Path) -> None:
                     write_run(folder / algorithm / f"{sequence}_trial{trial}.txt", 1.02)
     shutil.copytree(yesterday, today.with_name("equal"))
     old = table(today.with_name("equal") / "old", today.with_name("equal") / "runs.yaml")
-    before = Values(Rows(old))
-    after = Values(Rows(old))
+    before = GateValues(ResultsTable(old))
+    after = GateValues(ResultsTable(old))
     for row in after._rows:
         row["rmse"] = None if row["rmse"] is None else row["rmse"] * (1.0 + 4e-16)
     judged = judge([Gate.parse("ate.position_m.rmse worse than 2 MAD")], before, after)
@@ -273,7 +273,7 @@ def test_the_last_digit_is_no_regression(today: Path, yesterday: Path) -> None:
 
 
 def test_pools_of_other_lengths_are_refused(today: Path) -> None:
-    old = Values(Rows(today / "old" / "runs.parquet"))
+    old = GateValues(ResultsTable(today / "old" / "runs.parquet"))
     other = {**old.settings, "lengths": ["2m", *old.settings["lengths"]]}
     gate = Gate.parse("re.pooled.position_percent.mean worse than 5 %")
     with pytest.raises(InputError, match="made with lengths"):

@@ -17,7 +17,7 @@ from trajeval_ros.batch.comparison import POOLED, RUNS, compare
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.results_table import STATISTICS, Rows
+from trajeval_ros.batch.results_table import STATISTICS, ResultsTable
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.pipeline import evaluate
@@ -56,7 +56,7 @@ def rows_by_run(folder: Path) -> dict[str, list[dict[str, Any]]]:
     found: dict[str, list[dict[str, Any]]] = {}
     columns = ("kind", "metric", "length", "length_m", "mean_length_m", "count", *STATISTICS)
     names = ("algorithm", "sequence", "trial", "groundtruth", "estimate", "pairs", "scale")
-    for row in Rows(folder / RUNS).select((*names, *columns)):
+    for row in ResultsTable(folder / RUNS).select((*names, *columns)):
         name = "/".join(filter(None, (row["algorithm"], row["sequence"], row["trial"])))
         found.setdefault(name, []).append(row)
     return found

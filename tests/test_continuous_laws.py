@@ -25,7 +25,7 @@ from trajeval_ros.continuous_time.hyperparameters import (
     most_likely,
     negative_log_likelihood,
 )
-from trajeval_ros.continuous_time.interpolated import Linear
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
@@ -36,7 +36,7 @@ from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
-from trajeval_ros.geometry.banded_gaussian import Chain
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.geometry.block_tridiagonal import Factor
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -84,7 +84,7 @@ def test_block_tridiagonal_is_its_dense_matrix(seed: int, count: int, size: int)
     inverse = np.linalg.inv(dense)
     own, beside = factor.inverse_blocks()
     scale = np.abs(inverse).max()
-    links = Chain(csr_matrix(dense)).marginals(size * np.arange(count), size)
+    links = BandedGaussian(csr_matrix(dense)).marginals(size * np.arange(count), size)
     np.testing.assert_allclose(own, links, atol=1e-9 * scale)
     for row in range(count):
         here = slice(row * size, (row + 1) * size)
@@ -325,7 +325,7 @@ def test_brownian_motion_is_linear_interpolation() -> None:
     motion = smooth(30)
     samples = Samples.of(motion, Noise(1e-7, 1e-7))
     times = np.linspace(0.01, samples.times[-1] - 0.01, 200)
-    linear = Linear(samples).at(times).poses
+    linear = LinearInterpolation(samples).at(times).poses
     for manifold, measured, axes in (
         (Positions(), samples.poses[:, :3, 3], linear[:, :3, 3]),
         (Rotations(), samples.poses[:, :3, :3], linear[:, :3, :3]),

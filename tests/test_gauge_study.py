@@ -16,7 +16,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 from trajeval_ros.visual_inertial.motion import recorded, shape
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
-from trajeval_ros.visual_inertial.solver import Handling
+from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import compare, covariances, paths, sweep
 
 FIGURES = ["cost.png", "covariances_sine_random.png", "prior_paths.png", "prior_weight.png"]
@@ -109,7 +109,7 @@ def test_real_motion(shared_data: Path) -> None:
     assert np.mean(cameras[:, 2, 1]) < -0.9
     scene = make_scene(motion, "random", PROFILES["paper"], 0, keyframes=30, landmarks=150)
     outcome = compare(scene, 2, _nothing)
-    assert 0.001 < outcome[Handling.FREE].position_m.mean() < 0.2
+    assert 0.001 < outcome[GaugeHandling.FREE].position_m.mean() < 0.2
     assert covariances(scene).difference < 2e-3
 
 

@@ -24,7 +24,7 @@ from trajeval_ros.likelihood.marginal import (
     importance,
     quadrature,
 )
-from trajeval_ros.likelihood.observable_directions import gauge_chain
+from trajeval_ros.likelihood.observable_directions import gauge_scores
 from trajeval_ros.likelihood.positions import position_error
 from trajeval_ros.likelihood.residuals import Residuals
 
@@ -275,31 +275,31 @@ def test_first_order_is_off_by_the_square_of_the_noise() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_scores_form_a_chain(seed: int) -> None:
     belief, estimate = drawn(40, seed, np.radians(0.5))
-    chain = gauge_chain(Residuals(belief, estimate, Gauge.YAW))
-    assert chain.sim3 is not None
-    assert chain.scale is not None
-    assert chain.se3 == pytest.approx(chain.sim3 + chain.scale.log_density, abs=1e-2)
-    assert chain.yaw == pytest.approx(chain.se3 + chain.tilt.log_density, abs=1e-2)
-    assert max(map(abs, chain.scale.z + chain.tilt.z)) < 5.0
+    scores = gauge_scores(Residuals(belief, estimate, Gauge.YAW))
+    assert scores.sim3 is not None
+    assert scores.scale is not None
+    assert scores.se3 == pytest.approx(scores.sim3 + scores.scale.log_density, abs=1e-2)
+    assert scores.yaw == pytest.approx(scores.se3 + scores.tilt.log_density, abs=1e-2)
+    assert max(map(abs, scores.scale.z + scores.tilt.z)) < 5.0
 
 
 def test_chain_finds_a_wrong_scale() -> None:
     belief, estimate = drawn(40, 3, np.radians(0.1))
     wrong = estimate.copy()
     wrong[:, :3, 3] /= 1.02
-    chain = gauge_chain(Residuals(belief, wrong, Gauge.YAW))
-    assert chain.scale is not None
-    assert np.exp(chain.scale.values[0]) == pytest.approx(1.02, abs=2e-3)
-    assert chain.scale.z[0] > 10.0
+    scores = gauge_scores(Residuals(belief, wrong, Gauge.YAW))
+    assert scores.scale is not None
+    assert np.exp(scores.scale.values[0]) == pytest.approx(1.02, abs=2e-3)
+    assert scores.scale.z[0] > 10.0
 
 
 def test_chain_finds_a_tilt() -> None:
     belief, estimate = drawn(40, 3, np.radians(0.1))
     tilted = act(se3.exp(np.array([0.0, 0.0, 0.0, 0.02, 0.0, 0.0])), estimate)
-    chain = gauge_chain(Residuals(belief, tilted, Gauge.YAW))
-    assert chain.tilt.values == pytest.approx((-0.02, 0.0), abs=2e-3)
-    assert chain.tilt.z[0] < -10.0
-    assert abs(chain.tilt.z[1]) < 4.0
+    scores = gauge_scores(Residuals(belief, tilted, Gauge.YAW))
+    assert scores.tilt.values == pytest.approx((-0.02, 0.0), abs=2e-3)
+    assert scores.tilt.z[0] < -10.0
+    assert abs(scores.tilt.z[1]) < 4.0
 
 
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])

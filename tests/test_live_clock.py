@@ -19,7 +19,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.pairing import Limits, states
-from trajeval_ros.ros.held_messages import Held
+from trajeval_ros.ros.held_messages import HeldMessages
 
 
 def fed(clock: OnlineClock, truth: Trajectory, estimate: Trajectory, batch_s: float = 1.0) -> None:
@@ -276,7 +276,7 @@ def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path)
 
 
 def test_stamps_that_stand_still_are_not_held_for_ever() -> None:
-    held = Held()
+    held = HeldMessages()
     for _ in range(300):
         held.add("estimate", np.full(1000, 10**18), lambda: None)
     assert held.span_s == np.inf

@@ -18,51 +18,32 @@ import trajeval_ros
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "trajeval_ros"
 
-# A file imports only from floors below its own, or from its own folder.
+# A file imports only from floors below its own, or from its own folder. Folders of one floor know
+# nothing of each other.
 FLOORS = {
     "exceptions": 0,
-    "lie": 0,
-    "block_tridiagonal": 1,
-    "chain": 1,
-    "se3": 1,
-    "trajectory": 1,
-    "statistics": 1,
-    "gauge": 2,
-    "similarity": 2,
+    "geometry": 1,
     "continuous_time": 2,
-    "coverage": 2,
-    "no_match": 2,
-    "degradation": 3,
-    "association": 3,
-    "span_alignment": 3,
-    "score": 2,
-    "moments": 3,
-    "alignment": 4,
-    "errors": 4,
-    "sub_trajectories": 4,
-    "likelihood": 5,
-    "consistency": 5,
-    "calibration": 5,
-    "protocol": 5,
+    "metrics": 3,
+    "calibration": 4,
+    "consistency": 4,
+    "likelihood": 4,
+    "visual_inertial": 4,
     "diagnosis": 5,
-    "jumps": 4,
-    "evaluation": 6,
-    "calibrated": 7,
-    "requirement": 6,
-    "settings": 6,
-    "simulation": 5,
-    "visual_inertial": 6,
-    "association_study": 7,
+    "pipeline": 6,
+    "online": 6,
     "io": 7,
-    "online": 7,
-    "report": 7,
-    "viewer": 7,
-    "batch": 8,
-    "ros": 8,
-    "cli": 9,
-    "__main__": 10,
+    "report": 8,
+    "viewer": 8,
+    "batch": 9,
+    "ros": 9,
+    "cli": 10,
+    "__main__": 11,
 }
 LAST_FLOOR_OF_CORE = 6
+MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "pipeline"}
+# Warnings are added by the evaluation itself, until the pipeline adds them.
+KNOWN_EXCEPTIONS = {"metrics/evaluation.py": {"diagnosis"}}
 
 # Packages that only some rooms may open.
 ROOMS = {
@@ -110,30 +91,22 @@ def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def imports_at_run_time(tree: ast.AST) -> Iterator[str]:
-    """Yield the full names that a file imports, those in `if TYPE_CHECKING` left out."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
+def imported_names(tree: ast.AST) -> Iterator[str]:
+    """Yield the full names that a file imports, those in `if TYPE_CHECKING` as well."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             assert node.module is not None
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        else:
-            yield from imports_at_run_time(node)
 
 
 def rooms_used_by(path: Path) -> set[str]:
     """Return the modules and folders of this package that a file imports."""
-    names = imports_at_run_time(ast.parse(path.read_text(encoding="utf-8")))
-    split = [name.split(".") for name in names]
-    return {
-        parts[1]
-        for parts in split
-        if parts[0] == PACKAGE.name and len(parts) > 1 and parts[1] in FLOORS
-    }
+    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+    split = [name.split(".") for name in names if name.startswith(f"{PACKAGE.name}.")]
+    return {parts[1] for parts in split} - {"__version__"}
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
@@ -142,16 +115,37 @@ def test_imports_come_from_floors_below(path: Path) -> None:
     if room == "__init__":
         return
     assert room in FLOORS, f"give {room} a floor in {Path(__file__).name}"
-    too_high = {
-        used for used in rooms_used_by(path) if used != room and FLOORS[used] >= FLOORS[room]
-    }
-    assert not too_high
+    others = rooms_used_by(path) - {room}
+    assert others <= FLOORS.keys(), "import from where a name is defined"
+    too_high = {used for used in others if FLOORS[used] >= FLOORS[room]}
+    assert too_high == KNOWN_EXCEPTIONS.get(path.relative_to(PACKAGE).as_posix(), set())
+
+
+def test_modules_at_the_top_are_few() -> None:
+    assert {path.stem for path in PACKAGE.glob("*.py")} <= MODULES_AT_THE_TOP
+
+
+def test_no_two_modules_have_one_name() -> None:
+    places: dict[str, list[Path]] = {}
+    for path in sources():
+        if path.stem != "__init__":
+            places.setdefault(path.stem, []).append(path.relative_to(PACKAGE))
+    assert not {name: paths for name, paths in places.items() if len(paths) > 1}
+
+
+def test_no_two_public_classes_have_one_name() -> None:
+    places: dict[str, list[Path]] = {}
+    for path in sources():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(path.relative_to(PACKAGE))
+    assert not {name: paths for name, paths in places.items() if len(paths) > 1}
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_outside_packages_are_imported_in_their_rooms_only(path: Path) -> None:
     room = room_of(path)
-    names = imports_at_run_time(ast.parse(path.read_text(encoding="utf-8")))
+    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
     outside = {name.split(".")[0] for name in names} & ROOMS.keys()
     assert not {package for package in outside if room not in ROOMS[package]}
 

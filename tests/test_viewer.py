@@ -20,9 +20,9 @@ from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.viewer import colours, live_path, scene_entities
-from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
+from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
 from trajeval_ros.viewer.paths import gaps, pieces
-from trajeval_ros.viewer.stream import Stream
+from trajeval_ros.viewer.stream import DrawingThread
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -133,7 +133,7 @@ def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_memory_keeps_the_run_and_its_bounds() -> None:
-    memory = Memory(1, most=100)
+    memory = RowHistory(1, most=100)
     for each in range(12_345):
         memory.add(each, np.array([float(each)]))
     stamps, rows = memory.columns()
@@ -181,7 +181,7 @@ class Slow:
 
 def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
     sink, drawn = Slow(), []
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(30.0))
     for each in range(5000):
         stream.put(lambda each=each: drawn.append(each))
@@ -196,7 +196,7 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
 
 def test_drops_are_told_while_it_goes_on() -> None:
     sink = Slow()
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(30.0))
     for _ in range(3000):
         stream.put(lambda: None)

@@ -8,7 +8,7 @@ from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 CONFIGURATIONS = [
@@ -25,7 +25,7 @@ def solved(scene: Scene, seed: int, tolerance: float = 1e-9) -> tuple[Problem, S
     """Return the problem and free-gauge estimate of a noise draw."""
     problem = scene.measured(np.random.default_rng([77, seed]))
     start = scene.disturbed(np.random.default_rng([78, seed]))
-    return problem, solve(problem, start, Handling.FREE, function_tolerance=tolerance).state
+    return problem, solve(problem, start, GaugeHandling.FREE, function_tolerance=tolerance).state
 
 
 def dense_hessian(normal: NormalEquations) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
 from trajeval_ros.batch.records import Record, has_record, read_record, write_record
 from trajeval_ros.batch.results_table import (
@@ -87,7 +87,7 @@ def compare(
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{records} can't be made: {reason}") from error
-    batch = _Batch(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
+    batch = _RunningComparison(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
     if (folder / RUNS).is_file() and (folder / POOLED).is_file():
         tasks = list(batch.planned())
         state = batch.state
@@ -104,7 +104,7 @@ def compare(
     return batch.progress
 
 
-class _Batch:
+class _RunningComparison:
     """The runs of one comparison: what is to be done, and why what failed did."""
 
     def __init__(
@@ -118,10 +118,10 @@ class _Batch:
         self.plan = plan
         self.records = records
         self.progress = Progress(total=sum(not run.missing for run in plan.runs))
-        self.failures: dict[Run, str] = {}
-        self.tasks: dict[Run, Task] = {}
-        self.own_coverage: dict[Run, float] = {}
-        self._evaluated: set[Run] = set()
+        self.failures: dict[PlannedRun, str] = {}
+        self.tasks: dict[PlannedRun, Task] = {}
+        self.own_coverage: dict[PlannedRun, float] = {}
+        self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
         self._start_pool = start_pool
         self._tell = tell
@@ -218,7 +218,7 @@ class _Batch:
             self.progress.new = len(self._evaluated)
         self._tell(self.progress)
 
-    def _fail(self, run: Run, reason: str) -> None:
+    def _fail(self, run: PlannedRun, reason: str) -> None:
         self.failures[run] = reason
         self.progress.failed += 1
 
@@ -227,7 +227,7 @@ class _Batch:
         self._tell(self.progress)
 
 
-def _write_tables(folder: Path, batch: _Batch, state: str) -> None:
+def _write_tables(folder: Path, batch: _RunningComparison, state: str) -> None:
     pooled: list[dict[str, Any]] = []
 
     def rows() -> Iterator[dict[str, Any]]:

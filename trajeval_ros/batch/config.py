@@ -9,7 +9,7 @@ from typing import Any
 
 from trajeval_ros.batch.conventions import runs_in_folder
 from trajeval_ros.batch.patterns import Pattern
-from trajeval_ros.batch.plan import Name, Plan, Run, all_runs
+from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io.protocol_file import is_protocol_file
 from trajeval_ros.io.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
@@ -62,7 +62,7 @@ def plan_of(
     )
 
 
-def _runs(config: Mapping[str, Any], target: Path) -> tuple[Run, ...]:
+def _runs(config: Mapping[str, Any], target: Path) -> tuple[PlannedRun, ...]:
     folder = target.parent / _typed(config, "folder", str, target, default=".")
     patterns = config["runs"]
     if not isinstance(patterns, dict) or not patterns:

@@ -17,7 +17,7 @@ _FEW = 12
 
 
 @dataclass(frozen=True)
-class Draft:
+class FigureDraft:
     """A figure that is yet to be drawn.
 
     Attributes:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Rows
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.matrix import markdown_table, markdown_text, number_text
 
@@ -118,10 +118,10 @@ class Verdict:
         return self.verdict in _FAILS
 
 
-class Values:
+class GateValues:
     """The numbers of a table, run by run, that gates ask for."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: ResultsTable) -> None:
         self.settings = rows.settings
         names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256")
         columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())
@@ -187,7 +187,9 @@ class Values:
             raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
 
 
-def require_same_settings(baseline: Values, now: Mapping[str, Any], gates: Sequence[Gate]) -> None:
+def require_same_settings(
+    baseline: GateValues, now: Mapping[str, Any], gates: Sequence[Gate]
+) -> None:
     """Check that two tables can be compared, in what the gates ask for.
 
     Raises:
@@ -208,7 +210,7 @@ def require_same_settings(baseline: Values, now: Mapping[str, Any], gates: Seque
             )
 
 
-def judge(gates: Sequence[Gate], baseline: Values, now: Values) -> list[Verdict]:
+def judge(gates: Sequence[Gate], baseline: GateValues, now: GateValues) -> list[Verdict]:
     """Judge every algorithm on every sequence by every gate.
 
     Raises:
@@ -231,7 +233,7 @@ def _verdict(
     group: Group,
     before: dict[str, float],
     now: dict[str, float],
-    table: Values,
+    table: GateValues,
     numbers: int,
 ) -> Verdict:
     both = [trial for trial in before if trial in now]
@@ -251,7 +253,7 @@ def _verdict(
     return Verdict(gate, *group, middle, _median(y.tolist()), interval, len(both), verdict)
 
 
-def _why_lost(group: Group, lost: Sequence[str], table: Values) -> str:
+def _why_lost(group: Group, lost: Sequence[str], table: GateValues) -> str:
     run = (*group, lost[0])
     why = "it is not in this comparison"
     if run in table.runs:
@@ -372,7 +374,7 @@ def _table(verdicts: Sequence[Verdict]) -> list[str]:
     return markdown_table(headings, rows)
 
 
-def remarks_on(baseline: Values, now: Values) -> list[str]:
+def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
     """Return what else is different."""
     changed = dict.fromkeys(
         sequence

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import RECORDS
-from trajeval_ros.batch.drawing import Draft
+from trajeval_ros.batch.drawing import FigureDraft
 from trajeval_ros.batch.records import Array, read_record
 from trajeval_ros.batch.results_table import RE
-from trajeval_ros.batch.summary_tables import Summary, Trial
+from trajeval_ros.batch.summary_tables import ComparisonSummary, Trial
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
@@ -19,7 +19,7 @@ MOST_SEQUENCES = 50
 _UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
-def drafts_of(folder: Path, summary: Summary) -> list[Draft]:
+def drafts_of(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
     """Return the figures: absolute errors, relative errors, and trajectories by sequence.
 
     The latter two of the first `MOST_SEQUENCES`.
@@ -31,7 +31,7 @@ def drafts_of(folder: Path, summary: Summary) -> list[Draft]:
     return [*_absolute_plots(summary), *_relative_plots(summary), *_overlays(folder, summary)]
 
 
-def _absolute_plots(summary: Summary) -> list[Draft]:
+def _absolute_plots(summary: ComparisonSummary) -> list[FigureDraft]:
     plots = []
     for metric in ("position_m", "rotation_deg"):
         series = []
@@ -51,11 +51,11 @@ def _absolute_plots(summary: Summary) -> list[Draft]:
                 "A point is the rmse of a trial; boxes: median and quartiles, whiskers: least and "
                 "largest. Failed runs have no point."
             )
-            plots.append(Draft(title, caption, draw))
+            plots.append(FigureDraft(title, caption, draw))
     return plots
 
 
-def _relative_plots(summary: Summary) -> list[Draft]:
+def _relative_plots(summary: ComparisonSummary) -> list[FigureDraft]:
     lengths = summary.settings["lengths"]
     by_place = {
         (row["algorithm"], row["sequence"], row["length"], row["metric"]): row
@@ -87,7 +87,7 @@ def _relative_plots(summary: Summary) -> list[Draft]:
                     "All sub-trajectories of all trials; boxes: median and quartiles, whiskers: "
                     "5 % to 95 %."
                 )
-                plots.append(Draft(f"Relative error on {sequence}, {label}", caption, draw))
+                plots.append(FigureDraft(f"Relative error on {sequence}, {label}", caption, draw))
     return plots
 
 
@@ -97,7 +97,7 @@ def _pooled_box(row: dict[str, Any] | None) -> Box | None:
     return Box(*(row[name] for name in ("p5", "p25", "median", "p75", "p95")))
 
 
-def _overlays(folder: Path, summary: Summary) -> list[Draft]:
+def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
     """Draw on each sequence the trial of each algorithm that has the median error."""
     plots = []
     for sequence in summary.sequences[:MOST_SEQUENCES]:
@@ -120,7 +120,7 @@ def _overlays(folder: Path, summary: Summary) -> list[Draft]:
             if several:
                 caption += " Of several trials, that with the median position ATE."
             draw = partial(overlay, f"overlay-{sequence}", truth, paths)
-            plots.append(Draft(f"Trajectories on {sequence}", caption, draw))
+            plots.append(FigureDraft(f"Trajectories on {sequence}", caption, draw))
     return plots
 
 

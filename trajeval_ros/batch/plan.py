@@ -12,7 +12,7 @@ Name = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One run of an algorithm, which may be missing.
 
     Attributes:
@@ -49,7 +49,7 @@ class Plan:
     """
 
     title: str
-    runs: tuple[Run, ...]
+    runs: tuple[PlannedRun, ...]
     request: Request
     common_time_span: bool = False
 
@@ -62,7 +62,7 @@ def all_runs(
     *,
     sequences: Iterable[str] = (),
     trials: Iterable[str] = (),
-) -> tuple[Run, ...]:
+) -> tuple[PlannedRun, ...]:
     """Return the runs that were found, and those that are missing beside them.
 
     An algorithm is expected to have run on each sequence that any other one ran on, as often as
@@ -92,7 +92,7 @@ def all_runs(
                     missing = f"there is no {where(name)}"
                 elif not groundtruth:
                     missing = f"there is no groundtruth of {sequence}"
-                runs.append(Run(*name, groundtruth, estimate, missing))
+                runs.append(PlannedRun(*name, groundtruth, estimate, missing))
     return tuple(runs)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import Record
 from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.exceptions import InputError
@@ -84,7 +84,7 @@ def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
     return "auto" if calibration.hand_eye else "none"
 
 
-def rows_of_run(run: Run, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
+def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
     """Yield the rows of an evaluated run.
 
     Args:
@@ -157,7 +157,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
             yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
 
 
-def row_of_failure(run: Run, reason: str) -> dict[str, Any]:
+def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
     """Return the row of a run without numbers: it stays in the table."""
     return {
         **_names(run),
@@ -168,7 +168,7 @@ def row_of_failure(run: Run, reason: str) -> dict[str, Any]:
     }
 
 
-def _names(run: Run) -> dict[str, str]:
+def _names(run: PlannedRun) -> dict[str, str]:
     return {"algorithm": run.algorithm, "sequence": run.sequence, "trial": run.trial}
 
 
@@ -227,7 +227,7 @@ def state_of(path: Path) -> str:
     return bytes(metadata.get(b"trajeval.state", b"")).decode()
 
 
-class Rows:
+class ResultsTable:
     """A table that was written, column by column as asked for.
 
     Attributes:

@@ -20,7 +20,7 @@ from trajeval_ros.batch.results_table import (
     LIKELIHOOD,
     OK,
     RE,
-    Rows,
+    ResultsTable,
 )
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.geometry.gauge import Gauge
@@ -59,14 +59,14 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class ComparisonSummary:
     """What a comparison says.
 
     Attributes:
         title: Of the comparison.
         settings: That the numbers depend on.
         trials: All runs, the failed ones included.
-        pooled: Rows of statistics over trials.
+        pooled: ResultsTable of statistics over trials.
     """
 
     title: str
@@ -97,13 +97,13 @@ class Summary:
         return found
 
 
-def summary_of(folder: Path) -> Summary:
+def summary_of(folder: Path) -> ComparisonSummary:
     """Read what a comparison left.
 
     Raises:
         InputError: Its table can't be read.
     """
-    rows = Rows(folder / RUNS)
+    rows = ResultsTable(folder / RUNS)
     names = (*_NAMES, "status", "reason", "own_groundtruth_coverage", "key", "warnings")
     each: dict[tuple[str, ...], dict[str, Any]] = {}
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
@@ -130,7 +130,9 @@ def summary_of(folder: Path) -> Summary:
         )
         for run, row in each.items()
     )
-    return Summary(rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED)))
+    return ComparisonSummary(
+        rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED))
+    )
 
 
 def definition(settings: dict[str, Any]) -> str:
@@ -148,7 +150,7 @@ def definition(settings: dict[str, Any]) -> str:
     )
 
 
-def matrices(summary: Summary) -> list[Matrix]:
+def matrices(summary: ComparisonSummary) -> list[Matrix]:
     """Return the tables: absolute errors by sequence, relative errors by length."""
     tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
     in_metres = not any(length.endswith("s") for length in summary.settings["lengths"])
@@ -180,7 +182,7 @@ _VALUES = {
 _RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
 
 
-def _values(summary: Summary, metric: str) -> Matrix | None:
+def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
     """Return the median over trials of a number that was asked for; None where nobody did."""
     rows, ranked = [], metric in _RANKED
     for algorithm in summary.algorithms:
@@ -202,7 +204,7 @@ def _values(summary: Summary, metric: str) -> Matrix | None:
     return _matrix(summary, metric, title, caption, rows)
 
 
-def _absolute(summary: Summary, metric: str) -> Matrix | None:
+def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     rows = []
     partial = False
     for algorithm in summary.algorithms:
@@ -244,7 +246,7 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
     return Cell(value, " ".join(notes))
 
 
-def _relative(summary: Summary, metric: str) -> Matrix | None:
+def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     lengths = summary.settings["lengths"]
     pooled: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
     for row in summary.pooled:
@@ -279,7 +281,7 @@ def _relative(summary: Summary, metric: str) -> Matrix | None:
 
 
 def _matrix(
-    summary: Summary,
+    summary: ComparisonSummary,
     name: str,
     title: str,
     caption: str,
@@ -295,7 +297,7 @@ def _matrix(
     return Matrix(name, title, caption, headings, tuple(rows), tuple(runs), tuple(coverage))
 
 
-def failures(summary: Summary) -> list[str]:
+def failures(summary: ComparisonSummary) -> list[str]:
     """Return a line for each run without numbers."""
     return [
         f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "

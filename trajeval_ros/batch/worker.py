@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.plan import Run
+from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -39,7 +39,7 @@ class Task:
         inputs: Fingerprints of groundtruth and estimate.
     """
 
-    run: Run
+    run: PlannedRun
     request: Request
     inputs: tuple[str, str]
 

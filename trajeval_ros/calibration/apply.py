@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
 from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
@@ -95,7 +95,7 @@ def evaluate_calibrated(
     protocol: Protocol,
     wanted: CalibrationRequest,
     *,
-    systematic: Systematic | None = None,
+    systematic: SystematicErrors | None = None,
     same_as: Calibrated | None = None,
     pairs: Association | None = None,
 ) -> Calibrated:

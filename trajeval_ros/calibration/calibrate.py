@@ -30,7 +30,7 @@ from trajeval_ros.calibration.significance import (
     judge,
     unobservable,
 )
-from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
+from trajeval_ros.calibration.solve import COLUMNS_OF, CalibrationFit, basis_of, solve
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
@@ -45,7 +45,7 @@ _SHORT_FOR_SKEW_S = 120.0
 
 
 @dataclass(frozen=True)
-class Systematic:
+class SystematicErrors:
     """What parts of one real run differ by, beyond what any of them can know; 0 when simulated.
 
     Attributes:
@@ -103,7 +103,7 @@ def calibrate(
     around_s: float = 0.0,
     search_s: float | None = SEARCH_S,
     with_skew: bool = False,
-    systematic: Systematic | None = None,
+    systematic: SystematicErrors | None = None,
     horizon_s: float = HORIZON_S,
     most_increments: int = MOST_INCREMENTS,
 ) -> Calibration:
@@ -146,7 +146,7 @@ def calibrate(
     solution = solve(increments, gauge, with_skew)
     if solution is None:
         return _without(guess, increments, with_skew)
-    return _judged(solution, increments, guess, base, systematic or Systematic(), with_skew)
+    return _judged(solution, increments, guess, base, systematic or SystematicErrors(), with_skew)
 
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
@@ -159,11 +159,11 @@ def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> fl
 
 
 def _judged(
-    solution: Solution,
+    solution: CalibrationFit,
     increments: Increments,
     guess: OffsetGuess,
     base: int,
-    systematic: Systematic,
+    systematic: SystematicErrors,
     with_skew: bool,
 ) -> Calibration:
     """Return the verdicts on a solution."""

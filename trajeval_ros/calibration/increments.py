@@ -88,7 +88,7 @@ class Linearised:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionIncrements:
     """Increments of one side: the body's own axes, or its world's if there are no orientations.
 
     Attributes:
@@ -235,7 +235,7 @@ class Increments:
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
         return jacobian, before.usable & after.usable
 
-    def _marker(self, offset_s: float, skew: float) -> Motion:
+    def _marker(self, offset_s: float, skew: float) -> MotionIncrements:
         """Return the groundtruth's increments by a clock."""
         stamps, truth = self._track.stamps, self._truth
         first_s = offset_s + skew * (self._since - self._mid_s)
@@ -246,18 +246,20 @@ class Increments:
             stamps[self._last] + np.rint(last_s * NANOSECONDS).astype(np.int64),
         )
 
-    def _motion(self, track: Track, first: Stamps, last: Stamps) -> Motion:
+    def _motion(self, track: Track, first: Stamps, last: Stamps) -> MotionIncrements:
         start, end = track.at(first), track.at(last)
         steps = end.positions - start.positions
         usable = start.usable & end.usable
         if not self.has_turns:
-            return Motion(None, steps, usable)
+            return MotionIncrements(None, steps, usable)
         assert start.quaternions is not None
         assert end.quaternions is not None
         back = lie.conjugate(start.quaternions)
-        return Motion(lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable)
+        return MotionIncrements(
+            lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable
+        )
 
-    def _turned(self, body: Motion) -> Array | None:
+    def _turned(self, body: MotionIncrements) -> Array | None:
         """Return dR - I, or R_j - R_i where increments have no orientation, (N, 3, 3)."""
         if body.turns is not None:
             return _matrices(body.turns) - np.eye(3)
@@ -266,7 +268,7 @@ class Increments:
             return None
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
 
-    def _residual(self, at: Unknowns, marker: Motion, rows: NDArray[np.int64]) -> Array:
+    def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Array:
         turned = None if self.turned is None else self.turned[rows]
         carried = at.scale * self._body.steps[rows]
         if turned is not None:
@@ -284,7 +286,7 @@ class Increments:
         return residual
 
     def _turn_columns(
-        self, at: Unknowns, marker: Motion, rows: NDArray[np.int64], jacobian: Array
+        self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Array
     ) -> None:
         if marker.turns is None:
             turned = None if self.turned is None else self.turned[rows] @ at.lever_m
@@ -295,7 +297,7 @@ class Increments:
         in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
         jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
 
-    def _carried(self, at: Unknowns, body: Motion) -> Array:
+    def _carried(self, at: Unknowns, body: MotionIncrements) -> Array:
         """Return the marker's step that goes with a motion of the body, the offset's column."""
         if body.turns is None:
             # The lever arm's part is left out: of what an offset changes it is small.

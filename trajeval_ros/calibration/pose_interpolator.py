@@ -18,7 +18,7 @@ _USUAL_STEPS = 4.0  # of sparse keyframes: a gap is longer than so many of them
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class InterpolatedPoses:
     """Poses at N stamps.
 
     Attributes:
@@ -69,7 +69,7 @@ class Track:
             max(GAP_S, _USUAL_STEPS * step_s) if sparse else GAP_S,
         )
 
-    def at(self, stamps: Stamps) -> Poses:
+    def at(self, stamps: Stamps) -> InterpolatedPoses:
         """Return the poses at N stamps, interpolated linearly and by slerp."""
         bracket = bracket_stamps(self.stamps, stamps, self.gap_s)
         start, end, fraction = bracket.start, bracket.end, bracket.fraction
@@ -78,7 +78,7 @@ class Track:
         quaternions = None
         if self.quaternions is not None:
             quaternions = lie.slerp(self.quaternions[start], self.quaternions[end], fraction)
-        return Poses(positions, quaternions, bracket.usable)
+        return InterpolatedPoses(positions, quaternions, bracket.usable)
 
 
 def nearest_rows(stamps: Stamps, wanted: Stamps) -> NDArray[np.int64]:

@@ -34,7 +34,7 @@ _NO_BODY = (
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class CalibrationFit:
     """A fit, what its directions are worth, and what was left out to have standard deviations."""
 
     fit: Fit
@@ -42,7 +42,7 @@ class Solution:
     left_out: str
 
 
-def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> Solution | None:
+def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationFit | None:
     """Fit all that can be seen; None where not even the offset has a standard deviation."""
     if len(increments) < _FEWEST_PAIRS:
         return None
@@ -68,7 +68,9 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> Solution | N
     return None
 
 
-def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> Solution | None:
+def _settle(
+    increments: Increments, begin: Unknowns, free: dict[str, Array]
+) -> CalibrationFit | None:
     """Fit, hold the directions that can't be seen, and fit again from the start."""
     hidden: dict[str, Directions] = {}
     solution = None
@@ -79,7 +81,7 @@ def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> 
         if fitted is None:
             return solution
         found = observability(increments, fitted)
-        solution = Solution(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, "")
         worse = {
             name: each
             for name, each in found.items()
@@ -88,7 +90,7 @@ def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> 
         if not worse:
             return solution
         hidden |= worse
-        solution = Solution(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, "")
         free = {
             name: worse[name].directions[worse[name].seen] if name in worse else axes
             for name, axes in free.items()

@@ -19,11 +19,11 @@ from trajeval_ros.io.writing import write_text
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.executors import Pool
-    from trajeval_ros.batch.gates import Gate, Values
+    from trajeval_ros.batch.gates import Gate, GateValues
     from trajeval_ros.batch.plan import Plan
-    from trajeval_ros.batch.summary_tables import Summary
+    from trajeval_ros.batch.summary_tables import ComparisonSummary
 
-    Baseline = tuple[list[Gate], Values]
+    Baseline = tuple[list[Gate], GateValues]
 
 WORK, GATES = "Work", "Gates"
 GATES_FILE = "gates.md"
@@ -176,8 +176,8 @@ def compare(
 
 def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
     """Return gates and what they compare with; refuses what can't be compared before the work."""
-    from trajeval_ros.batch.gates import Gate, Values, require_same_settings
-    from trajeval_ros.batch.results_table import Rows, settings_of
+    from trajeval_ros.batch.gates import Gate, GateValues, require_same_settings
+    from trajeval_ros.batch.results_table import ResultsTable, settings_of
 
     if (path is None) != (not texts):
         raise SettingsError(
@@ -186,7 +186,7 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
     if path is None:
         return None
     gates = [Gate.parse(text) for text in texts]
-    values = Values(Rows(path))
+    values = GateValues(ResultsTable(path))
     require_same_settings(values, settings_of(plan), gates)
     for gate in gates:
         values.find(gate.path)
@@ -196,11 +196,11 @@ def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline 
 def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print what became better and worse; exit with status 1 if something is worse."""
     from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
-    from trajeval_ros.batch.results_table import Rows
+    from trajeval_ros.batch.gates import GateValues, judge, remarks_on, to_markdown
+    from trajeval_ros.batch.results_table import ResultsTable
 
     gates, values = before
-    now = Values(Rows(folder / RUNS))
+    now = GateValues(ResultsTable(folder / RUNS))
     verdicts = judge(gates, values, now)
     text = to_markdown(verdicts, title, remarks_on(values, now))
     write_text(folder / GATES_FILE, text)
@@ -221,7 +221,7 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
     return local_pool(workers) if cluster is None else dask_pool(cluster)
 
 
-def _write_tables(folder: Path, summary: Summary) -> None:
+def _write_tables(folder: Path, summary: ComparisonSummary) -> None:
     from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report import matrix as tables
 
@@ -235,7 +235,7 @@ def _write_tables(folder: Path, summary: Summary) -> None:
         write_text(folder / f"{each.name}.csv", tables.to_csv(each))
 
 
-def _print(summary: Summary, progress: Progress, folder: Path) -> None:
+def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report.matrix import to_terminal

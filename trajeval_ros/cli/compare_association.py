@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import SettingsError
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.likelihood.association_study import Comparison
+    from trajeval_ros.likelihood.association_study import AssociationComparison
     from trajeval_ros.likelihood.degradation import Degradation
 
 
@@ -115,7 +115,9 @@ def _read(sources: list[str]) -> list[Trajectory]:
     return found
 
 
-def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajectory) -> None:
+def _print(
+    comparisons: list[AssociationComparison], degradation: Degradation, poor: Trajectory
+) -> None:
     from trajeval_ros.report import tables
     from trajeval_ros.report.association_table import association_table
 
@@ -136,7 +138,10 @@ def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajec
 
 
 def _write(
-    target: str, comparisons: list[Comparison], degradation: Degradation, poor: Trajectory
+    target: str,
+    comparisons: list[AssociationComparison],
+    degradation: Degradation,
+    poor: Trajectory,
 ) -> None:
     from trajeval_ros.io.results.result_json import to_json
     from trajeval_ros.io.writing import write_text

@@ -14,10 +14,8 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from trajeval_ros.visual_inertial.scene import Profile, Scene
-    from trajeval_ros.visual_inertial.solver import Handling
+    from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
+    from trajeval_ros.visual_inertial.solver import GaugeHandling
     from trajeval_ros.visual_inertial.study import Covariances, Trials
 
 _SEED = 0
@@ -96,7 +94,7 @@ def gauge_study(
 
 
 def _recorded(
-    sources: list[str], start: float, duration: float, sensors: Profile
+    sources: list[str], start: float, duration: float, sensors: SensorProfile
 ) -> dict[str, Scene]:
     import dataclasses
 
@@ -119,7 +117,7 @@ def _recorded(
     return scenes
 
 
-def _compared(name: str, scene: Scene, trials: int) -> dict[Handling, Trials]:
+def _compared(name: str, scene: Scene, trials: int) -> dict[GaugeHandling, Trials]:
     from trajeval_ros.visual_inertial.study import compare
 
     with progress(f"{name}, {trials} trials") as advance:
@@ -131,7 +129,7 @@ def _write(
     folder: Path,
     profile: str,
     trials: int,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
@@ -180,7 +178,7 @@ def _draw(
     profile: str,
     trials: int,
     swept: Scene,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
@@ -190,7 +188,7 @@ def _draw(
 
     what = f"simulated sensors, profile {profile}, {trials} trials"
     with canvas.house_style():
-        figures: dict[str, Figure] = {
+        figures = {
             "prior_weight.png": gauge_figures.prior_weight(
                 SWEEP_WEIGHTS, sweep, f"sine plane, {what}"
             ),
@@ -208,7 +206,7 @@ def _draw(
 
 def _print(
     folder: Path,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     matrices: dict[str, Covariances],
 ) -> None:
     from trajeval_ros.report import gauge_tables, tables

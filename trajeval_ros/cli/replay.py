@@ -13,7 +13,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
-    from trajeval_ros.io.bags.pacing import Played
+    from trajeval_ros.io.bags.pacing import PlaybackResult
     from trajeval_ros.io.bags.playback import Channel, Playback
 
 _LATE_S = 0.1
@@ -148,7 +148,7 @@ def _print_notes(notes: Sequence[str]) -> None:
         print(f"note: {note}", flush=True)
 
 
-def _print_summary(playback: Playback, played: Played[Channel], rate: float) -> None:
+def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: float) -> None:
     """Print what was played, in one line."""
     counts = [f"{played.counts[each]} on {each.name}" for each in playback.channels]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS

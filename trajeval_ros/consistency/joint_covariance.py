@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.banded_gaussian import Chain, bandwidth
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -26,7 +26,7 @@ _ASYMMETRY = 1e-6
 _LEFT_IN_GAUGE = 1e-6
 # A dense inverse of more rows takes longer than anyone waits for a diagnostic.
 MOST_DENSE = 3000
-# Entries farther from the diagonal make a chain of few links, which is as slow.
+# Entries farther from the diagonal make few blocks, which is as slow.
 _WIDEST_BAND = 1500
 
 
@@ -136,7 +136,7 @@ class JointCovariance:
         inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
         return inverse
 
-    def chain(self) -> Chain | None:
+    def banded(self) -> BandedGaussian | None:
         """Return the factors of the information, in some gauge; None where it isn't banded.
 
         Raises:
@@ -146,7 +146,7 @@ class JointCovariance:
         if bandwidth(self.information) > _WIDEST_BAND:
             return None
         try:
-            return Chain(self._held())
+            return BandedGaussian(self._held())
         except DegenerateGeometryError:
             raise self._indefinite() from None
 

@@ -8,10 +8,10 @@ import math
 import numpy as np
 
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
-from trajeval_ros.consistency.marginal_covariances import about_world_axes
 from trajeval_ros.consistency.request import CovarianceRequest
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import Evaluation
 
@@ -57,7 +57,7 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
     if request.rotation_frame == "body" and estimate.covariances is not None:
         if estimate.rotations is None:
             raise InputError("the estimate has no orientations to turn its covariances by")
-        turned = about_world_axes(estimate.covariances, estimate.rotations.as_matrix())
+        turned = world_from_body_rotations(estimate.covariances, estimate.rotations.as_matrix())
         estimate = dataclasses.replace(estimate, covariances=turned)
     variances = None
     if request.groundtruth_noise is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.consistency.s_transformation import Transformation
+from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 
 Array = NDArray[np.float64]
@@ -57,28 +57,14 @@ def is_covariance(covariances: Array) -> NDArray[np.bool_]:
     return good
 
 
-def about_world_axes(covariances: Array, rotations: Array) -> Array:
-    """Return covariances (N, 6, 6) whose rotation is about the world's axes, as ROS has it.
-
-    Args:
-        covariances: With a rotation error about the body's axes, R exp(dtheta).
-        rotations: (N, 3, 3), body to world.
-    """
-    turned = covariances.copy()
-    turned[:, 3:] = rotations @ covariances[:, 3:]
-    result: Array = turned.copy()
-    result[:, :, 3:] = turned[:, :, 3:] @ np.swapaxes(rotations, 1, 2)
-    return result
-
-
-def initial_uncertainty(covariances: Array, transformation: Transformation) -> Array:
+def initial_uncertainty(covariances: Array, transformation: STransformation) -> Array:
     """Return the covariance (k, k) of the first pose in the gauge's own directions."""
     gradient = transformation.coefficients[:, :6]
     uncertainty: Array = gradient @ covariances[0] @ gradient.T
     return uncertainty
 
 
-def without_initial_prior(covariances: Array, transformation: Transformation) -> Array:
+def without_initial_prior(covariances: Array, transformation: STransformation) -> Array:
     """Take a prior on the first pose's position and yaw out of every pose's covariance.
 
     Such a prior adds U P U' to the covariance of the gauge of the first pose, so that marginals
@@ -104,7 +90,7 @@ def without_initial_prior(covariances: Array, transformation: Transformation) ->
     return stripped
 
 
-def upper_bounds(covariances: Array, transformation: Transformation) -> Array:
+def upper_bounds(covariances: Array, transformation: STransformation) -> Array:
     """Return covariances (N, 6, 6) of aligned poses that hold whatever their correlations are.
 
     Covariance intersection: Cov(a + b) <= Cov(a) / w + Cov(b) / (1 - w) for any w. An aligned

@@ -33,7 +33,7 @@ _WORST_CONDITION = 1e8
 
 
 @dataclass(frozen=True, eq=False)
-class Transformation:
+class STransformation:
     """Takes perturbations of N aligned states into the alignment's gauge.
 
     Attributes:
@@ -55,7 +55,7 @@ class Transformation:
         aligned: Trajectory,
         *,
         velocities: bool = False,
-    ) -> Transformation:
+    ) -> STransformation:
         """Return the transformation of an alignment as `evaluation` makes it.
 
         Args:
@@ -184,7 +184,7 @@ def carried_information(
     return (blocks @ information @ blocks.T).tocsr()
 
 
-def independent_noise(transformation: Transformation, variances: Array) -> Array:
+def independent_noise(transformation: STransformation, variances: Array) -> Array:
     """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
 
     Args:

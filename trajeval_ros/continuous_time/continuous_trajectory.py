@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.gp_segments import MOST_TURN_RAD
-from trajeval_ros.continuous_time.interpolated import Linear, Nearest
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation, NearestSample
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
@@ -21,6 +21,7 @@ from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import body_from_world_positions
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ _FEW = 10
 _ORDER = 2
 
 
-class Poses(Protocol):
+class PoseModel(Protocol):
     """Any model, fitted."""
 
     def at(self, times: Array) -> Belief:
@@ -73,7 +74,7 @@ class MarkovPoses:
         rotations = np.broadcast_to(np.eye(3), (len(times), 3, 3))
         if self.rotations is not None:
             rotations, covariances[:, 3:, 3:] = self.rotations.at(times)
-        covariances[:, :3, :3] = se3.congruent(se3.transposed(rotations), spread)
+        covariances[:, :3, :3] = body_from_world_positions(spread, rotations)
         return Belief(se3.poses(rotations, positions), covariances)
 
 
@@ -82,15 +83,15 @@ def _positions(samples: Samples, order: int) -> Process:
     return Process.fit(Positions(), order, samples.times, measured, noise)
 
 
-_FITS: dict[str, Callable[[Samples], Poses]] = {
+_FITS: dict[str, Callable[[Samples], PoseModel]] = {
     "matern": lambda samples: TwoScaleGP.fit(samples, (MATERN_32, MATERN_52)),
     "matern32": lambda samples: TwoScaleGP.fit(samples, (MATERN_32,)),
     "matern52": lambda samples: TwoScaleGP.fit(samples, (MATERN_52,)),
     "paper": lambda samples: PiecewiseGP.fit(samples, (SQUARED_EXPONENTIAL,), joint=True),
     "wnoa": lambda samples: MarkovPoses.fit(samples, 2),
     "wnoj": lambda samples: MarkovPoses.fit(samples, 3),
-    "linear": Linear,
-    "nearest": Nearest,
+    "linear": LinearInterpolation,
+    "nearest": NearestSample,
 }
 
 
@@ -107,7 +108,7 @@ class ContinuousTrajectory:
 
     model: str
     samples: Samples
-    poses: Poses
+    poses: PoseModel
     statements: tuple[str, ...]
 
     def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -187,7 +188,7 @@ def _most_predictive(samples: Samples) -> str:
     def cost(model: str) -> float:
         belief = _FITS[model](kept).at(some.times[held])
         axes = 6 if samples.oriented else 3
-        noise = Nearest(kept).at(some.times[held]).covariances
+        noise = NearestSample(kept).at(some.times[held]).covariances
         spread = (belief.covariances + noise)[:, :axes, :axes]
         missed = se3.log(se3.inverse(belief.poses) @ truth)[:, :axes]
         surprise = np.einsum(

@@ -26,7 +26,7 @@ _NOWHERE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class GPSegments:
     """S segments of n samples, each overlapping its neighbours by half, if it has any.
 
     Attributes:
@@ -51,7 +51,7 @@ class Segments:
         *,
         joint: bool = False,
         breaks: Indices = _NOWHERE,
-    ) -> Segments:
+    ) -> GPSegments:
         """Cut samples into segments, smaller ones where rotations would grow too large.
 
         Args:

@@ -26,7 +26,7 @@ def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
     return int(np.abs(entries.row - entries.col).max(initial=0))
 
 
-class Chain:
+class BandedGaussian:
     """The factors of an information matrix (n, n), positive definite and banded."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:

@@ -239,6 +239,12 @@ def yaw_of_matrix(matrix: Array) -> Array:
     return twist
 
 
+def about_gravity(angle: float) -> Array:
+    """Return the rotation matrix (3, 3) about gravity, the z axis, by an angle in rad."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
 def left_jacobian(rotation_vector: Array) -> Array:
     """Return J_l (..., 3, 3) with Exp(v + dv) = Exp(J_l dv) Exp(v); J_r(v) is J_l(-v)."""
     _, cosine, remainder = _rodrigues(rotation_vector)

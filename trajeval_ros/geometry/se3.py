@@ -2,8 +2,7 @@
 
 Poses are homogeneous matrices (..., 4, 4). Twists (..., 6) are translation first, rotation second,
 and perturb on the right, in the body: T' = T Exp(xi), eq. (1) of the probabilistic paper. The
-package's other covariances are about the fixed frame's axes: `body_covariances` and
-`world_covariances` turn one kind into the other.
+package's other covariances are about the fixed frame's axes: see `covariance_frames`.
 """
 
 from __future__ import annotations
@@ -102,18 +101,6 @@ def congruent(matrices: NDArray[Any], covariances: Array) -> Array:
     carried = matrices @ covariances @ transposed(matrices)
     symmetric: Array = 0.5 * (carried + transposed(carried))
     return symmetric
-
-
-def body_covariances(covariances: Array, rotations: Array) -> Array:
-    """Return covariances (N, 6, 6) about the fixed axes, about those of bodies at (N, 3, 3)."""
-    return world_covariances(covariances, transposed(rotations))
-
-
-def world_covariances(covariances: Array, rotations: Array) -> Array:
-    """Return covariances (N, 6, 6) about body axes, about the fixed ones; to first order."""
-    turn = np.zeros((*rotations.shape[:-2], 6, 6))
-    turn[..., :3, :3] = turn[..., 3:, 3:] = rotations
-    return congruent(turn, covariances)
 
 
 def _triangular(diagonal: Array, corner: Array) -> Array:

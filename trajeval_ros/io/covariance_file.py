@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
 from trajeval_ros.io.writing import write_whole
 
 _GAUGES = ("free", "first4", "prior", "unknown")
@@ -95,7 +96,10 @@ def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
     covariance = np.asarray(arrays["cov"], dtype=np.float64) if "cov" in arrays else None
     information = _information(arrays, count * block)
     if _word(arrays, "perturbation", _PERTURBATIONS) == "right":
-        covariance, information = _to_left(covariance, information, quaternions, block)
+        rotations = Rotation.from_quat(quaternions).as_matrix()
+        covariance, information = world_from_body_rotations_jointly(
+            covariance, information, rotations, block
+        )
     return JointCovariance(
         stamps,
         positions,
@@ -128,21 +132,3 @@ def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr
             f"info_data, info_indices and info_indptr are no {size} x {size} matrix in compressed "
             "rows"
         ) from error
-
-
-def _to_left(
-    covariance: NDArray[np.float64] | None,
-    information: scipy.sparse.csr_matrix | None,
-    quaternions: NDArray[np.float64],
-    block: int,
-) -> tuple[NDArray[np.float64] | None, scipy.sparse.csr_matrix | None]:
-    """Turn rotation errors about the body's axes, R exp(d), into the world's: exp(R d) R."""
-    blocks = np.tile(np.eye(block), (len(quaternions), 1, 1))
-    blocks[:, 3:6, 3:6] = Rotation.from_quat(quaternions).as_matrix()
-    turn = scipy.sparse.block_diag(blocks, format="csr")
-    # Turns are orthogonal, so covariance and information turn alike.
-    if covariance is not None and covariance.shape == turn.shape:
-        covariance = np.asarray((turn @ (turn @ covariance).T).T)
-    if information is not None:
-        information = (turn @ information @ turn.T).tocsr()
-    return covariance, information

@@ -20,7 +20,7 @@ _TRUTH = re.compile(
 
 
 @dataclass(frozen=True)
-class Summary:
+class TrajectorySummary:
     """A trajectory in a few numbers.
 
     Attributes:
@@ -83,7 +83,7 @@ class Description:
     """
 
     path: Path
-    trajectories: tuple[Summary, ...]
+    trajectories: tuple[TrajectorySummary, ...]
     edges: tuple[EdgeSummary, ...] = ()
     others: tuple[tuple[str, str, int], ...] = ()
     notes: tuple[str, ...] = ()
@@ -123,7 +123,9 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                     trajectory = trajectory_of(bag, topic, columns[topic])
                     trajectories.append(_summarize(name, trajectory))
                 except InputError as error:
-                    trajectories.append(Summary(name, topic.type, topic.count, problem=str(error)))
+                    trajectories.append(
+                        TrajectorySummary(name, topic.type, topic.count, problem=str(error))
+                    )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
                 for (parent, child), edge in read_edges(bag, topic.name)[0].items():
                     edges[topic.name, parent, child] = EdgeSummary(
@@ -141,7 +143,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), notes)
 
 
-def _summarize(source: str, trajectory: Trajectory) -> Summary:
+def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     """Return a trajectory in a few numbers."""
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
@@ -156,7 +158,7 @@ def _summarize(source: str, trajectory: Trajectory) -> Summary:
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
     dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
     unstamped = not trajectory.stamped
-    return Summary(
+    return TrajectorySummary(
         source=source,
         kind=kind,
         poses=len(ordered),

@@ -18,11 +18,15 @@ from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
-from trajeval_ros.likelihood.correlated_groundtruth import JointGroundtruth, joint_log_likelihood
-from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
-from trajeval_ros.likelihood.observable_directions import Chain, gauge_chain
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
+from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
@@ -51,8 +55,8 @@ class Assessment:
         error: The generalised absolute error.
         edges: Its parts, edge by edge, re-linearised at the most likely alignment; None where
             positions alone are compared.
-        chain: Scores with scale and tilt; None where the gauge leaves rotations alone, or the
-            poses leave one open.
+        gauge_scores: Scores with scale and tilt; None where the gauge leaves rotations alone, or
+            the poses leave one open.
         ate: Of positions.
         log_bayes: By the name of each other estimate, nats, from the joint covariance.
         statements: What a reader of the numbers must know, one sentence each.
@@ -61,9 +65,9 @@ class Assessment:
     continuous: ContinuousTrajectory
     stamps: NDArray[np.int64]
     belief: Belief
-    error: AbsoluteError
-    edges: relative_density.RelativeError | None
-    chain: Chain | None
+    error: AbsoluteErrorDensity
+    edges: relative_density.RelativeErrorDensity | None
+    gauge_scores: GaugeScores | None
     ate: UncertainAte
     log_bayes: dict[str, float]
     statements: tuple[str, ...]
@@ -98,7 +102,7 @@ def assess(evaluation: Evaluation) -> Assessment:
     joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
     ate = uncertain_ate(
         known.poses[:, :3, 3],
-        se3.world_covariances(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
+        world_from_body_twists(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
         pairs.estimate.positions
         if protocol.align_states is None
         else evaluation.aligned.positions,
@@ -107,7 +111,7 @@ def assess(evaluation: Evaluation) -> Assessment:
         joint,
     )
     assessment = Assessment(
-        continuous, stamps, belief, error, edges, _chain_of(residuals), ate, {}, ()
+        continuous, stamps, belief, error, edges, _gauge_scores_of(residuals), ate, {}, ()
     )
     return dataclasses.replace(assessment, statements=_statements(assessment))
 
@@ -144,7 +148,7 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
     if not all(each.error.residuals.oriented for each in assessments):
         markov = dataclasses.replace(markov, rotations=None)
     times = continuous.samples.seconds(common)
-    groundtruth = JointGroundtruth.of(markov, times, TOLERANCE)
+    groundtruth = CorrelatedGroundtruth.of(markov, times, TOLERANCE)
     scores = []
     for each in assessments:
         rows = np.searchsorted(each.stamps, common)
@@ -183,11 +187,11 @@ def _with_tolerance(known: Belief, oriented: bool) -> Belief:
     return Belief(known.poses, known.covariances + np.diag(tolerance))
 
 
-def _chain_of(residuals: Residuals) -> Chain | None:
+def _gauge_scores_of(residuals: Residuals) -> GaugeScores | None:
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:
-        return gauge_chain(residuals)
+        return gauge_scores(residuals)
     except DegenerateGeometryError:
         return None
 

@@ -19,7 +19,7 @@ _ANY_GAP_S = 1e6
 
 
 @dataclass(frozen=True)
-class Reported:
+class ReportedAte:
     """What one association says.
 
     Attributes:
@@ -38,7 +38,7 @@ class Reported:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class AssociationComparison:
     """Of one estimate.
 
     Attributes:
@@ -49,7 +49,7 @@ class Comparison:
 
     name: str
     true_ate_m: float
-    reported: tuple[Reported, ...]
+    reported: tuple[ReportedAte, ...]
 
 
 def compare_associations(
@@ -57,7 +57,7 @@ def compare_associations(
     poor: Trajectory,
     estimate: Trajectory,
     protocol: Protocol,
-) -> Comparison:
+) -> AssociationComparison:
     """Compare associations of one estimate.
 
     Args:
@@ -87,31 +87,31 @@ def compare_associations(
     }
     reported = [_plain(name, poor, estimate, ruled(rule)) for name, rule in plain.items()]
     reported += _continuous(poor, estimate, ruled(modelled))
-    return Comparison(estimate.name, true, tuple(reported))
+    return AssociationComparison(estimate.name, true, tuple(reported))
 
 
-def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> Reported:
+def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> ReportedAte:
     try:
         found = evaluate(poor, estimate, protocol)
     except TrajevalError as error:
-        return Reported(name, None, 0.0, reason=str(error))
-    return Reported(name, _position_ate(found), found.association.estimate_coverage)
+        return ReportedAte(name, None, 0.0, reason=str(error))
+    return ReportedAte(name, _position_ate(found), found.association.estimate_coverage)
 
 
-def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[Reported]:
+def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[ReportedAte]:
     model = protocol.association.model
     names = [f"{model}, {which}" for which in ("plain", "weighted", "supported")]
     try:
         found = evaluate(poor, estimate, protocol)
         ate = assess(found).ate
     except TrajevalError as error:
-        return [Reported(name, None, 0.0, reason=str(error)) for name in names]
+        return [ReportedAte(name, None, 0.0, reason=str(error)) for name in names]
     covered = found.association.estimate_coverage
     nowhere = "" if ate.supported_m is not None else "no groundtruth pose is known well enough"
     return [
-        Reported(names[0], _position_ate(found), covered),
-        Reported(names[1], ate.weighted_m, covered),
-        Reported(
+        ReportedAte(names[0], _position_ate(found), covered),
+        ReportedAte(names[1], ate.weighted_m, covered),
+        ReportedAte(
             names[2], ate.supported_m, covered * ate.supported_share, ate.interval_m, nowhere
         ),
     ]

@@ -28,7 +28,7 @@ _SMALL_STEP = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class JointGroundtruth:
+class CorrelatedGroundtruth:
     """A Markov groundtruth at Q times, with all correlations, and a tolerance.
 
     Positions err along the world's axes, rotations on the right: the two are apart.
@@ -44,7 +44,7 @@ class JointGroundtruth:
     rotations: ObservedPosterior | None
 
     @classmethod
-    def of(cls, model: MarkovPoses, times: Array, tolerance: Noise) -> JointGroundtruth:
+    def of(cls, model: MarkovPoses, times: Array, tolerance: Noise) -> CorrelatedGroundtruth:
         """Ask a model for times (Q,), seconds, within those of its samples."""
 
         def added(sigma: float) -> Array:
@@ -61,7 +61,7 @@ class JointGroundtruth:
 
 
 def joint_log_likelihood(
-    groundtruth: JointGroundtruth, estimate: Array, gauge: Gauge, start: Array
+    groundtruth: CorrelatedGroundtruth, estimate: Array, gauge: Gauge, start: Array
 ) -> float:
     """Return log L_AE, nats, by Laplace's approximation under right Haar measure.
 
@@ -97,17 +97,17 @@ def joint_log_likelihood(
     return value
 
 
-def _apart(groundtruth: JointGroundtruth, moved: Array) -> Array:
+def _apart(groundtruth: CorrelatedGroundtruth, moved: Array) -> Array:
     difference: Array = moved[:, :3, 3] - groundtruth.poses[:, :3, 3]
     return difference
 
 
-def _turns(groundtruth: JointGroundtruth, moved: Array) -> Array:
+def _turns(groundtruth: CorrelatedGroundtruth, moved: Array) -> Array:
     return lie.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ moved[:, :3, :3])
 
 
 def _normal_equations(
-    groundtruth: JointGroundtruth, moved: Array, chart: Chart
+    groundtruth: CorrelatedGroundtruth, moved: Array, chart: Chart
 ) -> tuple[Array, Array]:
     """Return the information (d, d) and gradient (d,) of the log density by an alignment."""
     twists = chart.twists(moved[:, :3, 3])

@@ -18,7 +18,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import scales
-from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
@@ -46,7 +46,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Chain:
+class GaugeScores:
     """Scores of one estimate in three gauges.
 
     Attributes:
@@ -64,7 +64,7 @@ class Chain:
     tilt: Condition
 
 
-def gauge_chain(residuals: Residuals) -> Chain:
+def gauge_scores(residuals: Residuals) -> GaugeScores:
     """Return the scores of an estimate in all gauges, whatever its own is.
 
     Raises:
@@ -76,7 +76,7 @@ def gauge_chain(residuals: Residuals) -> Chain:
         sim3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SIM3))
     except DegenerateGeometryError:
         sim3 = None
-    return Chain(
+    return GaugeScores(
         None if sim3 is None else sim3.log_likelihood,
         se3.log_likelihood,
         yaw.log_likelihood,
@@ -85,12 +85,12 @@ def gauge_chain(residuals: Residuals) -> Chain:
     )
 
 
-def _scale_of(error: AbsoluteError) -> Condition:
+def _scale_of(error: AbsoluteErrorDensity) -> Condition:
     value = np.log(scales(error.mode.element))
     return _condition(np.array([value]), error.covariance[-1:, -1:])
 
 
-def _tilt_of(error: AbsoluteError) -> Condition:
+def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
     """The level rotation vector that, after a yaw, makes the alignment's rotation."""
     rotation = error.mode.element[:3, :3]
     yaw = np.array([0.0, 0.0, lie.yaw_of_matrix(rotation)])

@@ -23,7 +23,7 @@ LOG_2_PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
-class RelativeError:
+class RelativeErrorDensity:
     """Log densities of M - 1 relative poses, edge by edge.
 
     Attributes:
@@ -98,7 +98,7 @@ def relative_errors(poses: Array, estimate: Array) -> Array:
     return se3.log(se3.inverse(relative_poses(poses)) @ relative_poses(estimate))
 
 
-def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeError:
+def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeErrorDensity:
     """Return P_RE, eq. (17), in O(M); by eq. (29) it is the first-order absolute error, too.
 
     Its parts of second order add up along the way: at 1 deg and a thousand poses it is off by a
@@ -114,7 +114,7 @@ def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeError
     return decomposed(belief, relative_errors(belief.poses, estimate))
 
 
-def decomposed(belief: Belief, differences: Array) -> RelativeError:
+def decomposed(belief: Belief, differences: Array) -> RelativeErrorDensity:
     """Return the log density of differences (M - 1, 6) of relative poses, edge by edge.
 
     Args:
@@ -133,4 +133,4 @@ def decomposed(belief: Belief, differences: Array) -> RelativeError:
         ) from error
     whitened = factor.whitened(differences)
     edges = -0.5 * np.sum(whitened**2, axis=1) - factor.log_diagonal.sum(axis=1)
-    return RelativeError(edges - 3.0 * LOG_2_PI, whitened)
+    return RelativeErrorDensity(edges - 3.0 * LOG_2_PI, whitened)

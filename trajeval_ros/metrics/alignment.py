@@ -43,7 +43,7 @@ class Alignment:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class AlignmentSolution:
     """The least-squares alignment of some moments, and how well they determine its rotation.
 
     The curvature of the cost about its flattest axis is a squared lever arm: positions that far
@@ -83,10 +83,10 @@ class Solution:
         )
 
 
-def solve(gauge: Gauge, moments: Moments) -> Solution:
+def solve(gauge: Gauge, moments: Moments) -> AlignmentSolution:
     """Return the least-squares alignment, eq. (13) in the gauge: Alg. 1, or with eq. (18)."""
     if not gauge.has_translation:
-        return Solution(gauge, Similarity.identity())
+        return AlignmentSolution(gauge, Similarity.identity())
     sigma = moments.covariance_pq
     if gauge.turns_freely:
         # numpy's own way to this routine costs three times the decomposition.
@@ -98,10 +98,10 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
         curvature = float(d[1] + flip * d[2])  # of the cost about its flattest axis, m^2/rad^2
     elif gauge.turns_about_gravity_only:
         sine, cosine = sigma[1, 0] - sigma[0, 1], sigma[0, 0] + sigma[1, 1]
-        rotation = _about_gravity(np.arctan2(sine, cosine))
+        rotation = lie.about_gravity(np.arctan2(sine, cosine))
         curvature = float(np.hypot(sine, cosine))
     else:
-        return Solution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
+        return AlignmentSolution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
     # Line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma.
     best_scale = 1.0
     if moments.variance_q > 0.0:
@@ -112,7 +112,7 @@ def solve(gauge: Gauge, moments: Moments) -> Solution:
     lever_squared = best_scale * curvature
     if lever_squared <= _ROUNDING * best_scale**2 * moments.variance_q:
         lever_squared = 0.0
-    return Solution(
+    return AlignmentSolution(
         gauge,
         _mean_to_mean(rotation, best_scale if gauge.has_scale else 1.0, moments),
         math.sqrt(lever_squared),
@@ -143,7 +143,7 @@ def align(
         gauge: What the alignment may change.
         groundtruth: (N, 3), metres. For `planar` the height plays no part in the rotation.
         estimate: (N, 3), metres.
-        weights: (N,) positive, per pair, such as `position_weights`; None for all alike.
+        weights: (N,) positive, per pair, as in `weighted_alignment`; None for all alike.
 
     Raises:
         DegenerateGeometryError: Fewer states than the gauge needs, or no motion at all where a
@@ -208,23 +208,7 @@ def align_first(
                     "the first state's rotations differ by half a turn about a level axis, which "
                     "leaves the yaw open; is z up in both trajectories?"
                 )
-            rotation = _about_gravity(float(lie.yaw(between)))
+            rotation = lie.about_gravity(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position
     similarity = Similarity(rotation, translation if gauge.has_translation else np.zeros(3))
     return Alignment(similarity, 1)
-
-
-def position_weights(covariances: Array, error_m: float) -> Array:
-    """Return a scalar weight per state from pose covariances (N, 6, 6), position first.
-
-    1 / (tr Sigma / 3 + e^2 / 3): the mean variance of an axis, with the size e of the errors
-    themselves as a floor, so that an over-confident state doesn't rule the alignment.
-    """
-    variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
-    weights: Array = 1.0 / (variance + error_m**2 / 3.0)
-    return weights
-
-
-def _about_gravity(angle: float) -> Array:
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -147,7 +147,7 @@ def relative_errors(
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
     """
-    truth, other = Poses.of(groundtruth), Poses.of(estimate)
+    truth, other = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
 
     def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
         rows = np.stack([s, e])
@@ -171,7 +171,7 @@ def relative_errors(
     return RelativeErrors(starts, ends, *lie.by_blocks(at_ends, starts, ends))
 
 
-class Poses(NamedTuple):
+class PoseArrays(NamedTuple):
     """The columns of poses that relative errors need.
 
     Attributes:
@@ -183,19 +183,19 @@ class Poses(NamedTuple):
     quaternions: Array
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> Poses:
+    def of(cls, trajectory: Trajectory) -> PoseArrays:
         """Return the N poses of a trajectory with rotations."""
         quaternions = trajectory.quaternions
         assert quaternions is not None
         return cls(trajectory.positions, quaternions)
 
-    def at(self, rows: Indices) -> Poses:
+    def at(self, rows: Indices) -> PoseArrays:
         """Return the poses of these rows."""
-        return Poses(self.positions[rows], self.quaternions[rows])
+        return PoseArrays(self.positions[rows], self.quaternions[rows])
 
 
 def differences_at_ends(
-    truth: Poses, other: Poses, gauge: Gauge, scale: float = 1.0, form: str = "gauge"
+    truth: PoseArrays, other: PoseArrays, gauge: Gauge, scale: float = 1.0, form: str = "gauge"
 ) -> tuple[Array, Array, Array]:
     """Align K sub-trajectories at their starts; return the differences at their ends.
 
@@ -224,7 +224,7 @@ def differences_at_ends(
 
 
 def _fitted(
-    truth: Poses, other: Poses, starts: Indices, ends: Indices
+    truth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
 ) -> tuple[Array, Array, Array]:
     """Align K sub-trajectories by all their states; return what `differences_at_ends` does."""
     alignment, mean_p, mean_q = align_spans(truth.positions, other.positions, starts, ends)

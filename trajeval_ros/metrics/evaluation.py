@@ -14,8 +14,9 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
-from trajeval_ros.metrics.alignment import Alignment, align, align_first, position_weights
+from trajeval_ros.metrics.alignment import Alignment, align, align_first
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
 from trajeval_ros.metrics.errors import (
     AbsoluteErrors,
     RelativeErrors,
@@ -26,6 +27,7 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.score import Score
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length, select
+from trajeval_ros.metrics.weighted_alignment import align_weighted
 
 Array = NDArray[np.float64]
 
@@ -33,7 +35,7 @@ ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class SubTrajectoryErrors:
     """The relative errors of all sub-trajectories of one length.
 
     Attributes:
@@ -82,16 +84,20 @@ class Evaluation:
     aligned: Trajectory
     absolute: AbsoluteErrors
     ate: dict[str, Statistics | None]
-    segments: tuple[Segments, ...] | None
+    segments: tuple[SubTrajectoryErrors, ...] | None
     pooled: dict[str, Statistics | None]
     warnings: tuple[str, ...]
     score: Score | None = None
 
     @property
-    def longest(self) -> Segments | None:
-        """The longest sub-trajectories in metres that there are, whose mean is the drift."""
-        with_drift = [each for each in self.segments or () if each.statistics["position_percent"]]
-        return max(with_drift, key=lambda each: each.length_m or 0.0, default=None)
+    def drift(self) -> Drift | None:
+        """The drift over the longest sub-trajectories in metres; None if there are none."""
+        known = [
+            Drift(percent, each.length_m)
+            for each in self.segments or ()
+            if each.length_m is not None and (percent := each.statistics["position_percent"])
+        ]
+        return max(known, key=lambda drift: drift.length_m, default=None)
 
 
 def evaluate(
@@ -159,7 +165,9 @@ def evaluate_pairs(
         absolute=absolute,
         ate=ate,
         segments=segments,
-        pooled=_pooled(segments or ()),
+        pooled=pooled_drift(
+            [(each.errors, each.length_m) for each in segments or () if each.length_m]
+        ),
         warnings=(),
         score=None
         if protocol.score is None
@@ -196,15 +204,9 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         )
     first = slice(protocol.align_states)
     p, q = truth.positions[first], estimate.positions[first]
-    alignment = align(protocol.gauge, p, q)
     if protocol.align_weights == "covariance":
-        covariances = _known_covariances(estimate)[first]
-        for _ in range(2):  # the size of the errors, a part of the weights, depends on them
-            moved = alignment.similarity.positions(q)
-            error = float(np.sqrt(np.mean(np.sum(np.square(p - moved), axis=1))))
-            in_metres = alignment.similarity.scale**2 * covariances
-            alignment = align(protocol.gauge, p, q, position_weights(in_metres, error))
-    return alignment
+        return align_weighted(protocol.gauge, p, q, _known_covariances(estimate)[first])
+    return align(protocol.gauge, p, q)
 
 
 def _known_covariances(estimate: Trajectory) -> Array:
@@ -221,7 +223,7 @@ def _known_covariances(estimate: Trajectory) -> Array:
 
 def _relative(
     pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
-) -> tuple[Segments, ...] | None:
+) -> tuple[SubTrajectoryErrors, ...] | None:
     """Measure the errors (27) of all sub-trajectories of all lengths."""
     if not protocol.lengths or not _have_rotations(pairs):
         return None
@@ -252,7 +254,7 @@ def _relative(
             errors = dataclasses.replace(errors, tilt_deg=None)
         in_metres = length.unit != "s"
         segments.append(
-            Segments(
+            SubTrajectoryErrors(
                 length=length,
                 length_m=float(value) if in_metres else None,
                 duration_s=None if in_metres else float(value),
@@ -280,29 +282,15 @@ def _segment_statistics(
     errors: RelativeErrors, length_m: float | None
 ) -> dict[str, Statistics | None]:
     position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
-    percent = per_metre = None
-    if length_m is not None and position is not None and rotation is not None:
-        percent, per_metre = position.scaled(100.0 / length_m), rotation.scaled(1.0 / length_m)
+    per_length = statistics_per_length(position, rotation, length_m)
     return {
         "position_m": position,
-        "position_percent": percent,
+        "position_percent": per_length["position_percent"],
         "rotation_deg": rotation,
-        "rotation_deg_per_m": per_metre,
+        "rotation_deg_per_m": per_length["rotation_deg_per_m"],
         "yaw_deg": statistics_of(errors.yaw_deg),
         "tilt_deg": statistics_of(errors.tilt_deg),
         "velocity_mps": statistics_of(errors.velocity_mps),
-    }
-
-
-def _pooled(segments: tuple[Segments, ...]) -> dict[str, Statistics | None]:
-    by_metre = [(each.errors, each.length_m) for each in segments if each.length_m]
-    if not by_metre:
-        return {"position_percent": None, "rotation_deg_per_m": None}
-    percent = [errors.position_m * (100.0 / length) for errors, length in by_metre]
-    per_metre = [errors.rotation_deg / length for errors, length in by_metre]
-    return {
-        "position_percent": statistics_of(np.concatenate(percent)),
-        "rotation_deg_per_m": statistics_of(np.concatenate(per_metre)),
     }
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.calibrate import Systematic, calibrate
+from trajeval_ros.calibration.calibrate import SystematicErrors, calibrate
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.online.pairing import POSITION, QUATERNION, Stream
+from trajeval_ros.online.pairing import POSITION, QUATERNION, StateBuffer
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -63,7 +63,7 @@ class OnlineClock:
         report: What is known by now.
     """
 
-    def __init__(self, gauge: Gauge, systematic: Systematic | None = None) -> None:
+    def __init__(self, gauge: Gauge, systematic: SystematicErrors | None = None) -> None:
         """Begin empty.
 
         Args:
@@ -72,7 +72,7 @@ class OnlineClock:
         """
         self.report = ClockReport()
         self._gauge, self._systematic = gauge, systematic
-        self._truth, self._estimate = Stream(), Stream()
+        self._truth, self._estimate = StateBuffer(), StateBuffer()
         self._first: int | None = None
         self._next_s = FIRST_S
 
@@ -133,7 +133,7 @@ class OnlineClock:
         )
 
 
-def _add(stream: Stream, stamps: Stamps, rows: Floats, step_ns: int) -> None:
+def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> None:
     """Keep the first state of each step of time that is newer than all held; forget old ones."""
     new = stamps > stream.newest
     if len(stream):
@@ -149,7 +149,7 @@ def _add(stream: Stream, stamps: Stamps, rows: Floats, step_ns: int) -> None:
     stream.drop(int(stream.held[0].searchsorted(oldest)))
 
 
-def _trajectory(stream: Stream) -> Trajectory:
+def _trajectory(stream: StateBuffer) -> Trajectory:
     stamps, rows = stream.held
     turns = rows[:, QUATERNION]
     known = not np.isnan(turns).any() and bool(turns[:, :3].any())

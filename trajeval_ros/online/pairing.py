@@ -86,7 +86,7 @@ class Limits:
     waiting_states: int = 50_000
 
 
-class Stream:
+class StateBuffer:
     """States sorted by stamp, each stamp once, within limits."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class PairingBuffer:
         self.dropped: dict[str, int] = {}
         self.groundtruth_dropped: dict[str, int] = {}
         self.groundtruth_count = 0
-        self._truth, self._waiting = Stream(), Stream()
+        self._truth, self._waiting = StateBuffer(), StateBuffer()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = _NEVER
         self._forgotten_time, self._forgotten_path_m = 0, 0.0

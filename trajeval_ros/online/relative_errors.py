@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.errors import Poses, differences_at_ends, lengths
+from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import nearest_ends
 from trajeval_ros.online.pairing import POSITION, QUATERNION
@@ -173,8 +173,8 @@ class RelativeTracker:
         return lie.by_blocks(at_ends, starts, ends)
 
 
-def _poses(rows: Floats) -> Poses:
-    return Poses(rows[..., POSITION], rows[..., QUATERNION])
+def _poses(rows: Floats) -> PoseArrays:
+    return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
 
 
 def _seconds(stamps: NDArray[np.int64]) -> Floats:

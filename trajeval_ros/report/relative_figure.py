@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.drift import position_percent
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
@@ -61,7 +62,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
 
 
 def _draw_boxes(
-    axes: Axes, all_segments: Sequence[Segments], metric: str, place: int, of: int
+    axes: Axes, all_segments: Sequence[SubTrajectoryErrors], metric: str, place: int, of: int
 ) -> None:
     colour, dashes = canvas.line_style(place)
     line = {"color": colour, "linewidth": 0.8}
@@ -119,10 +120,10 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
             )
 
 
-def _errors(segments: Segments, metric: str) -> NDArray[np.float64]:
+def _errors(segments: SubTrajectoryErrors, metric: str) -> NDArray[np.float64]:
     if metric == "position_percent":
         assert segments.length_m is not None
-        return segments.errors.position_m * (100.0 / segments.length_m)
+        return position_percent(segments.errors.position_m, segments.length_m)
     errors: NDArray[np.float64] = getattr(segments.errors, metric)
     return errors
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.metrics.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 
 if TYPE_CHECKING:
@@ -112,12 +112,10 @@ def _score(evaluation: Evaluation) -> list[str]:
 
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories that there are, in words."""
-    longest = evaluation.longest
-    if longest is None:
+    drift = evaluation.drift
+    if drift is None:
         return ""
-    drift = longest.statistics["position_percent"]
-    assert drift is not None
-    return f"); drift {drift.mean:.3g} % of {longest.length_m:.4g} m (mean"
+    return f"); drift {drift.percent.mean:.3g} % of {drift.length_m:.4g} m (mean"
 
 
 def _dropped(evaluation: Evaluation) -> str:
@@ -191,7 +189,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     return table
 
 
-def length_text(segment: Segments) -> str:
+def length_text(segment: SubTrajectoryErrors) -> str:
     """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
     if segment.length_m is None:
         return f"{segment.duration_s:g} s"

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.pacing import Played, play
+from trajeval_ros.io.bags.pacing import PlaybackResult, play
 from trajeval_ros.io.bags.playback import CLOCK_TOPIC, Channel, Playback
-from trajeval_ros.ros.lifetime import Stop, ros
+from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import message_class
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def replay(
     arguments: Sequence[str] = (),
     begin: Callable[[Sequence[Channel]], None],
     advance: Callable[[int, int], None],
-) -> Played[Channel]:
+) -> PlaybackResult[Channel]:
     """Publish what is to be played; SIGINT and SIGTERM end it early.
 
     Args:
@@ -101,7 +101,7 @@ def _publisher(node: Node, channel: Channel) -> Any:
     return node.create_publisher(message_class(channel.type), channel.name, qos)
 
 
-def _send(publisher: Any, payload: bytes, stop: Stop) -> float:
+def _send(publisher: Any, payload: bytes, stop: StopSignal) -> float:
     """Publish a message as soon as there is room for it; returns how long that took, seconds.
 
     A signal ends the waiting, and the message is not sent.
@@ -144,7 +144,7 @@ def _no_clock(time_ns: int) -> None:
 
 
 def _without_subscriber(
-    publishers: dict[Channel, Any], patience_s: float, stop: Stop
+    publishers: dict[Channel, Any], patience_s: float, stop: StopSignal
 ) -> list[Channel]:
     """Wait until every topic has a subscriber; return the channels that still have none."""
     until = time.monotonic() + patience_s
@@ -155,7 +155,7 @@ def _without_subscriber(
         time.sleep(_LOOK_EVERY_S)
 
 
-def _deliver(publishers: Sequence[Any], stop: Stop) -> None:
+def _deliver(publishers: Sequence[Any], stop: StopSignal) -> None:
     """Wait until subscribers have acknowledged all messages, which an exit would lose."""
     from rclpy.duration import Duration
 

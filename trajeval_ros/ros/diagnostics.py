@@ -144,7 +144,7 @@ def _values(
         "scale": None if alignment is None else alignment.similarity.scale,
         "estimate coverage": snapshot.estimate_coverage,
         "groundtruth coverage": snapshot.groundtruth_coverage,
-        "dropped": reasons(add_counts(estimate.stream.told.dropped, snapshot.dropped)) or None,
+        "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(run.groundtruth_dropped(estimate)) or None,
         "waiting for groundtruth": snapshot.waiting,
         "messages lost": estimate.side.lost,

@@ -14,7 +14,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 _MOST_STATES = 250_000
 
 
-class Held:
+class HeldMessages:
     """Calls that wait, and the time that their states span.
 
     Attributes:

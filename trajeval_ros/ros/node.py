@@ -154,8 +154,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 outputs.publish_geometry(
                     estimate.trail,
                     snapshot.alignment.similarity,
-                    self._run.groundtruth.stream.told.frame,
-                    estimate.stream.told.frame,
+                    self._run.groundtruth.stream.status.frame,
+                    estimate.stream.status.frame,
                 )
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE

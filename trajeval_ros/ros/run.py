@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from trajeval_ros.ros.lifetime import Stop, ros
+from trajeval_ros.ros.lifetime import StopSignal, ros
 
 # Services and the simulated clock are served so often. An executor makes its wait set anew for
 # every event, which at /clock's rate alone would take longer than all evaluation.
@@ -14,7 +14,7 @@ _REPORT_EVERY_S = 0.5
 _TELL_EVERY_S = 1.0
 
 
-class Duty:
+class PeriodicTask:
     """Something to do again and again."""
 
     def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
@@ -53,10 +53,10 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         executor = SingleThreadedExecutor()  # the other executors pass over callback groups
         executor.add_node(node)
         duties = [
-            Duty(node.tick, lambda: node.tick_period_s),
-            Duty(node.report, lambda: _REPORT_EVERY_S),
-            Duty(node.tell, lambda: _TELL_EVERY_S),
-            Duty(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
+            PeriodicTask(node.tick, lambda: node.tick_period_s),
+            PeriodicTask(node.report, lambda: _REPORT_EVERY_S),
+            PeriodicTask(node.tell, lambda: _TELL_EVERY_S),
+            PeriodicTask(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
         ]
         try:
             _work(duties, stop)
@@ -67,7 +67,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
     return 0 if written else 2
 
 
-def _work(duties: Sequence[Duty], stop: Stop) -> None:
+def _work(duties: Sequence[PeriodicTask], stop: StopSignal) -> None:
     while not stop.is_asked_for:
         for each in duties:
             each.do_if_due(time.monotonic())

@@ -23,7 +23,7 @@ _REMIND_EVERY_S = 30.0
 
 
 @dataclass(frozen=True)
-class Taken:
+class ReceivedMessages:
     """What waited on a topic.
 
     Attributes:
@@ -127,9 +127,9 @@ class TopicInput:
         verb = "subscribed anew" if again else "subscribed"
         return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
 
-    def take(self) -> Taken:
+    def take(self) -> ReceivedMessages:
         """Return what has arrived since the last call."""
-        taken = Taken()
+        taken = ReceivedMessages()
         if self._subscription is None:
             return taken
         handle = self._subscription.handle

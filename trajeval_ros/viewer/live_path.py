@@ -91,7 +91,7 @@ class LivePath:
             self._log(self._stamp, self._entities.newest, scene_entities.lines([]))
 
 
-class Memory:
+class RowHistory:
     """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
 
     def __init__(self, width: int, most: int = 100_000) -> None:

@@ -14,7 +14,7 @@ from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.viewer import colours, scene_entities, text_panel
 from trajeval_ros.viewer.blueprint import blueprint
-from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
+from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
 from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class LiveEstimatePicture:
         """Begin without a pose."""
         self.entities = entities
         self.path = LivePath(entities.path, log)
-        self.thinning, self.memory = Thinning(), Memory(6)
+        self.thinning, self.memory = Thinning(), RowHistory(6)
         self.origin: Floats | None = None
         self.similarity: Similarity | None = None
         self.snapshot: Snapshot | None = None
@@ -67,7 +67,7 @@ class LiveScene:
             for place, name in enumerate(names)
         }
         self._truth = LivePath(scene_entities.GroundtruthEntities.path, self._log)
-        self._truth_thinning, self._truth_memory = Thinning(), Memory(3)
+        self._truth_thinning, self._truth_memory = Thinning(), RowHistory(3)
         self._origin: Floats | None = None
         self._truth_drawn_at = self._begin = _NEVER
         self._full_m: float | None = None

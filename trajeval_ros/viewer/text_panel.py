@@ -164,12 +164,10 @@ def _rmse(evaluation: Evaluation, metric: str) -> float | None:
 
 
 def _drift(evaluation: Evaluation) -> str:
-    longest = evaluation.longest
-    if longest is None:
+    drift = evaluation.drift
+    if drift is None:
         return NOTHING
-    drift = longest.statistics["position_percent"]
-    assert drift is not None
-    return f"{drift.mean:.2f} % of {longest.length_m:.4g} m"
+    return f"{drift.percent.mean:.2f} % of {drift.length_m:.4g} m"
 
 
 def _verdict(consistency: Consistency | None) -> str:

@@ -31,7 +31,7 @@ _LONGEST_STAMP_DELAY_S = 1e-3
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftModel:
     """How the odometry errs. The defaults lose 0.5 to 1 % of the distance.
 
     Attributes:
@@ -63,7 +63,7 @@ class Simulation:
 
 
 def simulate(
-    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: Drift | None = None
+    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: DriftModel | None = None
 ) -> Simulation:
     """Simulate a flight and its odometry; the same arguments give the same arrays.
 
@@ -90,7 +90,7 @@ def simulate(
     flight = _Flight.random(generator)
     return Simulation(
         groundtruth=_groundtruth(generator, flight, duration_s),
-        estimate=_odometry(generator, flight, duration_s, gap_s, drift or Drift()),
+        estimate=_odometry(generator, flight, duration_s, gap_s, drift or DriftModel()),
     )
 
 
@@ -171,7 +171,7 @@ def _odometry(
     flight: _Flight,
     duration_s: float,
     gap_s: float,
-    drift: Drift,
+    drift: DriftModel,
 ) -> Trajectory:
     step_s = 1.0 / ESTIMATE_RATE_HZ
     # Neither clock knows the other: the phase is arbitrary, and all lies within the groundtruth.
@@ -182,7 +182,7 @@ def _odometry(
 
     yaw_step = np.radians(drift.yaw_deg_per_sqrt_s) * np.sqrt(step_s)
     yaw = np.cumsum(yaw_step * generator.standard_normal(len(times)))
-    turned = _about_gravity(yaw - yaw[0])
+    turned = _yaw_rotations(yaw - yaw[0])
     stretch = 1.0 + drift.scale * _wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
     disturbance = (
         drift.velocity_share * speed * _wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
@@ -197,7 +197,7 @@ def _odometry(
     rotations = turned * Rotation.from_rotvec(tilt) * flight.rotations(times)
 
     # The odometry's world begins where the flight does, at an arbitrary yaw.
-    frame = _about_gravity(np.array(generator.uniform(-np.pi, np.pi)))
+    frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
     delay = np.minimum(generator.exponential(_STAMP_DELAY_S, len(times)), _LONGEST_STAMP_DELAY_S)
     gap_start_s = generator.uniform(0.4, 0.6) * duration_s - gap_s / 2.0
     heard = (times < gap_start_s) | (times >= gap_start_s + gap_s)
@@ -212,7 +212,7 @@ def _odometry(
     )[heard]
 
 
-def _about_gravity(angle: Array) -> Rotation:
+def _yaw_rotations(angle: Array) -> Rotation:
     return Rotation.from_rotvec(angle[..., None] * np.array([0.0, 0.0, 1.0]))
 
 

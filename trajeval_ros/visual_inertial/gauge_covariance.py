@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.reduction import (
-    Reduced,
+    ReducedSystem,
     reduce_landmarks,
     require_seen_landmarks,
 )
@@ -115,7 +115,7 @@ def _congruent(covariance: Array, blocks: Array) -> Array:
     return product.T
 
 
-def _undamped(problem: Problem, state: State) -> Reduced:
+def _undamped(problem: Problem, state: State) -> ReducedSystem:
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
     return reduce_landmarks(
@@ -123,7 +123,7 @@ def _undamped(problem: Problem, state: State) -> Reduced:
     )
 
 
-def _fixed(reduced: Reduced) -> Array:
+def _fixed(reduced: ReducedSystem) -> Array:
     size = len(reduced.matrix)
     kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
     information = reduced.matrix[np.ix_(kept, kept)]
@@ -143,7 +143,7 @@ def _fixed(reduced: Reduced) -> Array:
     return covariance
 
 
-def _by_factor(reduced: Reduced, columns: Array) -> Array:
+def _by_factor(reduced: ReducedSystem, columns: Array) -> Array:
     """Return L^-1 times columns (3K, c)."""
     blocks = columns.reshape(len(reduced.inverse), 3, -1)
     product: Array = reduced.inverse @ blocks

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.cdr_steps import Elements, Run, Span, Step, String, steps_of
+from trajeval_ros.io.bags.cdr_steps import Elements, FixedFields, Span, Step, String, steps_of
 from trajeval_ros.io.bags.message_definitions import Fields
 
 Numbers = NDArray[Any]
@@ -37,7 +37,7 @@ _ROS1_ALIGNMENT = 1
 
 
 @dataclass(frozen=True)
-class Texts:
+class StringColumn:
     """A column of strings: `names[codes[row]]` is the one of a row."""
 
     names: tuple[str, ...]
@@ -59,11 +59,11 @@ class Columns:
 
     rows: Index
     numbers: dict[str, Numbers]
-    texts: dict[str, Texts]
+    texts: dict[str, StringColumn]
     sequences: dict[str, Columns]
 
 
-class Plan:
+class CdrPlan:
     """How the wanted fields of one type are found in serialised messages."""
 
     def __init__(
@@ -102,7 +102,7 @@ class Plan:
         """
         everything = np.arange(len(begins))
         if self._is_ros1:
-            batch = _Batch(buffer, "<", _ROS1_ALIGNMENT, everything, begins, sizes)
+            batch = _MessageBatch(buffer, "<", _ROS1_ALIGNMENT, everything, begins, sizes)
             return batch.columns(self._steps[_ROS1_ALIGNMENT], padding=0)
         large = sizes >= _ENCAPSULATION_SIZE
         rows = everything if large.all() else everything[large]
@@ -114,17 +114,21 @@ class Plan:
             order, limit = _ENCAPSULATIONS[kind]
             some = rows if _are_same(kinds) else rows[kinds == kind]
             origins = begins[some] + _ENCAPSULATION_SIZE
-            batch = _Batch(buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE)
+            batch = _MessageBatch(
+                buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE
+            )
             parts.append(batch.columns(self._steps[limit], padding=_PADDING))
         if len(parts) == 1:
             return parts[0]
         if parts:
             return joined(parts, in_order=True)
         nothing = everything[:0]
-        return _Batch(buffer, "<", 8, nothing, nothing, nothing).columns(self._steps[8], padding=0)
+        return _MessageBatch(buffer, "<", 8, nothing, nothing, nothing).columns(
+            self._steps[8], padding=0
+        )
 
 
-class _Batch:
+class _MessageBatch:
     """Messages, or elements of sequences, that are walked together.
 
     Attributes:
@@ -160,8 +164,8 @@ class _Batch:
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
         self.at = at
         self._numbers: list[tuple[Span, Index]] = []
-        self._texts: dict[str, Texts] = {}
-        self._sequences: dict[str, list[_Batch]] = {}
+        self._texts: dict[str, StringColumn] = {}
+        self._sequences: dict[str, list[_MessageBatch]] = {}
 
     def columns(self, steps: tuple[Step, ...], padding: int) -> Columns:
         """Walk, and return the columns of the messages that end where they should."""
@@ -173,7 +177,7 @@ class _Batch:
     def walk(self, steps: tuple[Step, ...]) -> None:
         """Find where the fields are; messages that end before are left out."""
         for step in steps:
-            if isinstance(step, Run):
+            if isinstance(step, FixedFields):
                 self._align(step.alignment)
                 self._require(step.size)
                 for span in step.spans:
@@ -204,7 +208,8 @@ class _Batch:
         self.rooms, self.at = self.rooms[good], _those(self.at, good)
         self._numbers = [(span, places[good]) for span, places in self._numbers]
         self._texts = {
-            path: Texts(texts.names, texts.codes[good]) for path, texts in self._texts.items()
+            path: StringColumn(texts.names, texts.codes[good])
+            for path, texts in self._texts.items()
         }
 
     def _count(self, smallest: int) -> Offsets:
@@ -233,10 +238,12 @@ class _Batch:
         if step.path is not None:
             names, codes = _texts(self.buffer, places, lengths, self.limit != _ROS1_ALIGNMENT)
             if isinstance(codes, int) and codes == 0:
-                self._texts[step.path] = Texts(names, np.zeros(len(self.rows), dtype=np.int64))
+                self._texts[step.path] = StringColumn(
+                    names, np.zeros(len(self.rows), dtype=np.int64)
+                )
             else:
                 column = np.array(np.broadcast_to(codes, self.rows.shape))
-                self._texts[step.path] = Texts(names, column)
+                self._texts[step.path] = StringColumn(names, column)
                 self._keep(column >= 0)
 
     def _elements(self, step: Elements) -> None:
@@ -258,7 +265,7 @@ class _Batch:
     def _equal_elements(self, step: Elements, counts: Index) -> None:
         """Walk elements that all have the same size."""
         run, stride = step.steps[0], step.stride
-        assert isinstance(run, Run)
+        assert isinstance(run, FixedFields)
         assert stride is not None
         some = counts > 0
         alignment = min(run.alignment, self.limit)
@@ -313,9 +320,9 @@ class _Batch:
         self.at = at
         self._keep(good)
 
-    def _elements_at(self, owners: Index, places: Index) -> _Batch:
+    def _elements_at(self, owners: Index, places: Index) -> _MessageBatch:
         """Return a batch of elements of the messages `owners` (M,), that begin at `places`."""
-        return _Batch(
+        return _MessageBatch(
             self.buffer,
             self.order,
             self.limit,
@@ -379,13 +386,13 @@ def joined(parts: Sequence[Columns], *, in_order: bool = False) -> Columns:
     )
 
 
-def _joined_texts(parts: Sequence[Texts], order: Any) -> Texts:
+def _joined_texts(parts: Sequence[StringColumn], order: Any) -> StringColumn:
     names: dict[str, int] = {}
     codes = []
     for part in parts:
         known = [names.setdefault(name, len(names)) for name in part.names]
         codes.append(np.array(known, dtype=np.int64)[part.codes])
-    return Texts(tuple(names), np.concatenate(codes)[order])
+    return StringColumn(tuple(names), np.concatenate(codes)[order])
 
 
 def _gather(buffer: Buffer, places: Index, dtype: np.dtype[Any]) -> Numbers:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Many, UnplannedError
+from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Repeated, UnplannedError
 
 _CLOSE = 64  # bytes between columns that are fetched at once
 
@@ -35,7 +35,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Run:
+class FixedFields:
     """Numbers one after the other, at fixed distances from the first.
 
     Attributes:
@@ -84,12 +84,12 @@ class Elements:
     @property
     def stride(self) -> int | None:
         """The distance between elements that are all of one size; None if they may not be."""
-        if len(self.steps) == 1 and isinstance(run := self.steps[0], Run):
+        if len(self.steps) == 1 and isinstance(run := self.steps[0], FixedFields):
             return -(-run.size // run.alignment) * run.alignment
         return None
 
 
-Step = Run | String | Elements
+Step = FixedFields | String | Elements
 
 
 @dataclass
@@ -112,8 +112,8 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
     steps: list[Step] = []
     run: _Leaves | None = None
     for path, kind in _leaves(fields, ""):
-        count = kind.count if isinstance(kind, Many) else None
-        inner = kind.kind if isinstance(kind, Many) and count is not None else kind
+        count = kind.count if isinstance(kind, Repeated) else None
+        inner = kind.kind if isinstance(kind, Repeated) and count is not None else kind
         if isinstance(inner, str) and inner != TEXT:
             alignment = min(np.dtype(inner).itemsize, limit)
             # A run keeps its distances wherever it begins if nothing in it is aligned coarser.
@@ -128,7 +128,7 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
         if kind == TEXT:
             steps.append(String(path if is_wanted else None))
         else:
-            assert isinstance(kind, Many)
+            assert isinstance(kind, Repeated)
             steps.append(_elements(path, kind, wanted, limit))
     steps += _finished(run, wanted)
     missing = (wanted or frozenset()) - {
@@ -150,7 +150,7 @@ def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
     return leaves
 
 
-def _elements(path: str, kind: Many, wanted: frozenset[str] | None, limit: int) -> Elements:
+def _elements(path: str, kind: Repeated, wanted: frozenset[str] | None, limit: int) -> Elements:
     inside: frozenset[str] | None
     if wanted is None or path in wanted:
         inside = None
@@ -168,7 +168,7 @@ def _elements(path: str, kind: Many, wanted: frozenset[str] | None, limit: int) 
 
 def _smallest(step: Step) -> int:
     """Return the least number of bytes that a step takes."""
-    if isinstance(step, Run):
+    if isinstance(step, FixedFields):
         return step.size
     if isinstance(step, Elements) and step.count is not None:
         return step.count * step.smallest
@@ -188,7 +188,7 @@ def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
             spans[-1].append(column)
         else:
             spans.append([column])
-    return [Run(run.alignment, run.size, tuple(_span(each) for each in spans))]
+    return [FixedFields(run.alignment, run.size, tuple(_span(each) for each in spans))]
 
 
 def _column(run: _Leaves, name: str) -> Column | None:
@@ -226,7 +226,7 @@ def _span(columns: list[Column]) -> Span:
 
 def _found(step: Step, wanted: frozenset[str]) -> set[str]:
     """Return the wanted paths that a step gives."""
-    if isinstance(step, Run):
+    if isinstance(step, FixedFields):
         return {path for span in step.spans for path in span.columns}
     if step.path is None:
         return set()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.io.bags.blocks import block_of
-from trajeval_ros.io.bags.cdr import Buffer, Columns, Index, Texts
+from trajeval_ros.io.bags.cdr import Buffer, Columns, Index, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
 TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")
@@ -136,12 +136,12 @@ class FoxglovePlan:
         )
 
 
-def _texts(column: list[str]) -> Texts:
+def _texts(column: list[str]) -> StringColumn:
     codes: dict[str, int] = {}
     rows = [codes.setdefault(name, len(codes)) for name in column]
     # JSON may hold halves of characters, which nobody could print.
     names = tuple(name.encode("utf-8", "replace").decode() for name in codes)
-    return Texts(names, np.array(rows, dtype=np.int64))
+    return StringColumn(names, np.array(rows, dtype=np.int64))
 
 
 def _from_json(payload: bytes) -> Any:

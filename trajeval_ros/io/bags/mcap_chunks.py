@@ -21,9 +21,9 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
-    Growing,
     Index,
-    Messages,
+    MessageIndex,
+    MessageIndexBuilder,
     Registry,
     head_of,
     records,
@@ -125,9 +125,9 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     return data
 
 
-def walked(data: bytes, registry: Registry | None = None) -> Messages:
+def walked(data: bytes, registry: Registry | None = None) -> MessageIndex:
     """Return the messages in a chunk's records; schemas and channels are added to a registry."""
-    found = Growing()
+    found = MessageIndexBuilder()
     for opcode, offset, length in records(data):
         if opcode == MESSAGE and length >= MESSAGE_HEAD:
             found.add(data, offset, offset - HEAD, length)
@@ -136,7 +136,7 @@ def walked(data: bytes, registry: Registry | None = None) -> Messages:
     return found.done()
 
 
-def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messages:
+def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
     """Return the wanted messages by a chunk's message index; their sizes are unknown, -1.
 
     Raises:
@@ -161,7 +161,7 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
         channels.append(np.full(len(entries), channel))
         log_times.append(entries[:, 0])
         offsets.append(entries[:, 1])
-    found = Messages(
+    found = MessageIndex(
         np.concatenate(channels),
         np.concatenate(log_times),
         np.concatenate(offsets),
@@ -173,7 +173,7 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
     return found
 
 
-def measured(data: bytes, messages: Messages, limit: int, shift: int = 0) -> Messages:
+def measured(data: bytes, messages: MessageIndex, limit: int, shift: int = 0) -> MessageIndex:
     """Return messages with their sizes, which the records in memory say.
 
     Args:
@@ -204,12 +204,12 @@ def measured(data: bytes, messages: Messages, limit: int, shift: int = 0) -> Mes
     )
     if not (fits & are_right).all():
         raise DamagedError("a message isn't where its index says")
-    return Messages(
+    return MessageIndex(
         messages.channels, messages.log_times, messages.offsets, lengths - MESSAGE_HEAD
     )
 
 
-def runs_of(chunk: Chunk, messages: Messages) -> list[tuple[int, int]] | None:
+def runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | None:
     """Return the byte ranges (begin, end) of a chunk worth reading; None means all of it."""
     if chunk.compression or chunk.is_cut or not len(messages):
         return None
@@ -227,7 +227,7 @@ def runs_of(chunk: Chunk, messages: Messages) -> list[tuple[int, int]] | None:
 
 
 def partial(
-    source: ByteSource, chunk: Chunk, messages: Messages, runs: list[tuple[int, int]]
+    source: ByteSource, chunk: Chunk, messages: MessageIndex, runs: list[tuple[int, int]]
 ) -> Block:
     """Return wanted messages of an uncompressed chunk without reading all of it.
 
@@ -262,7 +262,7 @@ def partial(
     )
 
 
-def block_in(data: bytes, messages: Messages, earliest: int) -> Block:
+def block_in(data: bytes, messages: MessageIndex, earliest: int) -> Block:
     """Return messages of a chunk that is in memory."""
     return Block(
         earliest,
@@ -274,7 +274,7 @@ def block_in(data: bytes, messages: Messages, earliest: int) -> Block:
     )
 
 
-def of_channels(messages: Messages, wanted: Collection[int]) -> Messages:
+def of_channels(messages: MessageIndex, wanted: Collection[int]) -> MessageIndex:
     """Return the messages of some channels."""
     ids: Index = np.fromiter(wanted, np.int64, len(wanted))
     return messages[np.isin(messages.channels, ids)]

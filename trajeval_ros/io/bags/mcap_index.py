@@ -42,7 +42,7 @@ from trajeval_ros.io.bags.mcap_records import (
     SCHEMA,
     STATISTICS,
     DamagedError,
-    Messages,
+    MessageIndex,
     NoIndexError,
     Registry,
     head_of,
@@ -59,7 +59,7 @@ _END_SIZE = _FOOTER_SIZE + len(MAGIC)
 # each page of the next chunk mapped again costs as much as decompressing it.
 _KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
-Piece = Chunk | Messages
+Piece = Chunk | MessageIndex
 T = TypeVar("T")
 
 
@@ -170,7 +170,7 @@ class McapReader:
     def _chunk(self, chunk: Chunk, wanted: Collection[int]) -> Block:
         """Return the wanted messages of a chunk."""
         require_size(chunk)
-        indexed: Messages | None = None
+        indexed: MessageIndex | None = None
         if chunk.indexes and not self._strict:
             try:
                 indexed = index_of(self._source, chunk, wanted)
@@ -188,7 +188,7 @@ class McapReader:
                 pass
         return block_in(data, of_channels(walked(data), wanted), chunk.first)
 
-    def _runs(self, wanted: Collection[int]) -> Iterator[Messages]:
+    def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
         """Yield the wanted messages outside of chunks, in runs that make a block each."""
         loose = of_channels(self._messages, wanted)
         loose = loose[np.argsort(loose.log_times, kind="stable")]
@@ -198,7 +198,7 @@ class McapReader:
             if len(rows):
                 yield loose[rows]
 
-    def _loose(self, messages: Messages) -> Block:
+    def _loose(self, messages: MessageIndex) -> Block:
         """Return messages outside of chunks."""
         begins = messages.offsets + (HEAD + MESSAGE_HEAD)
         ends = begins + messages.sizes

@@ -37,7 +37,7 @@ class NoIndexError(DamagedError):
 
 
 @dataclass
-class Messages:
+class MessageIndex:
     """Where messages lie: in a chunk, or in a file.
 
     Attributes:
@@ -52,9 +52,9 @@ class Messages:
     offsets: Index
     sizes: Index
 
-    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> Messages:
+    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> MessageIndex:
         """Return some of them."""
-        return Messages(
+        return MessageIndex(
             self.channels[rows], self.log_times[rows], self.offsets[rows], self.sizes[rows]
         )
 
@@ -63,8 +63,8 @@ class Messages:
         return len(self.offsets)
 
 
-class Growing:
-    """`Messages` while they are found, one by one."""
+class MessageIndexBuilder:
+    """`MessageIndex` while they are found, one by one."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[int, int, int, int]] = []
@@ -74,10 +74,10 @@ class Growing:
         channel, _, log_time = _MESSAGE.unpack_from(record, place)
         self.rows.append((channel, log_time, offset, length - MESSAGE_HEAD))
 
-    def done(self) -> Messages:
+    def done(self) -> MessageIndex:
         """Return what was found."""
         columns = np.array(self.rows, dtype=np.uint64).reshape(-1, 4).astype(np.int64).T
-        return Messages(*columns)
+        return MessageIndex(*columns)
 
 
 @dataclass

@@ -27,8 +27,8 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
-    Growing,
-    Messages,
+    MessageIndex,
+    MessageIndexBuilder,
     Registry,
     head_of,
 )
@@ -53,7 +53,7 @@ class Scan:
 
     registry: Registry = field(default_factory=Registry)
     chunks: list[Chunk] = field(default_factory=list)
-    messages: Messages = field(default_factory=lambda: Growing().done())
+    messages: MessageIndex = field(default_factory=lambda: MessageIndexBuilder().done())
     counts: Counter[int] = field(default_factory=Counter)
     end: int = len(MAGIC)
     damage: list[str] = field(default_factory=list)
@@ -77,7 +77,7 @@ class _Window:
 
 def scan(source: ByteSource) -> Scan:
     """Walk through a file, as far as its records can be followed."""
-    found, window, growing = Scan(), _Window(source), Growing()
+    found, window, growing = Scan(), _Window(source), MessageIndexBuilder()
     while True:
         head = window.at(found.end, _NEAR)
         if len(head) < HEAD:
@@ -115,7 +115,9 @@ def _add_chunk(source: ByteSource, found: Scan, length: int, *, is_cut: bool) ->
     found.chunks.append(chunk_at(source, found.end, size, is_cut=is_cut))
 
 
-def _add_record(window: _Window, found: Scan, growing: Growing, opcode: int, length: int) -> None:
+def _add_record(
+    window: _Window, found: Scan, growing: MessageIndexBuilder, opcode: int, length: int
+) -> None:
     offset = found.end
     if opcode == MESSAGE:
         if length < MESSAGE_HEAD:
@@ -146,5 +148,5 @@ def _look_into_chunks(source: ByteSource, found: Scan) -> None:
                 chunk.last = int(messages.log_times.max())
 
 
-def _known(messages: Messages, registry: Registry) -> NDArray[np.bool_]:
+def _known(messages: MessageIndex, registry: Registry) -> NDArray[np.bool_]:
     return np.isin(messages.channels, np.fromiter(registry.channels, np.int64))

@@ -19,7 +19,7 @@ TEXT = "text"
 
 
 @dataclass(frozen=True)
-class Many:
+class Repeated:
     """Several of a kind: as many as `count` says, or as the message says if it is None."""
 
     kind: Kind
@@ -27,7 +27,7 @@ class Many:
 
 
 # A number (numpy's name of it, such as "f8"), `TEXT`, the fields of a message, or several of one.
-Kind = Union[str, "Fields", Many]  # evaluated at run time
+Kind = Union[str, "Fields", Repeated]  # evaluated at run time
 Fields = tuple[tuple[str, Kind], ...]
 
 
@@ -42,7 +42,7 @@ _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _HEADER: Fields = (("stamp", _STAMP), ("frame_id", TEXT))
 _POSE: Fields = (("position", _XYZ), ("orientation", _XYZW))
 _TWIST: Fields = (("linear", _XYZ), ("angular", _XYZ))
-_COVARIANCE = ("covariance", Many("f8", 36))
+_COVARIANCE = ("covariance", Repeated("f8", 36))
 _POSE_STAMPED: Fields = (("header", _HEADER), ("pose", _POSE))
 _TRANSFORM_STAMPED: Fields = (
     ("header", _HEADER),
@@ -63,8 +63,8 @@ STANDARD: dict[str, Fields] = {
         ("pose", (("pose", _POSE), _COVARIANCE)),
         ("twist", (("twist", _TWIST), _COVARIANCE)),
     ),
-    "nav_msgs/msg/Path": (("header", _HEADER), ("poses", Many(_POSE_STAMPED))),
-    "tf2_msgs/msg/TFMessage": (("transforms", Many(_TRANSFORM_STAMPED)),),
+    "nav_msgs/msg/Path": (("header", _HEADER), ("poses", Repeated(_POSE_STAMPED))),
+    "tf2_msgs/msg/TFMessage": (("transforms", Repeated(_TRANSFORM_STAMPED)),),
 }
 
 _NUMBERS = {
@@ -93,8 +93,8 @@ def ros1_fields(fields: Fields) -> Fields:
 def _ros1_kind(kind: Kind) -> Kind:
     if kind == _HEADER:
         return (("seq", "u4"), ("stamp", (("sec", "u4"), ("nanosec", "u4"))), ("frame_id", TEXT))
-    if isinstance(kind, Many):
-        return Many(_ros1_kind(kind.kind), kind.count)
+    if isinstance(kind, Repeated):
+        return Repeated(_ros1_kind(kind.kind), kind.count)
     return ros1_fields(kind) if isinstance(kind, tuple) else kind
 
 
@@ -154,4 +154,4 @@ def _kind_of(types: Typesdict, description: Any) -> Kind:
             raise UnplannedError(f"{name} can't be decoded by column")
         return _NUMBERS[name]
     kind, count = content
-    return Many(_kind_of(types, kind), count if node == Nodetype.ARRAY else None)
+    return Repeated(_kind_of(types, kind), count if node == Nodetype.ARRAY else None)

@@ -18,7 +18,7 @@ ChannelT = TypeVar("ChannelT", bound=Hashable)
 
 
 @dataclass
-class Played(Generic[ChannelT]):
+class PlaybackResult(Generic[ChannelT]):
     """What was played.
 
     Attributes:
@@ -48,7 +48,7 @@ def play(
     is_stopped: Callable[[], bool] = lambda: False,
     now: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Played[ChannelT]:
+) -> PlaybackResult[ChannelT]:
     """Publish messages when they are due; what is late is published at once, never left out.
 
     While sending waits for subscribers, bag time stands still. Otherwise all that became due
@@ -64,7 +64,7 @@ def play(
         now: A monotonic clock, seconds.
         sleep: Waits some seconds.
     """
-    played: Played[ChannelT] = Played(reached_ns=begin_ns)
+    played: PlaybackResult[ChannelT] = PlaybackResult(reached_ns=begin_ns)
     stream = iter(messages)
     opening = list(itertools.islice(stream, 1))  # opening the bag must not make its message late
     began = next_tick = now()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.cdr import Columns, Plan, Texts
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
 Floats = NDArray[np.float64]
@@ -135,14 +135,14 @@ def decode_transforms(
 
 
 @cache
-def _plan(message_type: str, *, covariance: bool = False) -> Plan:
+def _plan(message_type: str, *, covariance: bool = False) -> CdrPlan:
     """Return how a standard type of ROS 2 is decoded."""
     return plan_of(STANDARD[message_type], message_type, covariance=covariance)
 
 
 def plan_of(
     fields: Fields | None, message_type: str, *, covariance: bool = False, is_ros1: bool = False
-) -> Plan:
+) -> CdrPlan:
     """Return how the poses or transforms of a type are decoded.
 
     Args:
@@ -155,12 +155,12 @@ def plan_of(
     wanted = _wanted(message_type, covariance=covariance)
     if fields is not None:
         try:
-            return Plan(fields, wanted, is_ros1=is_ros1)
+            return CdrPlan(fields, wanted, is_ros1=is_ros1)
         except UnplannedError:
             pass
     name = TRANSFORM_TYPES[0] if message_type in TRANSFORM_TYPES else message_type
     standard = ros1_fields(STANDARD[name]) if is_ros1 else STANDARD[name]
-    return Plan(standard, wanted, is_ros1=is_ros1)
+    return CdrPlan(standard, wanted, is_ros1=is_ros1)
 
 
 def _wanted(message_type: str, *, covariance: bool) -> list[str]:
@@ -209,7 +209,7 @@ def _floats(column: NDArray[Any]) -> Floats:
     return np.ascontiguousarray(column, dtype=np.float64)
 
 
-def _changes(frames: Texts, children: Texts | None) -> list[tuple[int, str, str]]:
+def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
     """Return (frame, child frame) as they follow each other, and the first row of each."""
     names = [name.lstrip("/") for name in frames.names]
     child_names = [name.lstrip("/") for name in children.names] if children else [""]

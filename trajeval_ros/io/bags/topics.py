@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Advance, Bag, Topic, encoding_of
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.cdr import Columns, Plan
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.growing_columns import GrowingPoses
@@ -27,7 +27,7 @@ from trajeval_ros.io.bags.pose_messages import (
     plan_of,
     poses_of,
 )
-from trajeval_ros.io.bags.transform_tree import Edge, chain
+from trajeval_ros.io.bags.transform_tree import Edge, compose_transforms
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class _Decoders:
             for each in topic.connections
         }
 
-    def _plan(self, connection: Connection, *, covariances: bool) -> Plan | FoxglovePlan:
+    def _plan(self, connection: Connection, *, covariances: bool) -> CdrPlan | FoxglovePlan:
         encoding = encoding_of(connection)
         if self.topic.type in FOXGLOVE_TYPES:
             return FoxglovePlan(self.topic.type, encoding)
@@ -286,7 +286,7 @@ def _transform_trajectory(bag: Bag, topic: str, frames: tuple[str, str]) -> Traj
     parent, child = frames
     where = f"{bag.path}:{topic}:{parent}.{child}"
     edges, damaged = read_edges(bag, topic)
-    stamps, positions, quaternions = chain(edges, parent, child, where)
+    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
         stamps,

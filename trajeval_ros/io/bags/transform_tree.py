@@ -94,7 +94,7 @@ class Edge:
         )
 
 
-def chain(
+def compose_transforms(
     edges: Mapping[EdgeKey, Edge], parent: str, child: str, where: str
 ) -> tuple[Stamps, Floats, Floats]:
     """Return the pose of `child` in `parent` over time: stamps, positions and quaternions xyzw.

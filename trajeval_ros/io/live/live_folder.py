@@ -32,7 +32,7 @@ REVISED_SUFFIX = ".revised.npz"
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _EvaluatedEstimate:
     """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
 
     place: int
@@ -58,7 +58,7 @@ def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
             f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
             "evaluator's output folder"
         )
-    found: list[_Found] = []
+    found: list[_EvaluatedEstimate] = []
     failed: list[dict[str, str]] = []
     for path in paths:
         try:
@@ -83,7 +83,7 @@ def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Fl
         np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
 
 
-def _evaluate(path: Path, request: Request) -> _Found:
+def _evaluate(path: Path, request: Request) -> _EvaluatedEstimate:
     """Evaluate one estimate."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
@@ -95,7 +95,9 @@ def _evaluate(path: Path, request: Request) -> _Found:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
-def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs, request: Request) -> _Found:
+def _evaluate_pairs(
+    path: Path, name: str, recorded: RecordedPairs, request: Request
+) -> _EvaluatedEstimate:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
     protocol = protocol_from("default", **state["settings"])
@@ -137,7 +139,7 @@ def _evaluate_pairs(path: Path, name: str, recorded: RecordedPairs, request: Req
         )
     ]
     run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
-    return _Found(description["place"], summaries[0], run)
+    return _EvaluatedEstimate(description["place"], summaries[0], run)
 
 
 def _association(

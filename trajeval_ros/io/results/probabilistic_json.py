@@ -9,7 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from trajeval_ros.likelihood.assessment import Assessment
-    from trajeval_ros.likelihood.observable_directions import Chain
+    from trajeval_ros.likelihood.observable_directions import GaugeScores
 
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -37,7 +37,9 @@ def probabilistic_json(assessment: Assessment) -> dict[str, Any]:
         "chi2_per_dof": error.chi2_per_dof,
         "dof": error.dof,
         "per_axis": dict(zip(_AXES, error.per_axis.tolist(), strict=False)),
-        "chain": None if assessment.chain is None else _chain(assessment.chain),
+        "chain": None
+        if assessment.gauge_scores is None
+        else _gauge_scores(assessment.gauge_scores),
         "log_bayes_factors": assessment.log_bayes,
         "statements": list(assessment.statements),
     }
@@ -61,12 +63,12 @@ def _noise(position_m: float, rotation_rad: float) -> dict[str, float]:
     return {"position_m": position_m, "rotation_deg": math.degrees(rotation_rad)}
 
 
-def _chain(chain: Chain) -> dict[str, Any]:
-    scale, tilt = chain.scale, chain.tilt
+def _gauge_scores(scores: GaugeScores) -> dict[str, Any]:
+    scale, tilt = scores.scale, scores.tilt
     return {
-        "log_likelihood_sim3": chain.sim3,
-        "log_likelihood_se3": chain.se3,
-        "log_likelihood_yaw": chain.yaw,
+        "log_likelihood_sim3": scores.sim3,
+        "log_likelihood_se3": scores.se3,
+        "log_likelihood_yaw": scores.yaw,
         "scale": None if scale is None else math.exp(scale.values[0]),
         "scale_z": None if scale is None else scale.z[0],
         "tilt_deg": [math.degrees(each) for each in tilt.values],

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros import __version__
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
-from trajeval_ros.metrics.evaluation import Segments
+from trajeval_ros.metrics.evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline import Outcome, RunOutcome
 
@@ -112,7 +112,7 @@ def _run(run: RunOutcome) -> dict[str, Any]:
     }
 
 
-def _segment(segment: Segments) -> dict[str, Any]:
+def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
     size = (
         {"duration_s": segment.duration_s}
         if segment.length_m is None

@@ -56,7 +56,7 @@ class WordError(ValueError):
 
 
 @dataclass(frozen=True)
-class Rows:
+class ParsedRows:
     """The numbers of a block.
 
     Attributes:
@@ -97,7 +97,7 @@ class _Tokens:
         )
 
 
-def parse_rows(block: bytes, columns: int, time_column: int | None) -> Rows:
+def parse_rows(block: bytes, columns: int, time_column: int | None) -> ParsedRows:
     """Read a block of whole lines with `columns` numbers each; empty lines are skipped.
 
     Spaces, tabs, commas and semicolons separate numbers, alone or in groups.
@@ -114,7 +114,7 @@ def parse_rows(block: bytes, columns: int, time_column: int | None) -> Rows:
             stamps, timed = _parse_stamps(tokens[:, time_column])
     except WordError as error:
         raise RowError(_line_of(tokens, error.start), error.reason) from None
-    return Rows(stamps, timed, values)
+    return ParsedRows(stamps, timed, values)
 
 
 def _tokenize(block: bytes, columns: int) -> _Tokens:

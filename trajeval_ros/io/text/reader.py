@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-from trajeval_ros.io.text.decimals import RowError, Rows, parse_rows
+from trajeval_ros.io.text.decimals import ParsedRows, RowError, parse_rows
 from trajeval_ros.io.text.head import COMMENT, TextFormat, read_head, recognise_text
 from trajeval_ros.io.text.layouts import Layout
 from trajeval_ros.io.text.stamps import ExactNumbers, to_nanoseconds
@@ -179,7 +179,7 @@ def _enlarged(array: Floats, count: int, room: int) -> Floats:
 
 def _parse_blocks(
     path: Path, text: TextFormat, advance: Advance | None
-) -> Iterator[tuple[int, Rows]]:
+) -> Iterator[tuple[int, ParsedRows]]:
     """Yield the rows of a file, a block of whole lines at a time, and where each block ends."""
     total = path.stat().st_size
     done = text.start
