@@ -241,7 +241,7 @@ def _with(
         protocol = dataclasses.replace(protocol, association=rule)
     if hand_eye is None:
         return evaluate(groundtruth, estimate, protocol), False
-    if groundtruth.rotations is not None:
+    if groundtruth.quaternions is not None:
         body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
         return evaluate(body, estimate, protocol), False
     scale = _scale(groundtruth, estimate, protocol, hand_eye) if protocol.gauge.has_scale else 1.0

@@ -106,6 +106,7 @@ class CovarianceSettings:
 
         from trajeval_ros.consistency.judgement import Aligned
         from trajeval_ros.consistency.marginal_covariances import about_world_axes
+        from trajeval_ros.geometry import lie
 
         protocol, pairs = evaluation.protocol, evaluation.association
         if protocol.align_weights != NONE:
@@ -120,9 +121,9 @@ class CovarianceSettings:
         offset = round(protocol.association.time_offset_s * 1e9)
         estimate = dataclasses.replace(estimate, stamps=estimate.stamps - offset)
         if self.body_frame and estimate.covariances is not None:
-            if estimate.rotations is None:
+            if estimate.quaternions is None:
                 raise InputError("the estimate has no orientations to turn its covariances by")
-            turned = about_world_axes(estimate.covariances, estimate.rotations.as_matrix())
+            turned = about_world_axes(estimate.covariances, lie.to_matrix(estimate.quaternions))
             estimate = dataclasses.replace(estimate, covariances=turned)
         variances = None
         if self.groundtruth_noise is not None:

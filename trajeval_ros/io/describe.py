@@ -146,7 +146,7 @@ def _summarize(source: str, trajectory: Trajectory) -> Summary:
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
     columns = {
-        "rotation": trajectory.rotations,
+        "rotation": trajectory.quaternions,
         "velocity": trajectory.velocities,
         "gyroscope bias": trajectory.gyroscope_biases,
         "accelerometer bias": trajectory.accelerometer_biases,
