@@ -318,6 +318,11 @@ def _world_velocities(body: Floats, quaternions: Floats) -> Floats | None:
     usable = np.isfinite(lengths) & (lengths > 1e-6)
     velocities = np.zeros_like(body)
     if usable.any():
-        turns = lie.to_matrix(lie.normalized(quaternions[usable]))
-        velocities[usable] = np.einsum("nij,nj->ni", turns, body[usable])
+        (velocities[usable],) = lie.by_blocks(_turned, quaternions[usable], body[usable])
     return velocities
+
+
+def _turned(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
+    """Return the vectors (N, 3) turned by quaternions (N, 4) of any length."""
+    matrices = lie.to_matrix(lie.normalized(quaternions))
+    return (np.einsum("nij,nj->ni", matrices, vectors),)
