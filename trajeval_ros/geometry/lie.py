@@ -3,8 +3,7 @@
 Quaternions are xyzw, Hamilton, unit, of shape (..., 4); all functions broadcast.
 Conversions between quaternions, matrices, rotation vectors and Euler angles are here, too, so that
 an evaluation doesn't import `scipy.spatial`, which takes longer than a small one. Those with a
-counterpart in scipy's `Rotation` sum in the same order, and give the same digits but for
-trigonometric functions.
+counterpart in scipy's `Rotation` use its formulas and order of summation.
 The functions from `skew` on are of rotation matrices and vectors: the exponential and its
 Jacobians, series where the closed forms cancel.
 """
@@ -22,9 +21,9 @@ Array = NDArray[np.float64]
 _BLOCK = 8192
 # Numbers in arrays so short that a call costs more than the arithmetic.
 _FEW = 600
-# Angles, rad, below which the quaternion of a rotation vector is a series; and of a pitch to half
-# a turn's half, below which yaw and roll can't be told apart. Both are scipy's.
+# Both are scipy's. Below the first, rad, the quaternion of a rotation vector is a series.
 _SMALL = 1e-3
+# Closer to a right angle, rad, a pitch leaves open which turn is yaw and which is roll.
 _GIMBAL_LOCK = 1e-7
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
@@ -45,11 +44,12 @@ def by_blocks(function: Callable[..., tuple[Array, ...]], *columns: NDArray[Any]
 
 
 def normalized(quaternion: Array) -> Array:
-    """Return the quaternions (..., 4) at length 1; NaN where they have none."""
+    """Return the quaternions (..., 4) at length 1; not finite where they have no length."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
-    # In this order, as scipy: a sum by another differs in the last digit.
-    length = np.sqrt(x * x + y * y + z * z + w * w)
-    unit: Array = quaternion / length[..., None]
+    with np.errstate(all="ignore"):
+        # In this order, as scipy: a sum by another differs in the last digit.
+        length = np.sqrt(x * x + y * y + z * z + w * w)
+        unit: Array = quaternion / length[..., None]
     return unit
 
 

@@ -20,11 +20,12 @@ NANOSECONDS = 1_000_000_000
 # Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
 LARGEST = 1e12
 _SHORTEST = 1e-6  # of a quaternion
-_UNIT = 1e-9  # largest error of unit quaternions' mean squared length, digits above rounding
+_UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; rounding is far less
 # Reasons for dropping what was no state of its own, and counts in no coverage.
 NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
-# Shapes of a row of each column but the stamps.
-_COLUMNS = {
+# Shapes of a row of each column.
+_COLUMNS: dict[str, tuple[int, ...]] = {
+    "stamps": (),
     "positions": (3,),
     "quaternions": (4,),
     "velocities": (3,),
@@ -82,8 +83,6 @@ class Trajectory:
             ValueError: A column has another shape, or quaternions don't have the length 1.
         """
         count = len(self.stamps)
-        if self.stamps.dtype != np.int64:
-            raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
         for name, row_shape in _COLUMNS.items():
             column = getattr(self, name)
             if column is None:
@@ -94,9 +93,11 @@ class Trajectory:
                 raise ValueError(
                     f"{name} has shape {column.shape}, expected {(count, *row_shape)}"
                 )
+        if self.stamps.dtype != np.int64:
+            raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
         if self.quaternions is not None:
-            # The mean costs one product a number, since trajectories are made often; a NaN, a zero
-            # and rows that were not normalised show in it.
+            # A NaN, a zero and rows that were not normalised show in the mean, which is cheap:
+            # trajectories are made often.
             excess = float(np.vdot(self.quaternions, self.quaternions)) - count
             if not abs(excess) <= _UNIT * count:
                 raise ValueError(
@@ -186,9 +187,7 @@ class Trajectory:
             if everything.all():
                 return self
         picked = {
-            name: column[rows]
-            for name in ("stamps", *_COLUMNS)
-            if (column := getattr(self, name)) is not None
+            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
         }
         return dataclasses.replace(self, **picked)
 
