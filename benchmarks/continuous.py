@@ -39,7 +39,7 @@ def continuous_s(model: str, count: int) -> dict[str, float]:
     groundtruth = Trajectory(
         np.arange(count, dtype=np.int64) * STEP_NS,
         positions[::2] + random.normal(scale=noise.position_m, size=(count, 3)),
-        attitudes[::2] * turns,
+        (attitudes[::2] * turns).as_quat(),
     )
     asked = np.sort(random.integers(0, groundtruth.stamps[-1], QUERIES))
     start = time.process_time()

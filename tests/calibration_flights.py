@@ -45,7 +45,7 @@ def marked(stamps: Array, poses: Trajectory, duration_s: float, fault: Fault) ->
     return Trajectory(
         stamps_of(clock),
         poses.positions + poses.rotations.apply(np.asarray(fault.lever_m)),
-        poses.rotations * turn,
+        (poses.rotations * turn).as_quat(),
     )
 
 
@@ -92,17 +92,17 @@ def fly(
     estimate = Trajectory(
         stamps_of(times[seen]),
         (world.apply(drifted[seen] + noise) + random.normal(0.0, 5.0, 3)) / scale,
-        world * turned[seen] * motion.rotations(times[seen]) * jitter,
+        (world * turned[seen] * motion.rotations(times[seen]) * jitter).as_quat(),
     )
     wide = np.arange(-3.0, duration_s + 3.0, step_s)
     shaken = Rotation.from_rotvec(random.normal(0.0, np.radians(0.05), (len(wide), 3)))
-    body = Trajectory(stamps_of(wide), motion.positions(wide), motion.rotations(wide))
+    body = Trajectory(stamps_of(wide), motion.positions(wide), motion.rotations(wide).as_quat())
     truth = marked(wide, body, times[seen][-1], fault or Fault())
     assert truth.rotations is not None
     truth = dataclasses.replace(
         truth,
         positions=truth.positions + random.normal(0.0, 0.001, truth.positions.shape),
-        rotations=truth.rotations * shaken,
+        quaternions=(truth.rotations * shaken).as_quat(),
     )
     return truth, estimate
 

@@ -39,7 +39,7 @@ def trajectory_of(scene: Scene, state: State) -> Trajectory:
     return Trajectory(
         np.rint(scene.times_s * 1e9).astype(np.int64),
         state.positions,
-        Rotation.from_matrix(state.rotations),
+        Rotation.from_matrix(state.rotations).as_quat(),
         state.velocities,
     )
 
@@ -52,9 +52,9 @@ def alignment_of(
         return align_first(
             gauge,
             truth.positions[0],
-            truth.rotations[0],
+            truth.quaternions[0],
             estimate.positions[0],
-            estimate.rotations[0],
+            estimate.quaternions[0],
         ).similarity
     part = slice(states)
     return align(gauge, truth.positions[part], estimate.positions[part]).similarity

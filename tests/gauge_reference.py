@@ -58,6 +58,6 @@ class Case:
         return Trajectory(
             np.arange(len(column["p"]), dtype=np.int64) * 10**9,
             column["p"],
-            Rotation.from_rotvec(column["rotvec"]),
+            Rotation.from_rotvec(column["rotvec"]).as_quat(),
             column["v"],
         )

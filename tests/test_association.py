@@ -373,10 +373,12 @@ def test_rotations_a_half_turn_apart_do_not_become_nan() -> None:
     groundtruth = Trajectory(
         np.array([0, 100 * MILLISECOND], dtype=np.int64),
         np.zeros((2, 3)),
-        Rotation.from_quat([[0, 0, 0, 1], [0, 0, 1, 0]]),
+        np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]),
     )
     middle = Trajectory(
-        np.array([50 * MILLISECOND], dtype=np.int64), np.zeros((1, 3)), Rotation.identity(1)
+        np.array([50 * MILLISECOND], dtype=np.int64),
+        np.zeros((1, 3)),
+        Rotation.identity(1).as_quat(),
     )
     truth = associate(groundtruth, middle, AssociationRule()).groundtruth
     assert truth.rotations is not None

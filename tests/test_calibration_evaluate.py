@@ -14,7 +14,7 @@ from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.apply import evaluate_calibrated
-from trajeval_ros.calibration.request import CalibrationRequest
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.gauge import Gauge
@@ -154,7 +154,7 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     truth, estimate = fly(1, 90.0, fault=dataclasses.replace(FAULT, offset_s=0.0), scale=2.0)
     if not gauge.has_scale:
         estimate = dataclasses.replace(estimate, positions=2.0 * estimate.positions)
-    truth = dataclasses.replace(truth, rotations=None)
+    truth = dataclasses.replace(truth, quaternions=None)
     protocol = dataclasses.replace(YAW, gauge=gauge)
     found = evaluate_calibrated(truth, estimate, protocol, AUTO)
     assert found.of_marker
@@ -184,8 +184,8 @@ def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
     drift = np.cumsum(random.normal(0.0, 2e-4, body.shape), axis=0)
     marker = body + turned.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
     found = evaluate_calibrated(
-        Trajectory(stamps, marker, turned * shaken),
-        Trajectory(stamps, body + drift, turned),
+        Trajectory(stamps, marker, (turned * shaken).as_quat()),
+        Trajectory(stamps, body + drift, turned.as_quat()),
         YAW,
         CalibrationRequest(hand_eye=True),
     )
@@ -211,7 +211,7 @@ def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
     turned = Rotation.from_euler("ZYX", angles)
     stamps = np.rint(times * 1e9).astype(np.int64)
     truth = Trajectory(stamps, body + turned.apply(FAULT.lever_m))
-    return truth, Trajectory(stamps, body / scale, turned)
+    return truth, Trajectory(stamps, body / scale, turned.as_quat())
 
 
 SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)

@@ -34,7 +34,7 @@ def hints(evaluation: Evaluation) -> list[str]:
 
 
 def without_rotations(trajectory: Trajectory) -> Trajectory:
-    return dataclasses.replace(trajectory, rotations=None)
+    return dataclasses.replace(trajectory, quaternions=None)
 
 
 @pytest.mark.parametrize("kind", ["drone", "car", "straight", "translating"])
@@ -72,7 +72,7 @@ def test_many_pairs_of_few_stamps_show_no_clock(stamps: int) -> None:
         seconds = times / 1e9
         positions = np.column_stack([np.sin(seconds), np.cos(0.7 * seconds), 0.1 * seconds])
         turns = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
-        return Trajectory(times, positions, Rotation.from_rotvec(turns))
+        return Trajectory(times, positions, Rotation.from_rotvec(turns).as_quat())
 
     protocol = dataclasses.replace(
         YAW, gauge=Gauge.NONE, association=AssociationRule("evo", 0.05), in_order=False

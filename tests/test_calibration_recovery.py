@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.apply import evaluate_calibrated
 from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.increments import OFFSET, Increments
-from trajeval_ros.calibration.request import CalibrationRequest
 from trajeval_ros.calibration.solve import solve
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye

@@ -25,7 +25,7 @@ NONE = SystematicErrors(0.0, 0.0)
 
 
 def without_rotations(trajectory: Trajectory) -> Trajectory:
-    return dataclasses.replace(trajectory, rotations=None)
+    return dataclasses.replace(trajectory, quaternions=None)
 
 
 @pytest.mark.parametrize("kind", ["straight", "static"])

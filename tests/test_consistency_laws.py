@@ -96,7 +96,7 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
             other = Trajectory(
                 estimate.stamps,
                 estimate.positions + part[:, :3],
-                Rotation.from_rotvec(part[:, 3:6]) * estimate.rotations,
+                (Rotation.from_rotvec(part[:, 3:6]) * estimate.rotations).as_quat(),
                 estimate.velocities + part[:, 6:],
             )
             again = alignment_of(gauge, states, truth, other).trajectory(other)
@@ -174,7 +174,7 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     truth = Trajectory(
         estimate.stamps,
         estimate.positions + shift,
-        Rotation.from_rotvec(shift / 10.0) * estimate.rotations,
+        (Rotation.from_rotvec(shift / 10.0) * estimate.rotations).as_quat(),
     )
     covariance = to_left(free_covariance(problem, state), state)
     from trajeval_ros.visual_inertial.information import information_of
@@ -225,7 +225,7 @@ def test_refuses_what_has_no_covariance_in_the_gauge(
     bare = Trajectory(truth.stamps, truth.positions)
     with pytest.raises(InputError, match="no orientations"):
         STransformation.of_alignment(Gauge.YAW, None, bare, estimate)
-    still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.rotations)
+    still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.quaternions)
     with pytest.raises(DegenerateGeometryError, match="don't determine"):
         STransformation.of_alignment(Gauge.SE3, None, still, still)
     each = aligned_run(
@@ -244,7 +244,7 @@ def test_large_coordinates_cost_no_digits(
     truth, estimate = sides
     covariance = some_covariance(run.information.toarray())
     far = Trajectory(
-        truth.stamps, truth.positions + [6e5, 5e6, 300.0], truth.rotations, truth.velocities
+        truth.stamps, truth.positions + [6e5, 5e6, 300.0], truth.quaternions, truth.velocities
     )
     near, away = (
         aligned_run(Gauge.SE3, None, each, estimate, covariance) for each in (truth, far)

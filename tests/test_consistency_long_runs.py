@@ -41,7 +41,7 @@ def _measured(truth: Trajectory, sigmas: np.ndarray, seed: int) -> Trajectory:
     return Trajectory(
         truth.stamps,
         truth.positions + noise[:, :3],
-        Rotation.from_rotvec(noise[:, 3:]) * truth.rotations,
+        (Rotation.from_rotvec(noise[:, 3:]) * truth.rotations).as_quat(),
     )
 
 

@@ -173,7 +173,7 @@ def test_noise_of_the_groundtruth_counts(
             measured = Trajectory(
                 truth.stamps,
                 truth.positions + shift[:, :3],
-                Rotation.from_rotvec(shift[:, 3:]) * truth.rotations,
+                (Rotation.from_rotvec(shift[:, 3:]) * truth.rotations).as_quat(),
                 truth.velocities,
             )
             each = aligned_run(gauge, states, measured, *run)

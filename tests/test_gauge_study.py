@@ -163,7 +163,7 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
     still = dataclasses.replace(flown, positions=flown.positions * [0.0, 0.0, up])
     level = Rotation.identity(len(flown))
     with pytest.raises(InputError, match="doesn't travel"):
-        recorded(dataclasses.replace(still, rotations=level), 5.0, 10.0)
+        recorded(dataclasses.replace(still, quaternions=level.as_quat()), 5.0, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_an_estimate_gone_wild_has_no_clock(gauge: Gauge, factor: float) -> None
 def test_positions_alone_have_a_clock_too() -> None:
     truth, estimate = fly(1, 40.0, fault=Fault(0.1))
     clock = OnlineClock(Gauge.YAW)
-    fed(clock, dataclasses.replace(truth, rotations=None), estimate)
+    fed(clock, dataclasses.replace(truth, quaternions=None), estimate)
     assert clock.report.is_significant
     assert clock.report.offset_s == pytest.approx(0.1, abs=3e-3)
 

@@ -178,7 +178,7 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
     moved = dataclasses.replace(
         truth,
         positions=truth.positions + lie.rotate(quaternions, marker.lever_m),
-        rotations=truth.rotations * type(truth.rotations).from_quat(turn),
+        quaternions=lie.multiply(quaternions, turn),
     )
     feed = [*messages_of(moved, TRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
     feed.sort(key=lambda each: each[2])
@@ -202,7 +202,7 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
 
 
 def test_a_live_run_can_not_be_given_another_time_offset(tmp_path: Path) -> None:
-    from trajeval_ros.calibration.request import CalibrationRequest
+    from trajeval_ros.calibration.calibration_request import CalibrationRequest
     from trajeval_ros.exceptions import SettingsError
     from trajeval_ros.io.live.live_folder import evaluate_folder
 

@@ -558,7 +558,7 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     velocities = estimate.velocities.copy()
     velocities[20, 1] = value
     evaluator = OnlineEvaluator()
-    wild = Trajectory(estimate.stamps, estimate.positions, estimate.rotations, velocities)
+    wild = Trajectory(estimate.stamps, estimate.positions, estimate.quaternions, velocities)
     feed(evaluator, groundtruth, wild)
     ate = evaluator.snapshot().ate
     assert ate["velocity_mps"] is None

@@ -126,7 +126,7 @@ def test_titles_state_the_definitions() -> None:
 
 
 def test_withheld_rotation_says_why(tmp_path: Path) -> None:
-    without = _evaluation(rotations=None)
+    without = _evaluation(quaternions=None)
     assert len(write_figures([without], tmp_path)) == 4
     assert "the groundtruth has positions only" in _texts([without], "absolute_error")
     assert "the groundtruth has positions only" in _texts([without], "relative_error")

@@ -57,7 +57,7 @@ def restarted(source: Trajectory) -> Trajectory:
     return Trajectory(
         np.concatenate([before.stamps, after.stamps]),
         np.concatenate([before.positions, positions]),
-        Rotation.concatenate([before.rotations, turn * after.rotations]),
+        Rotation.concatenate([before.rotations, turn * after.rotations]).as_quat(),
     )
 
 
@@ -101,7 +101,7 @@ def groundtruths(source: Trajectory) -> list[Message]:
 
 
 def moved(source: Trajectory, by_m: float) -> Trajectory:
-    return Trajectory(source.stamps, source.positions + by_m, source.rotations)
+    return Trajectory(source.stamps, source.positions + by_m, source.quaternions)
 
 
 @pytest.fixture(scope="module")

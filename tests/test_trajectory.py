@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
@@ -120,8 +121,8 @@ def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
     [
         ({"positions": np.zeros((3, 2))}, "positions"),
         ({"positions": np.zeros((4, 3))}, "positions"),
-        ({"rotations": Rotation.identity(2)}, "rotations"),
-        ({"rotations": Rotation.identity()}, "rotations"),
+        ({"quaternions": np.eye(4)[:2]}, "quaternions"),
+        ({"quaternions": np.eye(4)[3]}, "quaternions"),
         ({"velocities": np.zeros((3, 4))}, "velocities"),
         ({"covariances": np.zeros((3, 6))}, "covariances"),
     ],
@@ -129,6 +130,58 @@ def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
 def test_columns_of_a_wrong_shape_are_refused(columns: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Trajectory(**({"stamps": stamps(3), "positions": np.zeros((3, 3))} | columns))
+
+
+def test_a_column_must_be_an_array() -> None:
+    with pytest.raises(TypeError, match="quaternions must be a numpy array, not Rotation"):
+        Trajectory(stamps(3), np.zeros((3, 3)), Rotation.identity(3))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="positions must be a numpy array, not list"):
+        Trajectory(stamps(1), [[0.0, 0.0, 0.0]])  # type: ignore[arg-type]
+
+
+@given(seed=seeds, count=st.integers(1, 300), row=st.integers(0, 299))
+@pytest.mark.parametrize("factor", [0.0, 0.9999, 2.0, np.nan, np.inf])
+def test_one_quaternion_that_is_not_unit_is_refused(
+    factor: float, seed: int, count: int, row: int
+) -> None:
+    quaternions = Rotation.random(count, random_state=seed % 2**31).as_quat()
+    assert len(Trajectory(stamps(count), np.zeros((count, 3)), quaternions)) == count
+    with np.errstate(invalid="ignore"):
+        quaternions[row % count] *= factor
+    with pytest.raises(ValueError, match="length 1"):
+        Trajectory(stamps(count), np.zeros((count, 3)), quaternions)
+
+
+@given(seed=seeds, size=st.sampled_from([1e-5, 0.1, 1.0, 7.0, 1e150]))
+def test_quaternions_are_normalised_once(seed: int, size: float) -> None:
+    raw = np.random.default_rng(seed).normal(scale=size, size=(200, 4))
+    read = Trajectory.from_columns(stamps(200), np.zeros((200, 3)), raw)
+    assert read.quaternions is not None
+    assert read.rotations is not None
+    expected = Rotation.from_quat(raw).as_quat()
+    np.testing.assert_allclose(read.quaternions, expected, rtol=1e-15)
+    np.testing.assert_array_equal(read.rotations.as_quat(), read.quaternions)
+
+
+def test_rotations_are_none_without_quaternions_and_as_many_as_there_are() -> None:
+    positions = np.zeros((3, 3))
+    assert Trajectory(stamps(3), positions).rotations is None
+    for count in (0, 1, 3):
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        rotations = Trajectory(stamps(count), positions[:count], quaternions).rotations
+        assert rotations is not None
+        assert not rotations.single
+        assert len(rotations) == count
+
+
+def test_its_repr_is_a_line_without_arrays() -> None:
+    positions = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 1.25]])
+    named = Trajectory(stamps(3), positions, name="vio", frame="odom", child_frame="base_link")
+    assert repr(named) == "<Trajectory vio, 3 poses, 2.0 s, 6.2 m, base_link in odom>"
+    assert repr(named[:1]) == "<Trajectory vio, 1 pose, 0.0 s, 0.0 m, base_link in odom>"
+    assert (
+        repr(Trajectory(stamps(0), positions[:0])) == "<Trajectory unnamed, 0 poses, 0.0 s, 0.0 m>"
+    )
 
 
 def test_stamps_must_be_whole_nanoseconds() -> None:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajeval_ros.calibration.request import CalibrationRequest
-from trajeval_ros.consistency.request import CovarianceRequest
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.clock_hint import clock_hint
 from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError

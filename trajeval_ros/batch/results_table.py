@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import Record
-from trajeval_ros.calibration.request import CalibrationRequest
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.writing import write_whole
 

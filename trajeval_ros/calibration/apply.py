@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
-from trajeval_ros.calibration.request import CalibrationRequest
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
 from trajeval_ros.geometry.marker import HandEye
@@ -237,7 +237,7 @@ def _with(
         protocol = dataclasses.replace(protocol, association=rule)
     if hand_eye is None:
         return _measure(groundtruth, estimate, protocol, pairs), False
-    if groundtruth.rotations is not None:
+    if groundtruth.quaternions is not None:
         of_body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
         return _measure(of_body, estimate, protocol, pairs), False
     scale = 1.0

@@ -119,7 +119,7 @@ def guess_offset(
         signal: `angular rate` or `speed`; None to choose.
     """
     if signal is None:
-        if groundtruth.rotations is not None and estimate.rotations is not None:
+        if groundtruth.quaternions is not None and estimate.quaternions is not None:
             turning = guess_offset(
                 groundtruth,
                 estimate,

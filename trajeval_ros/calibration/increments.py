@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
 from trajeval_ros.calibration.pose_interpolator import Stamps, Track, nanoseconds, nearest_rows
@@ -120,7 +119,7 @@ class Increments:
             horizon_s: Length of an increment; that of sparse keyframes is three steps or more.
             most: How many to use; of more, every n-th.
         """
-        self.has_turns = groundtruth.rotations is not None and estimate.rotations is not None
+        self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
         self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
         # A lever arm turns with the estimate's orientations, also if the marker has none.
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
@@ -311,4 +310,4 @@ class Increments:
 
 
 def _matrices(quaternions: Array) -> Array:
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+    return lie.to_matrix(lie.normalized(quaternions))

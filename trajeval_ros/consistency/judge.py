@@ -7,10 +7,11 @@ import math
 
 import numpy as np
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
-from trajeval_ros.consistency.request import CovarianceRequest
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -55,9 +56,11 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)
     if request.rotation_frame == "body" and estimate.covariances is not None:
-        if estimate.rotations is None:
+        if estimate.quaternions is None:
             raise InputError("the estimate has no orientations to turn its covariances by")
-        turned = world_from_body_rotations(estimate.covariances, estimate.rotations.as_matrix())
+        turned = world_from_body_rotations(
+            estimate.covariances, lie.to_matrix(estimate.quaternions)
+        )
         estimate = dataclasses.replace(estimate, covariances=turned)
     variances = None
     if request.groundtruth_noise is not None:

@@ -211,15 +211,15 @@ def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool 
 
 
 def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Array:
-    truth, other = groundtruth.rotations, aligned.rotations
+    truth, other = groundtruth.quaternions, aligned.quaternions
     assert truth is not None
     assert other is not None
-    return lie.log(other.as_matrix() @ np.swapaxes(truth.as_matrix(), 1, 2))
+    return lie.log(lie.to_matrix(other) @ np.swapaxes(lie.to_matrix(truth), 1, 2))
 
 
 def _require_columns(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool) -> None:
     for who, side in (("groundtruth", groundtruth), ("estimate", aligned)):
-        if side.rotations is None:
+        if side.quaternions is None:
             raise InputError(
                 f"the {who} has no orientations, so no pose covariance can be judged by it"
             )

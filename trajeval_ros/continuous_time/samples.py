@@ -86,10 +86,10 @@ class Samples:
                 f"{'pose' if len(trajectory) == 1 else 'poses'}, and with fewer than two nothing "
                 "can be said of the time between; use association nearest"
             )
-        oriented = trajectory.rotations is not None
+        oriented = trajectory.quaternions is not None
         rotations = np.broadcast_to(np.eye(3), (len(trajectory), 3, 3))
-        if trajectory.rotations is not None:
-            rotations = trajectory.rotations.as_matrix()
+        if trajectory.quaternions is not None:
+            rotations = lie.to_matrix(trajectory.quaternions)
         samples = cls(
             origin=int(trajectory.stamps[0]),
             times=trajectory.seconds,

@@ -81,11 +81,9 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
 def _about_first_state(evaluation: Evaluation) -> list[str]:
     """Recognise an estimator's placeholder: a first pose from which the second one jumps away."""
     pairs = evaluation.association
-    if len(pairs) < 3 or pairs.groundtruth.rotations is None or pairs.estimate.rotations is None:
-        return []
     truth, other = pairs.groundtruth[:2].quaternions, pairs.estimate[:2].quaternions
-    assert truth is not None
-    assert other is not None
+    if len(pairs) < 3 or truth is None or other is None:
+        return []
     turned = lie.angle(lie.multiply(lie.conjugate(other[0]), other[1]))
     true_turn = lie.angle(lie.multiply(lie.conjugate(truth[0]), truth[1]))
     jump_deg = float(np.degrees(np.abs(turned - true_turn)))
@@ -127,7 +125,7 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
     without = [
         who
         for who, side in (("groundtruth", pairs.groundtruth), ("estimate", pairs.estimate))
-        if side.rotations is None
+        if side.quaternions is None
     ]
     if without:
         warnings.append(

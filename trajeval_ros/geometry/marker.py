@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
@@ -35,8 +34,9 @@ class HandEye:
     @classmethod
     def of(cls, rotation_vector: Array | None, lever_m: Array | None) -> HandEye:
         """Make one of what is known; None for no rotation, or no lever arm."""
-        turn = Rotation.from_rotvec(np.zeros(3) if rotation_vector is None else rotation_vector)
-        return cls(np.asarray(turn.as_quat()), np.zeros(3) if lever_m is None else lever_m)
+        vector = np.zeros(3) if rotation_vector is None else rotation_vector
+        lever = np.zeros(3) if lever_m is None else lever_m
+        return cls(lie.from_rotation_vector(vector), lever)
 
     def inverse(self) -> HandEye:
         """Return the pose of the body in the marker."""
@@ -78,7 +78,7 @@ class HandEye:
         return dataclasses.replace(
             groundtruth,
             positions=groundtruth.positions - arm,
-            rotations=Rotation.from_quat(quaternions),
+            quaternions=lie.normalized(quaternions),
             velocities=velocities,
             covariances=None,
             child_frame=body or groundtruth.child_frame,

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -55,9 +54,9 @@ class Similarity:
         return replace(
             trajectory,
             positions=self.positions(trajectory.positions),
-            rotations=None
+            quaternions=None
             if quaternions is None
-            else Rotation.from_quat(self.quaternions(quaternions)),
+            else lie.normalized(self.quaternions(quaternions)),
             velocities=None if velocities is None else self.vectors(velocities),
             covariances=None,
         )

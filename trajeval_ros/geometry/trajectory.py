@@ -1,29 +1,41 @@
-"""A trajectory as columns: stamps, positions, rotations and what else was measured."""
+"""A trajectory as columns: stamps, positions, quaternions and what else was measured."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 NANOSECONDS = 1_000_000_000
 # Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
 LARGEST = 1e12
 _SHORTEST = 1e-6  # of a quaternion
+_UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; rounding is far less
 # Reasons for dropping what was no state of its own, and counts in no coverage.
 NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
-_COLUMNS = ("positions", "velocities", "gyroscope_biases", "accelerometer_biases", "covariances")
-_ROW_SHAPES = {"covariances": (6, 6)}
+# Shapes of a row of each column.
+_COLUMNS: dict[str, tuple[int, ...]] = {
+    "stamps": (),
+    "positions": (3,),
+    "quaternions": (4,),
+    "velocities": (3,),
+    "gyroscope_biases": (3,),
+    "accelerometer_biases": (3,),
+    "covariances": (6, 6),
+}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """States of a moving body over time, in one fixed frame. Nothing in it is ever changed.
 
@@ -32,7 +44,8 @@ class Trajectory:
     Attributes:
         stamps: (N,) int64, nanoseconds.
         positions: (N, 3), metres, of the body in the frame.
-        rotations: N rotations from the body to the frame; None for a position-only sensor.
+        quaternions: (N, 4), xyzw, of length 1, rotations from the body to the frame; None for a
+            position-only sensor.
         velocities: (N, 3), m/s, in the frame, or None.
         gyroscope_biases: (N, 3), rad/s, in the body, or None.
         accelerometer_biases: (N, 3), m/s^2, in the body, or None.
@@ -50,7 +63,7 @@ class Trajectory:
 
     stamps: NDArray[np.int64]
     positions: NDArray[np.float64]
-    rotations: Rotation | None = None
+    quaternions: NDArray[np.float64] | None = None
     velocities: NDArray[np.float64] | None = None
     gyroscope_biases: NDArray[np.float64] | None = None
     accelerometer_biases: NDArray[np.float64] | None = None
@@ -65,17 +78,33 @@ class Trajectory:
     damage: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the shapes, so that a wrong column fails where it was made."""
+        """Check the columns, so that a wrong one fails where it was made.
+
+        Raises:
+            TypeError: The stamps are not int64, or a column is no array.
+            ValueError: A column has another shape, or quaternions don't have the length 1.
+        """
         count = len(self.stamps)
+        for name, row_shape in _COLUMNS.items():
+            column = getattr(self, name)
+            if column is None:
+                continue
+            if not isinstance(column, np.ndarray):
+                raise TypeError(f"{name} must be a numpy array, not {type(column).__name__}")
+            if column.shape != (count, *row_shape):
+                raise ValueError(
+                    f"{name} has shape {column.shape}, expected {(count, *row_shape)}"
+                )
         if self.stamps.dtype != np.int64:
             raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
-        for name in _COLUMNS:
-            column = getattr(self, name)
-            shape = (count, *_ROW_SHAPES.get(name, (3,)))
-            if column is not None and column.shape != shape:
-                raise ValueError(f"{name} has shape {column.shape}, expected {shape}")
-        if self.rotations is not None and (self.rotations.single or len(self.rotations) != count):
-            raise ValueError(f"rotations must be a batch of {count}")
+        if self.quaternions is not None:
+            # A NaN, a zero and rows that were not normalised show in the mean, which is cheap:
+            # trajectories are made often.
+            excess = float(np.vdot(self.quaternions, self.quaternions)) - count
+            if not abs(excess) <= _UNIT * count:
+                raise ValueError(
+                    "quaternions must have the length 1; Trajectory.from_columns normalises them"
+                )
 
     @classmethod
     def from_columns(
@@ -116,10 +145,9 @@ class Trajectory:
                 name: value[keep] if isinstance(value, np.ndarray) else value
                 for name, value in columns.items()
             }
-        rotations = None
         if quaternion_rows is not None:
-            rotations = Rotation.from_quat(quaternion_rows.reshape(-1, 4))
-        trajectory = cls(stamps, position_rows, rotations, **columns)  # type: ignore[arg-type]
+            quaternion_rows = lie.normalized(quaternion_rows)
+        trajectory = cls(stamps, position_rows, quaternion_rows, **columns)  # type: ignore[arg-type]
         return dataclasses.replace(
             trajectory, dropped=add_counts(trajectory.dropped, dropped)
         )._with_finite_columns()
@@ -141,6 +169,19 @@ class Trajectory:
         """Return the number of states."""
         return len(self.stamps)
 
+    def __repr__(self) -> str:
+        """Return a line that says what it is, without its arrays."""
+        count = len(self)
+        parts = [
+            self.name or "unnamed",
+            f"{count} pose{'' if count == 1 else 's'}",
+            f"{self.duration_s:.1f} s",
+            f"{self.path_length_m:.1f} m",
+        ]
+        if self.frame or self.child_frame:
+            parts.append(f"{self.child_frame or '?'} in {self.frame or '?'}")
+        return f"<Trajectory {', '.join(parts)}>"
+
     def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Trajectory:
         """Return the states of a slice, a mask or an array of indices; of all of them, self."""
         if isinstance(rows, np.ndarray) and len(rows) == len(self):
@@ -148,9 +189,7 @@ class Trajectory:
             if everything.all():
                 return self
         picked = {
-            name: column[rows]
-            for name in ("stamps", "rotations", *_COLUMNS)
-            if (column := getattr(self, name)) is not None
+            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
         }
         return dataclasses.replace(self, **picked)
 
@@ -176,9 +215,14 @@ class Trajectory:
         return float(self.travelled[-1]) if len(self) else 0.0
 
     @property
-    def quaternions(self) -> NDArray[np.float64] | None:
-        """The rotations as xyzw rows, (N, 4)."""
-        return None if self.rotations is None else np.asarray(self.rotations.as_quat())
+    def rotations(self) -> Rotation | None:
+        """The quaternions as scipy's `Rotation`, N in a batch; imports `scipy.spatial`."""
+        if self.quaternions is None:
+            return None
+        from scipy.spatial.transform import Rotation
+
+        # They are unit already, and `from_quat` would change last digits.
+        return Rotation(self.quaternions, normalize=False)
 
     def in_order(self) -> Trajectory:
         """Return the states sorted by stamp, of equal stamps only the first; says what it did."""

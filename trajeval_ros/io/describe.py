@@ -148,7 +148,7 @@ def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
     columns = {
-        "rotation": trajectory.rotations,
+        "rotation": trajectory.quaternions,
         "velocity": trajectory.velocities,
         "gyroscope bias": trajectory.gyroscope_biases,
         "accelerometer bias": trajectory.accelerometer_biases,

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.calibration.request import CalibrationRequest
-from trajeval_ros.consistency.request import CovarianceRequest
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.metrics.settings import protocol_from

@@ -17,7 +17,7 @@ from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.geometry import se3
+from trajeval_ros.geometry import lie, se3
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
@@ -90,7 +90,7 @@ def assess(evaluation: Evaluation) -> Assessment:
         raise InputError("one pose alone is as likely as any other in the same gauge")
     stamps = pairs.groundtruth.stamps
     known = continuous.at(stamps)
-    oriented = pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+    oriented = pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
     belief = _with_tolerance(known, oriented)
     residuals = Residuals(belief, _poses_of(pairs, oriented), protocol.gauge, oriented)
     error = generalised_absolute_error(residuals)
@@ -177,8 +177,8 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
 def _poses_of(pairs: Association, oriented: bool) -> Array:
     rotations = np.broadcast_to(np.eye(3), (len(pairs), 3, 3))
     if oriented:
-        assert pairs.estimate.rotations is not None
-        rotations = pairs.estimate.rotations.as_matrix()
+        assert pairs.estimate.quaternions is not None
+        rotations = lie.to_matrix(pairs.estimate.quaternions)
     return se3.poses(rotations, pairs.estimate.positions)
 
 

@@ -68,13 +68,11 @@ class Degradation:
         shape = (len(rows), 3)
         positions = kept.positions + random.normal(scale=self.noise.position_m, size=shape)
         turns = random.normal(scale=self.noise.rotation_rad, size=shape)
-        rotations = (
-            None if kept.rotations is None else kept.rotations * Rotation.from_rotvec(turns)
-        )
+        turned = None if kept.rotations is None else kept.rotations * Rotation.from_rotvec(turns)
         return dataclasses.replace(
             kept,
             positions=positions,
-            rotations=rotations,
+            quaternions=None if turned is None else turned.as_quat(),
             velocities=None,
             gyroscope_biases=None,
             accelerometer_biases=None,

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
@@ -158,12 +157,12 @@ def _modelled(
     rows = np.flatnonzero(continuous.covers(estimate.stamps))
     stamps = estimate.stamps[rows]
     poses = continuous.at(stamps).poses
-    oriented = groundtruth.rotations is not None
+    oriented = groundtruth.quaternions is not None
     truth = dataclasses.replace(
         groundtruth,
         stamps=stamps,
         positions=np.ascontiguousarray(poses[:, :3, 3]),
-        rotations=Rotation.from_matrix(poses[:, :3, :3]) if oriented else None,
+        quaternions=lie.from_matrices(poses[:, :3, :3]) if oriented else None,
         velocities=None,
         gyroscope_biases=None,
         accelerometer_biases=None,
@@ -193,9 +192,9 @@ def _interpolated(
         groundtruth,
         stamps=estimate.stamps[rows],
         positions=positions,
-        rotations=None
+        quaternions=None
         if quaternions is None
-        else Rotation.from_quat(lie.slerp(quaternions[start], quaternions[end], fraction)),
+        else lie.normalized(lie.slerp(quaternions[start], quaternions[end], fraction)),
         velocities=mix(groundtruth.velocities, start, end, fraction),
         gyroscope_biases=mix(groundtruth.gyroscope_biases, start, end, fraction),
         accelerometer_biases=mix(groundtruth.accelerometer_biases, start, end, fraction),

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
@@ -242,13 +241,11 @@ def _euler_in_estimate_world(
     The relative rotation's error is turned into the unaligned estimate's world at the end
     state, then read as intrinsic z-y-x Euler angles.
     """
-    if not len(starts):  # Jazzy's scipy has no Euler angles of no rotations
-        return np.empty(0), np.empty(0)
     truth_step = lie.multiply(lie.conjugate(truth_q[starts]), truth_q[ends])
     other_step = lie.multiply(lie.conjugate(other_q[starts]), other_q[ends])
     error = lie.multiply(lie.conjugate(truth_step), other_step)
     in_world = lie.multiply(lie.multiply(other_q[ends], error), lie.conjugate(other_q[ends]))
-    angles = Rotation.from_quat(in_world).as_euler("ZYX")
+    angles = lie.euler_angles(lie.normalized(in_world))
     yaw, tilt = np.abs(angles[:, 0]), np.hypot(angles[:, 1], angles[:, 2])
     return np.degrees(yaw), np.degrees(tilt)
 

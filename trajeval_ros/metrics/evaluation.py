@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
@@ -114,7 +113,7 @@ def evaluate(
         groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
     if protocol.lever_m is not None:
         # Surveyed points have no orientation, whatever their file says.
-        groundtruth = dataclasses.replace(groundtruth, rotations=None)
+        groundtruth = dataclasses.replace(groundtruth, quaternions=None)
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
     if protocol.gauge is Gauge.PLANAR:
         # After the lever arm, which a tilting body swings to the side.
@@ -198,9 +197,9 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         return align_first(
             protocol.gauge,
             truth.positions[0],
-            None if truth.rotations is None else truth.rotations[0],
+            None if truth.quaternions is None else truth.quaternions[0],
             estimate.positions[0],
-            None if estimate.rotations is None else estimate.rotations[0],
+            None if estimate.quaternions is None else estimate.quaternions[0],
         )
     first = slice(protocol.align_states)
     p, q = truth.positions[first], estimate.positions[first]
@@ -295,17 +294,16 @@ def _segment_statistics(
 
 
 def _have_rotations(pairs: Association) -> bool:
-    return pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+    return pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
 
 
 def _on_plane(trajectory: Trajectory) -> Trajectory:
     """Return the states projected on the xy plane: no height, and the heading alone."""
     flat = np.array([1.0, 1.0, 0.0])
     quaternions = trajectory.quaternions
-    rotations = None if quaternions is None else Rotation.from_quat(lie.heading(quaternions))
     return dataclasses.replace(
         trajectory,
         positions=trajectory.positions * flat,
-        rotations=rotations,
+        quaternions=None if quaternions is None else lie.normalized(lie.heading(quaternions)),
         velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
     )

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import lie
@@ -226,9 +225,9 @@ class OnlineEvaluator:
                 self._alignment = align_first(
                     gauge,
                     truth[POSITION],
-                    _rotation(truth),
+                    _quaternion(truth),
                     estimate[POSITION],
-                    _rotation(estimate),
+                    _quaternion(estimate),
                 )
             except DegenerateGeometryError as error:
                 self._why_not = str(error)
@@ -346,11 +345,11 @@ def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
     return Trajectory(
         stamps=np.array(stamps),
         positions=np.array(rows[:, POSITION]),
-        rotations=Rotation.from_quat(quaternions) if measured else None,
+        quaternions=lie.normalized(quaternions) if measured else None,
         velocities=np.array(velocities) if moving else None,
     )
 
 
-def _rotation(row: Floats) -> Rotation | None:
+def _quaternion(row: Floats) -> Floats | None:
     quaternion = row[QUATERNION]
-    return None if np.isnan(quaternion[0]) else Rotation.from_quat(quaternion)
+    return None if np.isnan(quaternion[0]) else lie.normalized(quaternion)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.calibrate import SystematicErrors, calibrate
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.online.pairing import POSITION, QUATERNION, StateBuffer
@@ -156,5 +156,5 @@ def _trajectory(stream: StateBuffer) -> Trajectory:
     return Trajectory(
         stamps.copy(),
         rows[:, POSITION].copy(),
-        Rotation.from_quat(turns) if known else None,
+        lie.normalized(turns) if known else None,
     )

@@ -61,7 +61,7 @@ def positions_only(evaluation: Evaluation) -> str:
     sides = [
         who
         for who, side in (("groundtruth", pairs.groundtruth), ("estimate", pairs.estimate))
-        if side.rotations is None
+        if side.quaternions is None
     ]
     have = "has" if len(sides) == 1 else "have"
     return f"the {' and the '.join(sides)} {have} positions only"

@@ -158,7 +158,7 @@ def _groundtruth(generator: np.random.Generator, flight: _Flight, duration_s: fl
     return Trajectory(
         stamps=stamps,
         positions=flight.positions(times),
-        rotations=flight.rotations(times),
+        quaternions=flight.rotations(times).as_quat(),
         velocities=flight.velocities(times),
         frame="world",
         child_frame="base_link",
@@ -204,7 +204,7 @@ def _odometry(
     return Trajectory(
         stamps=_stamps(times + delay),
         positions=frame.apply(positions),
-        rotations=frame * rotations,
+        quaternions=(frame * rotations).as_quat(),
         velocities=frame.apply(stretch * turned.apply(velocities) + disturbance),
         frame="odom",
         child_frame="base_link",

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.visual_inertial.motion import recorded
@@ -127,7 +127,7 @@ def _trajectory(
     return Trajectory(
         stamps=EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64),
         positions=state.positions,
-        rotations=Rotation.from_matrix(state.rotations),
+        quaternions=lie.from_matrices(state.rotations),
         velocities=state.velocities,
         covariances=covariances,
         frame=frame,

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Advance, Bag, Topic, encoding_of
 from trajeval_ros.io.bags.blocks import Block
@@ -318,5 +318,11 @@ def _world_velocities(body: Floats, quaternions: Floats) -> Floats | None:
     usable = np.isfinite(lengths) & (lengths > 1e-6)
     velocities = np.zeros_like(body)
     if usable.any():
-        velocities[usable] = Rotation.from_quat(quaternions[usable]).apply(body[usable])
+        (velocities[usable],) = lie.by_blocks(_turned, quaternions[usable], body[usable])
     return velocities
+
+
+def _turned(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
+    """Return the vectors (N, 3) turned by quaternions (N, 4) of any length."""
+    matrices = lie.to_matrix(lie.normalized(quaternions))
+    return (np.einsum("nij,nj->ni", matrices, vectors),)

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, read_pairs
@@ -178,7 +178,7 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
     return Trajectory(
         stamps,
         rows[:, :3],
-        None if quaternions is None else Rotation.from_quat(quaternions),
+        None if quaternions is None else lie.normalized(quaternions),
         None if np.isnan(velocities).any() or not velocities.any() else velocities,
     ), notes
 
@@ -189,12 +189,13 @@ def _revised(
     """Return the pairs with the estimator's last word, and the counts of its poses."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            stamps, positions = file["stamps"], file["positions"]
-            rotations = Rotation.from_quat(file["quaternions"])
+            quaternions = lie.normalized(file["quaternions"])
+            revised = Trajectory(file["stamps"], file["positions"], quaternions)
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
+    stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
-    estimate = Trajectory(stamps[places], positions[places], rotations[places])
+    estimate = revised[places]
     unpaired = len(stamps) - len(rows)
     dropped = causal.dropped
     if sum(count for reason, count in dropped.items() if reason not in NO_STATE) != unpaired:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from trajeval_ros.geometry import lie
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 
 if TYPE_CHECKING:
@@ -86,9 +86,7 @@ def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
     return {
         "source": "auto",
         "rotation": {
-            "xyzw": None
-            if turn.value is None
-            else Rotation.from_rotvec(turn.value).as_quat().tolist(),
+            "xyzw": None if turn.value is None else lie.from_rotation_vector(turn.value).tolist(),
             "angle_deg": None
             if turn.value is None
             else float(np.degrees(np.linalg.norm(turn.value))),

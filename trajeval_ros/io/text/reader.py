@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.text.decimals import ParsedRows, RowError, parse_rows
@@ -87,7 +87,7 @@ def _poses_of(groups: dict[str, Floats]) -> tuple[Floats, Floats | None]:
     valid[valid] = np.linalg.det(rotations[valid]) > 0.0
     quaternions = np.full((len(matrices), 4), np.nan)
     if valid.any():
-        quaternions[valid] = Rotation.from_matrix(_nearest_rotations(rotations[valid])).as_quat()
+        quaternions[valid] = lie.from_matrices(_nearest_rotations(rotations[valid]))
     return np.ascontiguousarray(matrices[:, :, 3]), quaternions
 
 
@@ -109,7 +109,7 @@ def _openvins_covariances(groups: dict[str, Floats], quaternions: Floats) -> Flo
     count = len(quaternions)
     usable = np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)
     turns = np.tile(np.eye(3), (count, 1, 1))
-    turns[usable] = Rotation.from_quat(quaternions[usable]).as_matrix()
+    turns[usable] = lie.to_matrix(lie.normalized(quaternions[usable]))
     rows, columns = np.triu_indices(3)
     blocks = np.zeros((2, count, 3, 3))
     for block, group in zip(blocks, ("position_covariance", "rotation_covariance"), strict=True):
