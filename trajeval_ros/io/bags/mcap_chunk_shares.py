@@ -22,7 +22,7 @@ from trajeval_ros.io.bags.mcap_chunks import (
     whole,
 )
 from trajeval_ros.io.bags.mcap_records import DamagedError, Messages
-from trajeval_ros.io.bags.selection import Selection, all_connections
+from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
 
 Range = tuple[int, int]  # offset and size, bytes
 
@@ -60,54 +60,63 @@ def read_chunk(
         require_size(chunk)
     except DamagedError as error:
         return [Share(each, str(error)) for each in selections]
-    reading = _Reading(source, chunk)
-    if chunk.indexes and not strict:
-        reading.plan(selections)
+    reading = _Reading(source, chunk, is_indexed=bool(chunk.indexes) and not strict)
+    if len(selections) > 1 and (shares := reading.together(selections)) is not None:
+        return shares
     return [reading.share_of(each) for each in selections]
 
 
 class _Reading:
     """A chunk while it is read."""
 
-    def __init__(self, source: ByteSource, chunk: Chunk) -> None:
+    def __init__(self, source: ByteSource, chunk: Chunk, *, is_indexed: bool) -> None:
         self._source = _HeldBytes(source)
         self._chunk = chunk
-        self._indexed: dict[Selection, Messages] = {}
-        self._runs: dict[Selection, list[Range]] = {}  # begins and ends, of what is read in part
+        self._is_indexed = is_indexed
         self._whole: bytes | DamagedError | None = None
         self._walked: Messages | None = None
 
-    def plan(self, selections: Sequence[Selection]) -> None:
-        """Look the selections up in the index, and fetch what all of them need."""
-        chunk = self._chunk
-        self._source.hold(*index_range(chunk, all_connections(selections)))
-        for selection in selections:
-            try:
-                indexed = index_of(self._source, chunk, selection.connections)
-            except DamagedError:  # the chunk itself may be well
-                continue
-            self._indexed[selection] = indexed
-            runs = runs_of(chunk, indexed)
-            if runs is not None:
-                self._runs[selection] = runs
-        if not self._runs:
-            return
-        if len(self._runs) < len(selections):
-            self._source.hold(chunk.offset, chunk.length)
-        else:
-            base = chunk.data_offset
-            runs = _united(run for runs in self._runs.values() for run in runs)
-            self._source.hold_all([(base + begin, end - begin) for begin, end in runs])
+    def together(self, selections: Sequence[Selection]) -> list[Share] | None:
+        """Return what all selections get, looked up and measured as one.
+
+        Returns:
+            None if each must be looked at by itself: not all of them read the chunk in part, or
+            not all of them whole, or something is wrong. What is in memory then stays there.
+        """
+        if not self._is_indexed:
+            return None
+        chunk, wanted = self._chunk, all_connections(selections)
+        self._source.hold(*index_range(chunk, wanted))
+        try:
+            indexed = index_of(self._source, chunk, wanted)
+            own = [of_channels(indexed, each.connections) for each in selections]
+            runs = [runs_of(chunk, each) for each in own]
+            if all(each is not None for each in runs):
+                united = _united(run for each in runs if each for run in each)
+                base = chunk.data_offset
+                self._source.hold_all([(base + begin, end - begin) for begin, end in united])
+                block, is_partial = partial(self._source, chunk, indexed, united), True
+            elif any(each is not None for each in runs):
+                self._source.hold(chunk.offset, chunk.length)
+                return None
+            else:
+                data = self._data()
+                block = block_in(data, measured(data, indexed, len(data)), chunk.first)
+                is_partial = False
+        except DamagedError:
+            return None
+        return [Share(*each, is_partial) for each in split_by_selection(block, selections)]
 
     def share_of(self, selection: Selection) -> Share:
         """Return what a selection gets."""
-        chunk, indexed = self._chunk, self._indexed.get(selection)
-        if indexed is not None and selection in self._runs:
+        chunk, indexed = self._chunk, None
+        if self._is_indexed:
             try:
-                runs = self._runs[selection]
-                return Share(selection, partial(self._source, chunk, indexed, runs), True)
+                indexed = index_of(self._source, chunk, selection.connections)
+                if (runs := runs_of(chunk, indexed)) is not None:
+                    return Share(selection, partial(self._source, chunk, indexed, runs), True)
             except DamagedError:
-                indexed = None
+                indexed = None  # the chunk itself may be well
         try:
             data = self._data()
         except DamagedError as error:

@@ -41,7 +41,9 @@ def split_by_selection(
         yield selections[0], block
         return
     for selection in selections:
-        ids = np.fromiter(selection.connections, np.int64, len(selection.connections))
-        rows = np.flatnonzero(np.isin(block.connections, ids))
+        if len(ids := list(selection.connections)) == 1:
+            rows = np.flatnonzero(block.connections == ids[0])
+        else:
+            rows = np.flatnonzero(np.isin(block.connections, ids))
         if len(rows):
             yield selection, block[rows]
