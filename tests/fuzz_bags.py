@@ -26,6 +26,7 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
         decode_transforms,
         plan_of,
     )
+    from trajeval_ros.io.bags.selection import Selection
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -86,12 +87,20 @@ def read_file(data: bytes, *, strict: bool) -> None:
         reader = McapReader(Memory(data), strict=strict)
     except InputError:
         return
-    wanted = frozenset(connection.id for connection in reader.connections)
+    channels = [frozenset([connection.id]) for connection in reader.connections]
+    channels.append(frozenset().union(*channels))
     assert reader.span is None or len(reader.span) == 2
-    for block in reader.blocks(wanted):
+    together = [Selection(each) for each in channels]
+    counts = dict.fromkeys(together, 0)
+    for selection, block in reader.blocks(together):
+        counts[selection] += len(block)
         columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
         assert len(columns.rows) <= len(block)
         list(block.decompressed())
+    for selection, count in counts.items():
+        alone = Selection(selection.connections)
+        assert sum(len(block) for _, block in reader.blocks([alone])) == count
+        assert (alone.damage, alone.notes) == (selection.damage, selection.notes)
 
 
 def seeds(folder: Path) -> None:

@@ -16,7 +16,7 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.io.request_words import request_from
 from trajeval_ros.io.results.requirement import Requirement
-from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.sources import read_many
 from trajeval_ros.pipeline import run
 
 if TYPE_CHECKING:
@@ -136,11 +136,15 @@ def evaluate(
 
 def _read(sources: Sequence[str], *, covariances: bool, strict: bool) -> list[Trajectory]:
     """Read groundtruth and estimates; covariances are the estimates'."""
-    trajectories = []
-    for place, (source, name) in enumerate(zip(sources, names_of(sources), strict=True)):
-        with progress(f"reading {name}") as advance:
-            trajectory = read_trajectory(
-                source, advance=advance, covariances=covariances and place > 0, strict=strict
-            )
-        trajectories.append(dataclasses.replace(trajectory, name=name))
-    return trajectories
+    names = names_of(sources)
+    with progress(f"reading {', '.join(names)}") as advance:
+        trajectories = read_many(
+            sources,
+            advance=advance,
+            covariances=[False, *[covariances] * (len(sources) - 1)],
+            strict=strict,
+        )
+    return [
+        dataclasses.replace(trajectory, name=name)
+        for trajectory, name in zip(trajectories, names, strict=True)
+    ]

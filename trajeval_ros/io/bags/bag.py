@@ -23,12 +23,14 @@ from trajeval_ros.io.bags.blocks import Block, in_order, merged
 from trajeval_ros.io.bags.containers import Container, open_file
 from trajeval_ros.io.bags.metadata import Metadata, read_metadata
 from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.selection import Selection
 from trajeval_ros.io.checks import nearest
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 Advance = Callable[[int, int], None]
+Key = tuple[int, int]  # which file, and which of its connections
 
 _ENCODINGS = ("cdr", "ros1")
 _ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -77,12 +79,33 @@ class Topic:
             and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
         )
 
+    def connections_in(self, container: Container) -> frozenset[int]:
+        """Return the ids of its connections in one file of the bag."""
+        return frozenset(each.id for each in self.connections if each.owner is container)
+
     @property
     def _is_readable(self) -> bool:
         encodings = [encoding_of(each) for each in self.connections]
         if self.type in foxglove.TYPES:
             return all(foxglove.is_decodable(each) for each in encodings)
         return all(each in _ENCODINGS for each in encodings)
+
+
+@dataclass(eq=False)
+class Reading:
+    """A topic that is read, and what was found wrong in doing so.
+
+    Attributes:
+        topic: Which one.
+        count: Number of messages read so far.
+        damage: What of it can't be read, one sentence each; known when all is read.
+        notes: What else to know about how it was read.
+    """
+
+    topic: Topic
+    count: int = 0
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 class Bag:
@@ -92,7 +115,7 @@ class Bag:
         path: The file or directory.
         topics: Its topics by name; a name with several types is one topic per type.
         notes: What had to be worked around.
-        damage: What of it can't be read, one sentence each; grows while messages are read.
+        damage: What of it can't be read, one sentence each. `messages` adds what it finds.
     """
 
     def __init__(
@@ -144,27 +167,51 @@ class Bag:
             raise InputError(f"{self.path} is an empty bag: it has no messages")
         return min(first for first, _ in spans), max(last for _, last in spans)
 
-    def blocks(self, topics: Sequence[Topic]) -> Iterator[tuple[Container, Block]]:
-        """Yield all messages of some topics in blocks, each with the file that it is from.
+    def blocks(self, readings: Sequence[Reading]) -> Iterator[tuple[Reading, Key, Block]]:
+        """Yield all messages of some topics in blocks of one connection, in one pass over the bag.
 
-        What is missing of the messages that the bag counts is said in `damage`.
-
-        Raises:
-            InputError: The bag is damaged, and is read strictly.
+        What is missing of the messages that the bag counts is told in each reading, when all
+        blocks were taken.
         """
         done = 0
-        total = sum(topic.declared or 0 for topic in topics)
+        total = sum(each.topic.declared or 0 for each in readings)
         with _one_sentence(self.path):
-            for container, wanted in self._wanted(topics):
-                for block in merged(container.blocks(frozenset(wanted))):
+            for container in self._containers:
+                selections = {
+                    Selection(ids): each
+                    for each in readings
+                    if (ids := each.topic.connections_in(container))
+                }
+                if not selections:
+                    continue
+                for selection, block in merged(container.blocks(tuple(selections))):
+                    reading = selections[selection]
                     for plain in block.decompressed():
-                        yield container, plain
+                        for connection, own in plain.by_connection():
+                            yield reading, (id(container), connection), own
+                    reading.count += len(block)
                     done += len(block)
                     if self._advance is not None:
                         self._advance(done, max(done, total))
+                for selection, reading in selections.items():
+                    reading.damage += selection.damage
+                    reading.notes += selection.notes
         if self._advance is not None and not done:
             self._advance(done, max(done, total))
-        self._account(topics, done)
+        for reading in readings:
+            reading.damage += self._missing([reading.topic], reading.count)
+
+    def findings(self, readings: Sequence[Reading]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the notes and the damage of readings, those of opening the bag included.
+
+        Raises:
+            InputError: There is damage, and the bag is read strictly.
+        """
+        notes = [*self.notes, *(note for each in readings for note in each.notes)]
+        damage = [*self.damage, *(damage for each in readings for damage in each.damage)]
+        if self._strict and damage:
+            raise InputError("; ".join(dict.fromkeys(damage)))
+        return tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(damage))
 
     def messages(
         self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
@@ -180,52 +227,52 @@ class Bag:
             InputError: The bag is damaged, and is read strictly.
         """
         done = 0
+        selections: list[Selection] = []
         with _one_sentence(self.path):
-            streams = [
-                self._stream(container, wanted, begin, end)
-                for container, wanted in self._wanted(topics)
-            ]
+            streams = []
+            for container in self._containers:
+                wanted = {
+                    connection: topic
+                    for topic in topics
+                    for connection in topic.connections_in(container)
+                }
+                if wanted:
+                    selections.append(Selection(frozenset(wanted)))
+                    streams.append(self._stream(container, selections[-1], wanted, begin, end))
             for message in heapq.merge(*streams, key=_log_time):
                 yield message
                 done += 1
         if begin is None and end is None:
-            self._account(topics, done)
-
-    def _wanted(self, topics: Sequence[Topic]) -> Iterator[tuple[Container, dict[int, Topic]]]:
-        """Yield the files that have any of the topics, and which topic a connection is of."""
-        for container in self._containers:
-            wanted = {
-                connection.id: topic
-                for topic in topics
-                for connection in topic.connections
-                if connection.owner is container
-            }
-            if wanted:
-                yield container, wanted
+            damage = [each for selection in selections for each in selection.damage]
+            damage += self._missing(topics, done)
+            self.damage = list(dict.fromkeys([*self.damage, *damage]))
+            notes = [each for selection in selections for each in selection.notes]
+            self.notes = list(dict.fromkeys([*self.notes, *notes]))
+            if self._strict and self.damage:
+                raise InputError("; ".join(self.damage))
 
     @staticmethod
     def _stream(
-        container: Container, wanted: dict[int, Topic], begin: int | None, end: int | None
+        container: Container,
+        selection: Selection,
+        wanted: dict[int, Topic],
+        begin: int | None,
+        end: int | None,
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield the messages that one file has of the topics, in order."""
-        blocks = container.blocks(frozenset(wanted), begin, end, in_order=True)
-        plain = itertools.chain.from_iterable(each.decompressed() for each in blocks)
+        blocks = container.blocks([selection], begin, end, in_order=True)
+        plain = itertools.chain.from_iterable(each.decompressed() for _, each in blocks)
         for connection, log_time, payload in in_order(plain):
             yield wanted[connection], log_time, payload
 
-    def _account(self, topics: Sequence[Topic], done: int) -> None:
-        """Say what is missing of what the bag counts."""
+    def _missing(self, topics: Sequence[Topic], done: int) -> list[str]:
+        """Return what is missing of what the bag counts, given the number of messages read."""
         counts = [topic.declared for topic in topics]
         total = sum(each or 0 for each in counts)
+        if done == total or None in counts:
+            return []
         names = ", ".join(topic.name for topic in topics)
-        damage = [each for container in self._containers for each in container.damage]
-        notes = [each for container in self._containers for each in container.notes]
-        self.notes = list(dict.fromkeys([*self.notes, *notes]))
-        if done != total and None not in counts:
-            damage.append(f"{self.path} counts {total} messages on {names}, but {done} were read")
-        self.damage = list(dict.fromkeys([*self.damage, *damage]))
-        if self._strict and self.damage:
-            raise InputError("; ".join(self.damage))
+        return [f"{self.path} counts {total} messages on {names}, but {done} were read"]
 
     def find(self, name: str) -> list[Topic]:
         """Return the topics of that name, one per type.

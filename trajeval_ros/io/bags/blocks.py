@@ -5,12 +5,14 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Index = NDArray[np.int64]
 Buffer = NDArray[np.uint8]
+Key = TypeVar("Key")
 
 ROWS = 8192  # of a block, at most
 BYTES = 1 << 20  # of a block made of single messages, until which more are added
@@ -99,6 +101,12 @@ class Block:
         """Return the same messages in a buffer of their own if most of this one isn't theirs."""
         if 2 * int(self.sizes.sum()) >= len(self.buffer):
             return self
+        size = int(self.sizes[0]) if len(self) else 0
+        if size and (self.sizes == size).all():
+            # Cells of `size` bytes from each byte on: they overlap, only those wanted are copied.
+            cells = np.ndarray(len(self.buffer) - size + 1, f"V{size}", self.buffer, strides=(1,))
+            buffer = cells[self.begins].view(np.uint8)
+            return replace(self, buffer=buffer, begins=np.arange(len(self)) * size)
         payloads = list(self.payloads())
         own = block_of(self.connections, self.log_times, payloads)
         return replace(own, earliest=self.earliest)
@@ -146,19 +154,33 @@ def blocks_of(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Block]:
         yield block_of(connections, log_times, payloads)
 
 
-def merged(blocks: Iterable[Block]) -> Iterator[Block]:
-    """Yield the same messages in fewer blocks, without the bytes between them."""
-    waiting: list[Block] = []
-    rows = size = 0
-    for block in blocks:
-        waiting.append(block.compact())
-        rows += len(block)
-        size += len(waiting[-1].buffer)
-        if rows >= ROWS or size >= BYTES:
-            yield _concatenated(waiting)
-            waiting, rows, size = [], 0, 0
-    if waiting:
-        yield _concatenated(waiting)
+def merged(blocks: Iterable[tuple[Key, Block]]) -> Iterator[tuple[Key, Block]]:
+    """Yield the same messages in fewer blocks, without the bytes between them.
+
+    Args:
+        blocks: Each with a key; only blocks of the same key are merged.
+    """
+    waiting: dict[Key, _Waiting] = {}
+    for key, block in blocks:
+        own = waiting.setdefault(key, _Waiting())
+        own.add(block.compact())
+        if own.rows >= ROWS or own.size >= BYTES:
+            yield key, _concatenated(waiting.pop(key).blocks)
+    for key, own in waiting.items():
+        yield key, _concatenated(own.blocks)
+
+
+class _Waiting:
+    """Blocks that are not yet worth decoding, with their messages and bytes."""
+
+    def __init__(self) -> None:
+        self.blocks: list[Block] = []
+        self.rows = self.size = 0
+
+    def add(self, block: Block) -> None:
+        self.blocks.append(block)
+        self.rows += len(block)
+        self.size += len(block.buffer)
 
 
 def _concatenated(blocks: Sequence[Block]) -> Block:

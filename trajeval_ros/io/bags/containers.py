@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,6 +11,7 @@ from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.byte_source import RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
+from trajeval_ros.io.bags.selection import Selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -23,13 +24,11 @@ class Container(Protocol):
 
     Attributes:
         connections: Topics, by connection, with the number of messages that they should have.
-        damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What else to know about what was read.
+        damage: What opening it found that can't be read, one sentence each.
     """
 
     connections: list[Connection]
     damage: list[str]
-    notes: list[str]
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -37,16 +36,18 @@ class Container(Protocol):
 
     def blocks(
         self,
-        wanted: Collection[int],
+        selections: Sequence[Selection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[Block]:
-        """Yield the messages of some connections.
+    ) -> Iterator[tuple[Selection, Block]]:
+        """Yield the messages of some connections, of all selections in one pass over the file.
+
+        What can't be read is told in each selection, once all of its blocks were taken.
 
         Args:
-            wanted: Ids of the connections.
+            selections: Those wanted.
             begin: The first log time wanted, ns.
             end: The first log time that isn't wanted any more, ns.
             in_order: Whether blocks must come in order of their earliest log times.

@@ -32,7 +32,7 @@ from trajeval_ros.io.bags.mcap_records import (
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _RECORD = HEAD + MESSAGE_HEAD
-_GAP = 1 << 16  # bytes between wanted messages that cost less than another read
+GAP = 1 << 16  # bytes between wanted messages that cost less than another read
 _TAIL = 4096  # bytes read for the last message of a run, whose length isn't known before
 _WORTHWHILE = 0.5  # of a chunk; what needs more is read whole, and verified
 
@@ -67,6 +67,10 @@ class Chunk:
     def data_offset(self) -> int:
         """Where its records lie in the file."""
         return self.offset + HEAD + _TIMES.size + 4 + len(self.compression.encode()) + 8
+
+    def may_hold(self, channels: Collection[int]) -> bool:
+        """Return whether it has messages of any of the channels, as far as its index says."""
+        return not self.indexes or any(each in self.indexes for each in channels)
 
 
 def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = False) -> Chunk:
@@ -136,6 +140,13 @@ def walked(data: bytes, registry: Registry | None = None) -> MessageIndex:
     return found.done()
 
 
+def index_range(chunk: Chunk, wanted: Collection[int]) -> tuple[int, int]:
+    """Return offset and size of the part of a file that has the indexes of wanted channels."""
+    places = [at for channel, at in chunk.indexes.items() if channel in wanted]
+    end = max(chunk.index_end, max(places) + HEAD + 6)
+    return min(places), min(end - min(places), LARGEST)
+
+
 def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
     """Return the wanted messages by a chunk's message index; their sizes are unknown, -1.
 
@@ -143,9 +154,8 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
         DamagedError: An index isn't where it should be.
     """
     places = {channel: at for channel, at in chunk.indexes.items() if channel in wanted}
-    begin = min(places.values())
-    end = max(chunk.index_end, max(places.values()) + HEAD + 6)
-    data = source.read(begin, min(end - begin, LARGEST))
+    begin, room = index_range(chunk, wanted)
+    data = source.read(begin, room)
     channels, log_times, offsets = [], [], []
     for channel, at in places.items():
         at -= begin
@@ -214,10 +224,10 @@ def runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | Non
     if chunk.compression or chunk.is_cut or not len(messages):
         return None
     first, last = int(messages.offsets[0]), int(messages.offsets[-1])
-    if last - first <= _GAP:
+    if last - first <= GAP:
         end = min(last + _TAIL, chunk.size)
         return [(first, end)] if end - first <= _WORTHWHILE * chunk.size else None
-    breaks = np.flatnonzero(np.diff(messages.offsets) > _GAP)
+    breaks = np.flatnonzero(np.diff(messages.offsets) > GAP)
     begins = messages.offsets[np.concatenate([[0], breaks + 1])]
     lasts = messages.offsets[np.concatenate([breaks, [len(messages) - 1]])]
     ends = np.minimum(lasts + _TAIL, chunk.size)

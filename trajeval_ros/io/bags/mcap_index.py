@@ -7,10 +7,11 @@ without summary or footer is walked through from its beginning.
 
 from __future__ import annotations
 
-import collections
 import io
+import itertools
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,18 +20,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import BYTES, LARGEST, ROWS, Block
 from trajeval_ros.io.bags.byte_source import ByteSource
-from trajeval_ros.io.bags.mcap_chunks import (
-    Chunk,
-    block_in,
-    index_of,
-    measured,
-    of_channels,
-    partial,
-    require_size,
-    runs_of,
-    walked,
-    whole,
-)
+from trajeval_ros.io.bags.mcap_chunk_shares import Share, read_chunk
+from trajeval_ros.io.bags.mcap_chunks import Chunk, of_channels
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
     CHUNK_INDEX,
@@ -49,6 +40,7 @@ from trajeval_ros.io.bags.mcap_records import (
     records,
 )
 from trajeval_ros.io.bags.mcap_scan import Scan, scan
+from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -59,7 +51,7 @@ _END_SIZE = _FOOTER_SIZE + len(MAGIC)
 # each page of the next chunk mapped again costs as much as decompressing it.
 _KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
-Piece = Chunk | MessageIndex
+Piece = tuple[int, Chunk | MessageIndex, Sequence[Selection]]  # first log time, what, for whom
 T = TypeVar("T")
 
 
@@ -68,8 +60,7 @@ class McapReader:
 
     Attributes:
         connections: Its channels.
-        damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What else to know about what was read.
+        damage: What opening it found that can't be read, one sentence each.
     """
 
     def __init__(self, source: ByteSource, *, strict: bool = False) -> None:
@@ -80,9 +71,6 @@ class McapReader:
             strict: Whether to read and verify all chunks whole.
         """
         self.damage: list[str] = []
-        self.notes: list[str] = []
-        self._partial: list[int] = []  # where chunks lie that were not read whole
-        self._lost: collections.Counter[str] = collections.Counter()
         self._source = source
         self._strict = strict
         self._known: tuple[int, int] | None = None
@@ -120,73 +108,65 @@ class McapReader:
 
     def blocks(
         self,
-        wanted: Collection[int],
+        selections: Sequence[Selection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[Block]:
-        """Yield the messages of some channels."""
-        self._lost.clear()
-        self._partial.clear()
-        pieces: list[tuple[int, Piece]] = [
-            (chunk.first, chunk)
+    ) -> Iterator[tuple[Selection, Block]]:
+        """Yield the messages of some channels, of all selections in one pass over the chunks."""
+        chunks = [
+            chunk
             for chunk in self._chunks
-            if (not chunk.indexes or wanted & chunk.indexes.keys())
-            and (begin is None or chunk.last >= begin or not chunk.indexes)
+            if (begin is None or chunk.last >= begin or not chunk.indexes)
             and (end is None or chunk.first < end)
         ]
-        pieces += [(int(each.log_times[0]), each) for each in self._runs(wanted)]
+        pieces: list[Piece] = []
+        for chunk in chunks:
+            own = tuple(each for each in selections if chunk.may_hold(each.connections))
+            if own:
+                pieces.append((chunk.first, chunk, own))
+        wanted = all_connections(selections)
+        pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
-
-        def load(piece: tuple[int, Piece]) -> Block | str:
-            try:
-                if isinstance(piece[1], Chunk):
-                    return self._chunk(piece[1], wanted)
-                return self._loose(piece[1])
-            except DamagedError as error:
-                return str(error)
-
         threads = _ASKED if self._source.is_far else 0
-        if any(isinstance(each, Chunk) and each.compression for _, each in pieces):
+        if any(isinstance(each, Chunk) and each.compression for _, each, _ in pieces):
             threads = max(threads, _DECOMPRESSING)
             bytes(_KEPT)
-        for loaded in _prefetched(load, pieces, threads) if threads else map(load, pieces):
-            if isinstance(loaded, str):
-                self._lost[loaded] += 1
-            elif len(block := loaded.within(begin, end)):
-                yield block
-        self.damage += [
-            f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
-            for reason, count in self._lost.items()
-        ]
-        if self._partial:
-            chunks = sum(isinstance(each, Chunk) for _, each in pieces)
-            self.notes = [
-                f"{len(self._partial)} of {chunks} chunks were read in part, so that their "
-                "checksums couldn't be verified; --strict reads all of them"
+        lost = {each: Counter[str]() for each in selections}
+        partial: Counter[Selection] = Counter()
+        loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
+        for share in itertools.chain.from_iterable(loaded):
+            if isinstance(share.block, str):
+                lost[share.selection][share.block] += 1
+                continue
+            partial[share.selection] += share.is_partial
+            if len(block := share.block.within(begin, end)):
+                yield share.selection, block
+        for selection in selections:
+            selection.damage += [
+                f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
+                for reason, count in lost[selection].items()
             ]
+            if partial[selection]:
+                count = sum(
+                    isinstance(each, Chunk) and selection in own for _, each, own in pieces
+                )
+                selection.notes.append(
+                    f"{partial[selection]} of {count} chunks were read in part, so that their "
+                    "checksums couldn't be verified; --strict reads all of them"
+                )
 
-    def _chunk(self, chunk: Chunk, wanted: Collection[int]) -> Block:
-        """Return the wanted messages of a chunk."""
-        require_size(chunk)
-        indexed: MessageIndex | None = None
-        if chunk.indexes and not self._strict:
-            try:
-                indexed = index_of(self._source, chunk, wanted)
-                if (runs := runs_of(chunk, indexed)) is not None:
-                    block = partial(self._source, chunk, indexed, runs)
-                    self._partial.append(chunk.offset)
-                    return block
-            except DamagedError:
-                indexed = None  # the chunk itself may be well
-        data = whole(self._source, chunk)
-        if indexed is not None:
-            try:
-                return block_in(data, measured(data, indexed, len(data)), chunk.first)
-            except DamagedError:
-                pass
-        return block_in(data, of_channels(walked(data), wanted), chunk.first)
+    def _load(self, piece: Piece) -> list[Share]:
+        """Return what each selection gets of a chunk, or of messages outside of chunks."""
+        _, place, selections = piece
+        if isinstance(place, Chunk):
+            return read_chunk(self._source, place, selections, strict=self._strict)
+        try:
+            block = self._loose(place)
+        except DamagedError as error:
+            return [Share(each, str(error)) for each in selections]
+        return [Share(*each) for each in split_by_selection(block, selections)]
 
     def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
         """Yield the wanted messages outside of chunks, in runs that make a block each."""
@@ -327,7 +307,7 @@ def _data_end(source: ByteSource) -> tuple[int, int]:
 
 def _prefetched(load: Callable[[Any], T], pieces: Iterable[Any], threads: int) -> Iterator[T]:
     """Yield what is loaded, in order, while the next are loaded by other threads."""
-    waiting: collections.deque[Future[T]] = collections.deque()
+    waiting: deque[Future[T]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         try:
             for piece in pieces:

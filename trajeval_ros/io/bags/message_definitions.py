@@ -121,10 +121,55 @@ def recorded_fields(connection: Connection) -> Fields | None:
 
 @functools.lru_cache(maxsize=64)
 def _recorded_fields(language: str, text: str, message_type: str) -> Fields | None:
+    if language == "MSG" and is_standard(text, message_type):
+        return STANDARD[message_type]
     try:
         return fields_of(types_in(language, text, message_type), message_type)
     except Exception:  # rosbags raises half a dozen kinds for a definition that is none
         return None
+
+
+def is_standard(text: str, message_type: str) -> bool:
+    """Return whether a definition in the language MSG has the standard fields of a type.
+
+    Most do, and to compare costs a hundredth of what it costs to parse. What isn't understood,
+    such as constants, is not standard.
+    """
+    if message_type not in STANDARD:
+        return False
+    name, *others = re.split(r"^=+\s*\nMSG:\s*(\S+)[ \t]*\n", text, flags=re.MULTILINE)
+    sections = {message_type: name}
+    for other, section in zip(others[::2], others[1::2], strict=True):
+        package, _, last = other.replace("/msg/", "/").rpartition("/")
+        sections[f"{package}/msg/{last}"] = section
+    return _has_fields(sections, message_type, STANDARD[message_type])
+
+
+def _has_fields(sections: dict[str, str], name: str, fields: Fields) -> bool:
+    """Return whether a message of several definitions has certain fields, and no others."""
+    if name not in sections:
+        return name in _TIMES and fields == _STAMP
+    lines = [line.partition("#")[0].split() for line in sections[name].splitlines()]
+    lines = [line for line in lines if line]
+    if len(lines) != len(fields):
+        return False
+    for line, (field, kind) in zip(lines, fields, strict=True):
+        if len(line) < 2 or line[1] != field or any("=" in word for word in line):
+            return False
+        base, bracket, count = line[0].partition("[")
+        if bracket != ("[" if isinstance(kind, Repeated) else ""):
+            return False
+        if isinstance(kind, Repeated):
+            if count != f"{'' if kind.count is None else kind.count}]":
+                return False
+            kind = kind.kind
+        if isinstance(kind, tuple):
+            package, _, last = base.replace("/msg/", "/").rpartition("/")
+            if not _has_fields(sections, f"{package or name.split('/')[0]}/msg/{last}", kind):
+                return False
+        elif (TEXT if base == "string" else _NUMBERS.get(base)) != kind:
+            return False
+    return True
 
 
 def types_in(language: str, text: str, message_type: str) -> Any:

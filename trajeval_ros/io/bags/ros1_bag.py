@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import itertools
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.io.bags.blocks import Block, blocks_of
+from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Reader
 
 
 class Ros1Reader:
@@ -17,19 +20,14 @@ class Ros1Reader:
 
     Attributes:
         connections: Its connections; several may have one topic.
-        damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What else to know about what was read.
+        damage: What opening it found that can't be read, one sentence each.
     """
 
     def __init__(self, path: Path) -> None:
         """Open the bag and read its index."""
-        from rosbags.rosbag1 import Reader
-
         self.damage: list[str] = []
-        self.notes: list[str] = []
         self._path = path
-        self._reader = Reader(path)
-        self._reader.open()
+        self._reader = _opened(path)
         self.connections: list[Connection] = [
             connection._replace(owner=self) for connection in self._reader.connections
         ]
@@ -47,25 +45,59 @@ class Ros1Reader:
 
     def blocks(
         self,
-        wanted: Collection[int],
+        selections: Sequence[Selection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[Block]:
-        """Yield the messages of some connections."""
-        yield from blocks_of(self._messages(wanted, begin, end))
+    ) -> Iterator[tuple[Selection, Block]]:
+        """Yield the messages of some connections, of all selections in one pass."""
+        counts = dict.fromkeys(selections, 0)
+        failures: list[Exception] = []
+        messages = self._messages(all_connections(selections), begin, end, failures)
+        for block in blocks_of(messages):
+            for selection, own in split_by_selection(block, selections):
+                counts[selection] += len(own)
+                yield selection, own
+        if len(selections) > 1 and failures:  # the damage may be of one of them alone
+            for selection, count in counts.items():
+                alone: list[Exception] = []
+                messages = self._messages(selection.connections, begin, end, alone)
+                for block in blocks_of(itertools.islice(messages, count, None)):
+                    yield selection, block
+                selection.damage += map(self._sentence, alone)
+        else:
+            selections[0].damage += map(self._sentence, failures)
 
     def _messages(
-        self, wanted: Collection[int], begin: int | None, end: int | None
+        self,
+        wanted: Collection[int],
+        begin: int | None,
+        end: int | None,
+        failures: list[Exception],
     ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield messages until there are no more, or one can't be read, which is a failure."""
         connections = [each for each in self._reader.connections if each.id in wanted]
         try:
             for connection, log_time, payload in self._reader.messages(connections, begin, end):
                 yield connection.id, log_time, payload
         except Exception as error:  # of half a dozen kinds: what a damaged chunk raises is chance
-            said = " ".join(str(error).split()).rstrip(".")[:200]
-            self.damage.append(
-                f"{self._path} is damaged ({said or type(error).__name__}); "
-                "`rosbag reindex` or `rosbag fix` may save more"
-            )
+            failures.append(error)
+            self._reader.close()  # it has closed a chunk that it takes for an open one
+            self._reader = _opened(self._path)
+
+    def _sentence(self, error: Exception) -> str:
+        said = " ".join(str(error).split()).rstrip(".")[:200]
+        return (
+            f"{self._path} is damaged ({said or type(error).__name__}); "
+            "`rosbag reindex` or `rosbag fix` may save more"
+        )
+
+
+def _opened(path: Path) -> Reader:
+    """Return the reader of a bag, which has read its index."""
+    from rosbags.rosbag1 import Reader
+
+    reader = Reader(path)
+    reader.open()
+    return reader

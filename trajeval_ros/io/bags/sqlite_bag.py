@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import sqlite3
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
 from trajeval_ros.io.bags.metadata import qos_of
+from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+
+Place = tuple[int, int]  # of a message in the order of reading: log time or 0, id
 
 _UNKNOWN = -1  # counting reads the whole file
 _FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
@@ -28,8 +32,7 @@ class SqliteReader:
 
     Attributes:
         connections: Its topics.
-        damage: What can't be read, one sentence each; grows while blocks are read.
-        notes: What else to know about what was read.
+        damage: What opening it found that can't be read, one sentence each.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,7 +42,6 @@ class SqliteReader:
             InputError: It is damaged, or its log can't be read.
         """
         self.damage: list[str] = []
-        self.notes: list[str] = []
         self._counts: dict[int, int] | None = None
         self._path = path
         log = path.with_name(f"{path.name}-wal")
@@ -78,42 +80,55 @@ class SqliteReader:
 
     def blocks(
         self,
-        wanted: Collection[int],
+        selections: Sequence[Selection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[Block]:
-        """Yield the messages of some topics."""
-        query, values = _query(wanted, begin, end)
-        reached = (-(2**63), 0)
-        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
-        order = "timestamp, id" if in_order else "id"
+    ) -> Iterator[tuple[Selection, Block]]:
+        """Yield the messages of some topics, of all selections in one scan of the table."""
+        yield from self._blocks(selections, _Window(begin, end, in_order), None)
+
+    def _blocks(
+        self, selections: Sequence[Selection], window: _Window, reached: Place | None
+    ) -> Iterator[tuple[Selection, Block]]:
+        """Yield the messages that come after a place; None means all."""
+        query, values = window.query(all_connections(selections))
         try:
-            rows = self._database.execute(f"{query} ORDER BY {order}", values)
+            rows = self._database.execute(*window.after(query, values, reached))
             count = _FEW
             while some := rows.fetchmany(count):
                 keys, topics, log_times, payloads = zip(*some, strict=True)
-                yield block_of(topics, log_times, payloads)
-                reached = (log_times[-1], keys[-1]) if in_order else (0, keys[-1])
+                yield from split_by_selection(block_of(topics, log_times, payloads), selections)
+                reached = window.place(log_times[-1], keys[-1])
                 size = sum(map(len, payloads)) // len(payloads)
                 count = min(ROWS, 1 + _FETCHED // max(size, 1))
         except sqlite3.DatabaseError as error:
-            self.damage.append(f"{self._path} is damaged: {error}")
+            said = f"{self._path} is damaged: {error}"
         else:
             return
+        if len(selections) > 1:  # the damage may be of one of them alone
+            for selection in selections:
+                yield from self._blocks([selection], window, reached)
+            return
+        (selection,) = selections
+        selection.damage.append(said)
         # What leads to a damaged page leads there again: the rest is asked for one by one.
         left = [
-            (log_time if in_order else 0, key) for log_time, key in self._one_by_one(query, values)
+            window.place(log_time, key)
+            for log_time, key in self._one_by_one(query, values, selection)
         ]
-        yield from blocks_of(
+        for block in blocks_of(
             row[1:]
             for each in sorted(left)
-            if each > reached
+            if reached is None or each > reached
             for row in self._row(query, values, each[1])
-        )
+        ):
+            yield selection, block
 
-    def _one_by_one(self, query: str, values: tuple[Any, ...]) -> Iterator[tuple[int, int]]:
+    def _one_by_one(
+        self, query: str, values: tuple[Any, ...], selection: Selection
+    ) -> Iterator[tuple[int, int]]:
         """Yield log time and id of each message that can be had, whatever damage is around it."""
         try:
             ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
@@ -122,7 +137,7 @@ class SqliteReader:
         # A row has several bytes, so that larger ids than these are leaps, or damage as well.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last and last > most:
-            self.damage.append(f"{self._path}: ids beyond {most} were not looked for")
+            selection.damage.append(f"{self._path}: ids beyond {most} were not looked for")
             last = most
         for key in range(1, (last or 0) + 1):
             yield from ((row[2], row[0]) for row in self._row(query, values, key))
@@ -191,20 +206,47 @@ class SqliteReader:
         return {name for _, name, *_ in rows}
 
 
-def _query(
-    wanted: Collection[int], begin: int | None, end: int | None
-) -> tuple[str, tuple[Any, ...]]:
-    """Return the query of the wanted messages, and its values."""
-    query = (
-        "SELECT id, topic_id, timestamp, data FROM messages "
-        f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
-    )
-    values: tuple[Any, ...] = tuple(wanted)
-    if begin is not None:
-        query, values = f"{query} AND timestamp >= ?", (*values, begin)
-    if end is not None:
-        query, values = f"{query} AND timestamp < ?", (*values, end)
-    return query, values
+@dataclass(frozen=True)
+class _Window:
+    """Which rows of the wanted topics are read, and in what order.
+
+    Attributes:
+        begin: The first log time wanted, ns; None means all.
+        end: The first log time that isn't wanted any more, ns; None means all.
+        in_order: Whether they are read in order of their log times.
+    """
+
+    begin: int | None
+    end: int | None
+    in_order: bool
+
+    def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
+        """Return the query of the wanted messages, and its values."""
+        query = (
+            "SELECT id, topic_id, timestamp, data FROM messages "
+            f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
+        )
+        values: tuple[Any, ...] = tuple(wanted)
+        if self.begin is not None:
+            query, values = f"{query} AND timestamp >= ?", (*values, self.begin)
+        if self.end is not None:
+            query, values = f"{query} AND timestamp < ?", (*values, self.end)
+        return query, values
+
+    def after(
+        self, query: str, values: tuple[Any, ...], place: Place | None
+    ) -> tuple[str, tuple[Any, ...]]:
+        """Return the query of the messages behind a place, in order, and its values."""
+        if place is not None and self.in_order:
+            query, values = f"{query} AND (timestamp, id) > (?, ?)", (*values, *place)
+        elif place is not None:
+            query, values = f"{query} AND id > ?", (*values, place[1])
+        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
+        return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
+
+    def place(self, log_time: int, key: int) -> Place:
+        """Return where in the order a message is."""
+        return (log_time if self.in_order else 0, key)
 
 
 def _lost_of(log: Path) -> str:

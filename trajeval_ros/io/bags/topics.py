@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,189 +12,105 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.bags.bag import Advance, Bag, Topic, encoding_of
-from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
-from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
-from trajeval_ros.io.bags.foxglove import FoxglovePlan
-from trajeval_ros.io.bags.growing_columns import GrowingPoses
-from trajeval_ros.io.bags.message_definitions import recorded_fields
-from trajeval_ros.io.bags.pose_messages import (
-    PATH_TYPE,
-    PoseColumns,
-    TransformColumns,
-    edges_of,
-    plan_of,
-    poses_of,
+from trajeval_ros.io.bags.bag import Advance, Bag, Topic
+from trajeval_ros.io.bags.topic_readers import (
+    PoseReader,
+    TransformReader,
+    read_topics,
+    tree_of,
+    tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import Edge, compose_transforms
+from trajeval_ros.io.bags.transform_tree import compose_transforms
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-
 Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-Key = tuple[int, int]  # which file, and which of its connections
+
+
+@dataclass(frozen=True)
+class BagSource:
+    """A trajectory in a bag.
+
+    Attributes:
+        topic: Name of the topic, "" for the only one that holds poses.
+        frames: (parent, child) if the topic holds transforms, else None.
+        covariances: Whether to read them, too.
+    """
+
+    topic: str
+    frames: tuple[str, str] | None
+    covariances: bool = True
 
 
 def read_bag(
     path: Path,
-    topic: str,
-    frames: tuple[str, str] | None,
+    sources: Sequence[BagSource],
     advance: Advance | None = None,
     *,
-    covariances: bool = True,
     strict: bool = False,
-) -> Trajectory:
-    """Read a trajectory from a bag.
+) -> list[Trajectory]:
+    """Read trajectories from a bag, all of them in one pass.
 
     Args:
         path: A bag.
-        topic: Name of the topic, "" for the only one that holds poses.
-        frames: (parent, child) if the topic holds transforms.
+        sources: Those wanted.
         advance: Called with the messages done and all messages, now and then.
-        covariances: Whether to read them, too.
         strict: Whether to verify all that is read, and to refuse what is damaged.
 
+    Returns:
+        A trajectory for each source; the same object for equal sources.
+
     Raises:
-        InputError: The bag, the topic or its poses can't be used.
+        InputError: The bag, a topic or its poses can't be used.
     """
     with Bag(path, advance, strict=strict) as bag:
-        if frames is not None:
-            return _transform_trajectory(bag, topic, frames)
-        chosen = _choose(bag, topic)
-        if not topic:
-            bag.notes.append(f"{chosen.name} is the only topic with poses")
-        (columns,) = read_columns(bag, [chosen], covariances=covariances)
-        return trajectory_of(bag, chosen, columns)
+        plan = _Plan(bag)
+        unique = {source: plan.add(source) for source in sources}
+        read_topics(bag, plan.readers)
+        made = {source: make() for source, make in unique.items()}
+        return [made[source] for source in sources]
 
 
-def read_columns(
-    bag: Bag, topics: Sequence[Topic], *, covariances: bool = True
-) -> list[PoseColumns]:
-    """Return the poses of topics, of all in one go; of paths, those of the last one."""
-    readers = [
-        (_LastPath if topic.type == PATH_TYPE else _Poses)(topic, covariances=covariances)
-        for topic in topics
-    ]
-    owners = {
-        (id(connection.owner), connection.id): reader
-        for topic, reader in zip(topics, readers, strict=True)
-        for connection in topic.connections
-    }
-    for container, block in bag.blocks(topics):
-        for connection, own in block.by_connection():
-            owners[id(container), connection].add((id(container), connection), own)
-    return [reader.done() for reader in readers]
+class _Plan:
+    """What is read of a bag for several sources: a topic that several of them need once.
 
-
-class _Decoders:
-    """How the messages of a topic are decoded, by connection: definitions may differ."""
-
-    def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        self.topic = topic
-        self._plans = {
-            (id(each.owner), each.id): self._plan(each, covariances=covariances)
-            for each in topic.connections
-        }
-
-    def _plan(self, connection: Connection, *, covariances: bool) -> CdrPlan | FoxglovePlan:
-        encoding = encoding_of(connection)
-        if self.topic.type in FOXGLOVE_TYPES:
-            return FoxglovePlan(self.topic.type, encoding)
-        return plan_of(
-            recorded_fields(connection),
-            self.topic.type,
-            covariance=covariances,
-            is_ros1=encoding == "ros1",
-        )
-
-    def nothing(self) -> Columns:
-        """Return the columns of no message."""
-        return next(iter(self._plans.values())).decode([])
-
-    def decode(self, key: Key, block: Block) -> Columns:
-        """Return the columns of messages of one connection."""
-        return self._plans[key].decode_at(block.buffer, block.begins, block.sizes)
-
-
-class _Poses:
-    """The poses of a topic, gathered block by block."""
-
-    def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        self._decoders = _Decoders(topic, covariances=covariances)
-        self._poses = GrowingPoses()
-
-    def add(self, key: Key, block: Block) -> None:
-        """Add the messages of a connection."""
-        columns = self._decoders.decode(key, block)
-        undecodable = len(block) - len(columns.rows)
-        poses = poses_of(columns, self._decoders.topic.type, undecodable)
-        self._poses.add(poses, block.log_times)
-
-    def done(self) -> PoseColumns:
-        """Return them in order of their log times."""
-        nothing = poses_of(self._decoders.nothing(), self._decoders.topic.type, 0)
-        self._poses.add(nothing, np.zeros(0, dtype=np.int64))
-        return self._poses.done()
-
-
-class _LastPath:
-    """The last path of a topic, which is the revised trajectory."""
-
-    def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        self._decoders = _Decoders(topic, covariances=covariances)
-        self._last: tuple[int, Key, Block] | None = None
-
-    def add(self, key: Key, block: Block) -> None:
-        """Look whether one of the messages is later than those before."""
-        row = len(block) - 1 - int(block.log_times[::-1].argmax())
-        log_time = int(block.log_times[row])
-        if self._last is None or log_time >= self._last[0]:
-            self._last = log_time, key, block[row : row + 1].compact()
-
-    def done(self) -> PoseColumns:
-        """Return its poses."""
-        if self._last is None:
-            return poses_of(self._decoders.nothing(), PATH_TYPE, 0)
-        columns = self._decoders.decode(*self._last[1:])
-        return poses_of(columns, PATH_TYPE, 1 - len(columns.rows))
-
-
-def read_edges(bag: Bag, topic: str) -> tuple[dict[tuple[str, str], Edge], int]:
-    """Return the edges of the TF tree by (parent, child), and the number of damaged messages.
-
-    Args:
-        bag: An open bag.
-        topic: `/tf`, or one with its name in a namespace; its `_static` sibling is read as well.
+    Attributes:
+        readers: Of all topics.
     """
-    base = topic.removesuffix("_static")
-    names = (base, f"{base}_static", "/tf_static")
-    edges: dict[tuple[str, str], Edge] = {}
-    damaged = 0
-    for found in bag.topics:
-        if found.name not in names or not found.holds_transforms:
-            continue
-        parts: dict[tuple[str, str], list[tuple[TransformColumns, Stamps]]] = {}
-        decoders = _Decoders(found, covariances=False)
-        for container, block in bag.blocks([found]):
-            for connection, own in block.by_connection():
-                columns = decoders.decode((id(container), connection), own)
-                damaged += len(own) - len(columns.rows)
-                for key, edge_columns in edges_of(columns).items():
-                    log_times = own.log_times[edge_columns.rows]
-                    parts.setdefault(key, []).append((edge_columns, log_times))
-        for key, transforms in parts.items():
-            order = np.argsort(np.concatenate([times for _, times in transforms]), kind="stable")
-            edge = Edge.from_columns(
-                np.concatenate([own.stamps for own, _ in transforms])[order],
-                np.concatenate([own.numbers for own, _ in transforms])[order],
-                is_static=found.name.endswith("_static"),
-            )
-            if key not in edges or edges[key].is_static:  # what moves is no static frame
-                edges[key] = edge
-    return edges, damaged
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        self._poses: dict[tuple[Topic, bool], PoseReader] = {}
+        self._transforms: dict[Topic, TransformReader] = {}
+
+    @property
+    def readers(self) -> list[PoseReader | TransformReader]:
+        return [*self._poses.values(), *self._transforms.values()]
+
+    def add(self, source: BagSource) -> Callable[[], Trajectory]:
+        """Return what makes the trajectory of a source, once all readers were fed.
+
+        Raises:
+            InputError: There is no such topic, or it holds no poses.
+        """
+        bag, frames = self._bag, source.frames
+        if frames is not None:
+            found = bag.find(source.topic)
+            if not any(each.holds_transforms for each in found):
+                raise InputError(
+                    f"{bag.path}: {source.topic} holds {found[0].type}, no transforms"
+                )
+            tree = [
+                self._transforms.setdefault(each, TransformReader(each))
+                for each in tree_topics(bag, source.topic)
+            ]
+            return lambda: _transform_trajectory(bag, source.topic, frames, tree)
+        topic = _choose(bag, source.topic)
+        key = topic, source.covariances
+        if key not in self._poses:
+            self._poses[key] = PoseReader(topic, covariances=source.covariances)
+        reader = self._poses[key]
+        notes = () if source.topic else (f"{topic.name} is the only topic with poses",)
+        return lambda: trajectory_of(bag, reader, notes)
 
 
 def _choose(bag: Bag, name: str) -> Topic:
@@ -232,21 +148,29 @@ def _choose(bag: Bag, name: str) -> Topic:
     )
 
 
-def trajectory_of(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
-    """Return the trajectory of a topic's columns.
+def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> Trajectory:
+    """Return the trajectory of a topic that was read.
+
+    Args:
+        bag: It is of.
+        reader: Of the topic, fed with all messages.
+        notes: What else to know about it.
 
     Raises:
-        InputError: None of its messages can be used.
+        InputError: None of its messages can be used, or the bag is damaged and read strictly.
     """
+    topic = reader.reading.topic
+    found, damage = bag.findings([reader.reading])
+    columns = reader.poses()
     where = f"{bag.path}:{topic.name}"
     if not len(columns.stamps):
-        why = "; ".join(bag.damage)
+        why = "; ".join(damage)
         if columns.undecodable:
             why = f"none of its {columns.undecodable} messages can be decoded"
         raise InputError(f"{where} holds no pose" + (f": {why}" if why else ""))
     are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
     timed = slice(None) if are_times.all() else are_times  # a mask would copy everything
-    quaternions, notes = judge_rotations(columns.quaternions)
+    quaternions, judgement = judge_rotations(columns.quaternions)
     velocities = None
     if columns.body_velocities is not None and quaternions is not None:
         velocities = _world_velocities(columns.body_velocities, quaternions)
@@ -272,21 +196,20 @@ def trajectory_of(bag: Bag, topic: Topic, columns: PoseColumns) -> Trajectory:
             "undecodable": columns.undecodable,
             "zero_stamp": int(np.count_nonzero(~are_times)),
         },
-        notes=(f"format: {topic.type}", *bag.notes, *changes, *notes),
-        damage=tuple(bag.damage),
+        notes=(f"format: {topic.type}", *notes, *found, *changes, *judgement),
+        damage=damage,
     )
     return _usable(everything, where, len(columns.stamps))
 
 
-def _transform_trajectory(bag: Bag, topic: str, frames: tuple[str, str]) -> Trajectory:
+def _transform_trajectory(
+    bag: Bag, topic: str, frames: tuple[str, str], tree: Sequence[TransformReader]
+) -> Trajectory:
     """Return the trajectory of a child frame in a parent frame."""
-    found = bag.find(topic)
-    if not any(each.holds_transforms for each in found):
-        raise InputError(f"{bag.path}: {topic} holds {found[0].type}, no transforms")
     parent, child = frames
     where = f"{bag.path}:{topic}:{parent}.{child}"
-    edges, damaged = read_edges(bag, topic)
-    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
+    notes, damage = bag.findings([each.reading for each in tree])
+    stamps, positions, quaternions = compose_transforms(tree_of(tree), parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
         stamps,
@@ -295,9 +218,9 @@ def _transform_trajectory(bag: Bag, topic: str, frames: tuple[str, str]) -> Traj
         frame=parent,
         child_frame=child,
         name=f"{parent}.{child}",
-        dropped={"undecodable": damaged},
-        notes=("format: TF", *bag.notes),
-        damage=tuple(bag.damage),
+        dropped={"undecodable": sum(each.undecodable for each in tree)},
+        notes=("format: TF", *notes),
+        damage=damage,
     )
     return _usable(trajectory, where, len(stamps))
 

@@ -1,0 +1,49 @@
+"""Connections that are read together, several of them in one pass over a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trajeval_ros.io.bags.blocks import Block
+
+
+@dataclass(eq=False)
+class Selection:
+    """Some connections of a file, and what was found wrong while they were read.
+
+    Several selections can be read in one pass. `damage` and `notes` of each are the same as if it
+    were read alone: a result must not depend on what else was asked for.
+
+    Attributes:
+        connections: Their ids.
+        damage: What can't be read, one sentence each.
+        notes: What else to know about how it was read.
+    """
+
+    connections: frozenset[int]
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def all_connections(selections: Sequence[Selection]) -> frozenset[int]:
+    """Return the ids of the connections of all selections."""
+    return frozenset().union(*(each.connections for each in selections))
+
+
+def split_by_selection(
+    block: Block, selections: Sequence[Selection]
+) -> Iterator[tuple[Selection, Block]]:
+    """Yield the messages of each selection that has some, given a block of all selections."""
+    if len(selections) == 1:
+        yield selections[0], block
+        return
+    for selection in selections:
+        if len(ids := list(selection.connections)) == 1:
+            rows = np.flatnonzero(block.connections == ids[0])
+        else:
+            rows = np.flatnonzero(np.isin(block.connections, ids))
+        if len(rows):
+            yield selection, block[rows]
