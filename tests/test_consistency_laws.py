@@ -14,7 +14,7 @@ from consistency_runs import (
 )
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from visual_inertial_scenes import frobenius, scene_of
+from visual_inertial_scenes import frobenius, scene_of, to_left
 
 from trajeval_ros.consistency.nees import (
     chi_square_band,
@@ -33,7 +33,6 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
-    to_left,
 )
 from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler
 from trajeval_ros.visual_inertial.scene import Scene

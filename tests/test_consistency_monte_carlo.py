@@ -15,7 +15,7 @@ from consistency_runs import (
     trajectory_of,
 )
 from scipy.spatial.transform import Rotation
-from visual_inertial_scenes import scene_of
+from visual_inertial_scenes import scene_of, to_left
 
 from trajeval_ros.consistency.marginal_covariances import upper_bounds
 from trajeval_ros.consistency.nees import (
@@ -29,7 +29,7 @@ from trajeval_ros.consistency.s_transformation import STransformation, carried, 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.visual_inertial.gauge_covariance import free_covariance, to_left
+from trajeval_ros.visual_inertial.gauge_covariance import free_covariance
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve

@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import first_order_likelihood as first_order
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from paper_density import DENSITIES, PaperResiduals
+from position_likelihood import position_error
 from scipy.stats import multivariate_normal
 from strategies import as_matrix, make_element, seeds
 
@@ -17,7 +20,7 @@ from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.likelihood import first_order, relative_density
+from trajeval_ros.likelihood import relative_density
 from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.marginal import (
     generalised_absolute_error,
@@ -25,7 +28,6 @@ from trajeval_ros.likelihood.marginal import (
     quadrature,
 )
 from trajeval_ros.likelihood.observable_directions import gauge_scores
-from trajeval_ros.likelihood.positions import position_error
 from trajeval_ros.likelihood.residuals import Residuals
 
 Array = NDArray[np.float64]
@@ -60,7 +62,7 @@ def drawn(count: int, seed: int, sigma_rad: float, lever_m: float = 1.0) -> tupl
 
 
 def score(belief: Belief, estimate: Array, gauge: Gauge, density: str = "haar") -> float:
-    residuals = Residuals(belief, estimate, gauge, density=density)
+    residuals = DENSITIES[density](belief, estimate, gauge)
     return generalised_absolute_error(residuals, "laplace").log_likelihood
 
 
@@ -130,14 +132,14 @@ def test_stochastic_relative_poses_of_eq_10_to_14(seed: int) -> None:
     noise = random.normal(scale=1e-3, size=(6, 6))
     stochastic = poses @ se3.exp(noise)
     np.testing.assert_allclose(
-        relative_density.perturbed_steps(poses, noise),
+        first_order.perturbed_steps(poses, noise),
         relative_density.relative_poses(stochastic),
         atol=1e-12,
     )
-    exact = relative_density.step_perturbations(poses, noise)
+    exact = first_order.step_perturbations(poses, noise)
     linear = relative_density.stepwise(relative_density.transports(poses), noise)
     np.testing.assert_allclose(linear, exact, atol=1e-3 * np.abs(exact).max() + 3e-5)
-    halved = relative_density.step_perturbations(poses, noise / 2.0)
+    halved = first_order.step_perturbations(poses, noise / 2.0)
     # What is left out is of second order.
     left_out = np.abs(exact - linear).max(), np.abs(halved - linear / 2.0).max()
     assert left_out[1] == pytest.approx(left_out[0] / 4.0, rel=0.05)
@@ -216,7 +218,7 @@ def test_millimetres_change_a_score_by_a_constant() -> None:
 @settings(max_examples=5)
 def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, seed: int) -> None:
     belief, estimate = drawn(8, seed, 0.3)
-    residuals = Residuals(belief, estimate, gauge, density=density)
+    residuals = DENSITIES[density](belief, estimate, gauge)
     element = as_matrix(make_element(gauge, seed, reach_m=0.3))
     near = residuals.chart.elements(np.full((1, residuals.chart.dimension), 0.03))[0]
     if gauge is not Gauge.TRANSLATION:
@@ -247,9 +249,7 @@ def test_laplace_is_close_to_quadrature_and_sampling(gauge: Gauge) -> None:
 def test_relinearised_edges_add_up_to_the_exact_error() -> None:
     for sigma_deg, count in ((1.0, 1000), (0.1, 1000)):
         belief, estimate = drawn(count, 2, np.radians(sigma_deg))
-        error = generalised_absolute_error(
-            Residuals(belief, estimate, Gauge.SE3, density="log"), "laplace"
-        )
+        error = generalised_absolute_error(PaperResiduals(belief, estimate, Gauge.SE3), "laplace")
         residuals = error.residuals.at(error.mode.element)
         steps = relative_density.stepwise(relative_density.transports(belief.poses), residuals)
         found = relative_density.decomposed(belief, steps).log_likelihood
@@ -359,8 +359,6 @@ def test_refuses_what_has_no_likelihood() -> None:
         generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3), **wrong)
     with pytest.raises(SettingsError, match="planar"):
         generalised_absolute_error(Residuals(belief, estimate, Gauge.PLANAR))
-    with pytest.raises(SettingsError, match="no density 'lebesgue'"):
-        Residuals(belief, estimate, Gauge.SE3, density="lebesgue")
     with pytest.raises(SettingsError, match="no closed form for gauge sim3"):
         position_error(np.eye(3), np.eye(3), 1.0, Gauge.SIM3)
 

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from gauge_reference import Case
-from visual_inertial_scenes import gradient, relative
+from visual_inertial_scenes import gradient, relative, to_left
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
-    to_left,
     transform,
 )
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve

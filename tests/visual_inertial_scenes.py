@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
@@ -69,3 +70,10 @@ def relative(value: np.ndarray, expected: np.ndarray) -> float:
 def frobenius(value: np.ndarray, expected: np.ndarray) -> float:
     """Return the difference's Frobenius norm as a share of what is expected."""
     return float(np.linalg.norm(value - expected) / np.linalg.norm(expected))
+
+
+def to_left(covariance: np.ndarray, state: State) -> np.ndarray:
+    """Return the covariance with the first rotation perturbed on the left as all others."""
+    turn = np.eye(len(covariance))
+    turn[3:6, 3:6] = lie.left_jacobian(state.first_turn)
+    return turn @ covariance @ turn.T

@@ -10,11 +10,9 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.clock_offset import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.increments import (
-    HORIZON_S,
     MOST_INCREMENTS,
     POSITION,
     ROTATION,
@@ -35,8 +33,6 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
 
 # What an interval of 95 % must lie within to be of use: s, s/s, rad, m.
 WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
@@ -101,10 +97,8 @@ def calibrate(
     gauge: Gauge = Gauge.SE3,
     *,
     around_s: float = 0.0,
-    search_s: float | None = SEARCH_S,
     with_skew: bool = False,
     systematic: SystematicErrors | None = None,
-    horizon_s: float = HORIZON_S,
     most_increments: int = MOST_INCREMENTS,
 ) -> Calibration:
     """Estimate clock offset, body rotation and lever arm from increments.
@@ -117,12 +111,11 @@ def calibrate(
         estimate: T_W_B, poses or positions of the body.
         gauge: Whether there is a scale between the two, and whether their worlds share gravity;
             it changes nothing else.
-        around_s: Where to search the offset, seconds to be added to the estimate's stamps.
-        search_s: How far from there; None for everywhere. Where the two can't meet for long
-            enough within the range it is everywhere, too: clocks of different epochs.
+        around_s: Where to search the offset, seconds to be added to the estimate's stamps: up to
+            `SEARCH_S` from there. Where the two can't meet for long enough within that range it
+            is everywhere: clocks of different epochs.
         with_skew: Fit the clocks' skew, too.
         systematic: What real runs hide from standard deviations; None for the usual.
-        horizon_s: Length of the increments.
         most_increments: How many of them to use.
 
     Raises:
@@ -135,14 +128,13 @@ def calibrate(
             )
         if len(side.in_order()) < 2:
             raise InputError(f"the {side.name or name} has fewer than two poses")
-    reach = np.inf if search_s is None else search_s
-    if _apart(groundtruth, estimate, around_s) > reach - OVERLAP_S:
-        search_s = None
+    can_meet = _apart(groundtruth, estimate, around_s) <= SEARCH_S - OVERLAP_S
+    search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
     # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.
     base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
-    increments = Increments(groundtruth, shifted, horizon_s, most_increments)
+    increments = Increments(groundtruth, shifted, most_increments)
     solution = solve(increments, gauge, with_skew)
     if solution is None:
         return _without(guess, increments, with_skew)

@@ -108,7 +108,6 @@ class Increments:
         self,
         groundtruth: Trajectory,
         estimate: Trajectory,
-        horizon_s: float = HORIZON_S,
         most: int = MOST_INCREMENTS,
     ) -> None:
         """Choose the pairs, no gap within one.
@@ -116,14 +115,13 @@ class Increments:
         Args:
             groundtruth: At least two states.
             estimate: At least two states.
-            horizon_s: Length of an increment; that of sparse keyframes is three steps or more.
             most: How many to use; of more, every n-th.
         """
         self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
         self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
         # A lever arm turns with the estimate's orientations, also if the marker has none.
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
-        self.horizon_s = max(horizon_s, 3.0 * track.step_s)
+        self.horizon_s = max(HORIZON_S, 3.0 * track.step_s)  # of sparse keyframes
         stamps = track.stamps
         first = np.arange(0, len(stamps), -(-len(stamps) // most))
         last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
-
-Array = NDArray[np.float64]
 
 # A correlation's peak is this wide on data whose clocks agree. A lever arm moves that of speeds.
 _LEAST_S = {"angular rate": 0.010, "speed": 0.150}

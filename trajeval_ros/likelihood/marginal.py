@@ -169,9 +169,7 @@ def quadrature(error: AbsoluteErrorDensity, nodes: int = 7) -> float:
     return _log_sum(values + 0.5 * np.square(white).sum(axis=1)) + _log_root(error)
 
 
-def importance(
-    error: AbsoluteErrorDensity, draws: int = _DRAWS, seed: int = 0
-) -> tuple[float, float]:
+def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:
     """Return the log integral by importance sampling, and the effective share of the draws.
 
     Draws are of a Student t about the mode, from a scrambled Sobol sequence, and the same at each
@@ -180,7 +178,7 @@ def importance(
     from scipy.stats import chi2, qmc
 
     size = error.residuals.chart.dimension
-    uniform = qmc.Sobol(size + 1, seed=seed).random(draws)
+    uniform = qmc.Sobol(size + 1, seed=0).random(_DRAWS)
     uniform = np.clip(uniform, 1e-12, 1.0 - 1e-12)
     stretch = np.sqrt(_FREEDOM / chi2.ppf(uniform[:, -1], _FREEDOM))
     white = ndtri(uniform[:, :-1]) * stretch[:, None]
@@ -190,8 +188,8 @@ def importance(
     proposal = proposal - 0.5 * (_FREEDOM + size) * np.log1p(length / _FREEDOM)
     values = _log_values(error, white) - proposal
     weights = np.exp(values - values.max())
-    share = float(weights.sum() ** 2 / np.square(weights).sum()) / draws
-    return _log_sum(values) - float(np.log(draws)) + _log_root(error), share
+    share = float(weights.sum() ** 2 / np.square(weights).sum()) / _DRAWS
+    return _log_sum(values) - float(np.log(_DRAWS)) + _log_root(error), share
 
 
 def _log_values(error: AbsoluteErrorDensity, white: Array) -> Array:

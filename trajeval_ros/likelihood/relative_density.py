@@ -51,23 +51,6 @@ def transports(poses: Array) -> Array:
     return se3.adjoint(se3.inverse(relative_poses(poses)))
 
 
-def perturbed_steps(poses: Array, perturbations: Array) -> Array:
-    """Return the relative poses of stochastic groundtruth: eq. (12), with its adjoint put right.
-
-    Args:
-        poses: (M, 4, 4).
-        perturbations: xi_i, (M, 6).
-    """
-    steps: Array = relative_poses(poses) @ se3.exp(step_perturbations(poses, perturbations))
-    return steps
-
-
-def step_perturbations(poses: Array, perturbations: Array) -> Array:
-    """Return xi_{i,i+1} (M - 1, 6), exactly: eq. (13); arguments as of `perturbed_steps`."""
-    carried = se3.times(transports(poses), perturbations[:-1])
-    return se3.log(se3.exp(-carried) @ se3.exp(perturbations[1:]))
-
-
 def stepwise(carriers: Array, perturbations: Array) -> Array:
     """Return Q xi, xi_{i+1} - B_i xi_i, (M - 1, 6): eq. (14), the first order of eq. (13).
 

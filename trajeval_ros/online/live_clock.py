@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.calibration.calibrate import SystematicErrors, calibrate
+from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
@@ -63,15 +63,14 @@ class OnlineClock:
         report: What is known by now.
     """
 
-    def __init__(self, gauge: Gauge, systematic: SystematicErrors | None = None) -> None:
+    def __init__(self, gauge: Gauge) -> None:
         """Begin empty.
 
         Args:
             gauge: See `calibrate`.
-            systematic: See `calibrate`.
         """
         self.report = ClockReport()
-        self._gauge, self._systematic = gauge, systematic
+        self._gauge = gauge
         self._truth, self._estimate = StateBuffer(), StateBuffer()
         self._first: int | None = None
         self._next_s = FIRST_S
@@ -113,7 +112,6 @@ class OnlineClock:
                     _trajectory(self._truth),
                     _trajectory(self._estimate),
                     self._gauge,
-                    systematic=self._systematic,
                     most_increments=_INCREMENTS,
                 ).offset
         except TrajevalError as error:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
 _ELLIPSES = 24

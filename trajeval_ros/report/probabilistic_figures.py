@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
     from trajeval_ros.likelihood.assessment import Assessment
 
-Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
 _SIGMAS = 2.0

@@ -96,7 +96,7 @@ class RowHistory:
 
     def __init__(self, width: int, most: int = 100_000) -> None:
         """Begin empty, for rows of so many numbers."""
-        self._most, self._width = most, width
+        self._most = most
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0

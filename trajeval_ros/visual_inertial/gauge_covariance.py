@@ -1,7 +1,7 @@
 """Covariances of the motion in a gauge, and the way from one to another: gauge paper, section VI.
 
 (9N, 9N), for each keyframe position, rotation, velocity; the first rotation in the coordinates
-of eq. (9) unless `to_left` has been applied.
+of eq. (9).
 """
 
 from __future__ import annotations
@@ -98,13 +98,6 @@ def transform(
     held = np.linalg.solve(basis[GAUGE_INDICES], coefficients[:, GAUGE_INDICES].T)
     projected: Array = carried - cross - cross.T + basis @ held @ basis.T
     return (projected + projected.T) / 2.0, moved
-
-
-def to_left(covariance: Array, state: State) -> Array:
-    """Return the covariance with the first rotation perturbed on the left as all others."""
-    blocks = np.broadcast_to(np.eye(3), (len(covariance) // 3, 3, 3)).copy()
-    blocks[1] = lie.left_jacobian(state.first_turn)
-    return _congruent(covariance, blocks)
 
 
 def _congruent(covariance: Array, blocks: Array) -> Array:

@@ -17,7 +17,6 @@ from trajeval_ros.geometry import lie
 Array = NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-SCHEMES = ("middle", "start")
 
 
 @dataclass(frozen=True)

@@ -103,11 +103,11 @@ def paths(scene: Scene, weights: Sequence[float] = PATH_WEIGHTS) -> list[Trace]:
     return [_trial(scene, 0, GaugeHandling.PRIOR, weight)[1].trace for weight in weights]
 
 
-def covariances(scene: Scene, trial: int = 0) -> Covariances:
-    """Return the covariances of one trial (Fig. 9 and 10)."""
-    free = _trial(scene, trial, GaugeHandling.FREE, 0.0)[1].state
-    fixed = _trial(scene, trial, GaugeHandling.FIXATION, 0.0)[1].state
-    problem = scene.measured(np.random.default_rng([_DRAW, trial]))
+def covariances(scene: Scene) -> Covariances:
+    """Return the covariances of the first trial (Fig. 9 and 10)."""
+    free = _trial(scene, 0, GaugeHandling.FREE, 0.0)[1].state
+    fixed = _trial(scene, 0, GaugeHandling.FIXATION, 0.0)[1].state
+    problem = scene.measured(np.random.default_rng([_DRAW, 0]))
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
     difference = np.linalg.norm(transformed - of_fixed) / np.linalg.norm(of_fixed)

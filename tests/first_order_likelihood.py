@@ -1,4 +1,6 @@
-"""The generalised absolute error to first order: eq. (21) to (28) of the probabilistic paper.
+"""Equations (12), (13) and (21) to (28) of the probabilistic paper, to compare with.
+
+The generalised absolute error to first order, and relative poses of stochastic groundtruth.
 
 Residuals are linear in that of the first pose, so the integral over the alignment is a product of
 Gaussians. The result is the generalised relative error, eq. (29), exactly and for errors of any
@@ -15,7 +17,12 @@ from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.geometry import se3
-from trajeval_ros.likelihood.relative_density import LOG_2_PI, relative_errors
+from trajeval_ros.likelihood.relative_density import (
+    LOG_2_PI,
+    relative_errors,
+    relative_poses,
+    transports,
+)
 
 Array = NDArray[np.float64]
 
@@ -138,3 +145,20 @@ def gaussian_product(
     determinants = log_determinants + float(np.linalg.slogdet(total)[1])
     value = -0.5 * (squared + determinants) - 3.0 * (len(means) - 1) * LOG_2_PI
     return FirstOrderAbsoluteError(value, mean, total)
+
+
+def perturbed_steps(poses: Array, perturbations: Array) -> Array:
+    """Return the relative poses of stochastic groundtruth: eq. (12), with its adjoint put right.
+
+    Args:
+        poses: (M, 4, 4).
+        perturbations: xi_i, (M, 6).
+    """
+    steps: Array = relative_poses(poses) @ se3.exp(step_perturbations(poses, perturbations))
+    return steps
+
+
+def step_perturbations(poses: Array, perturbations: Array) -> Array:
+    """Return xi_{i,i+1} (M - 1, 6), exactly: eq. (13); arguments as of `perturbed_steps`."""
+    carried = se3.times(transports(poses), perturbations[:-1])
+    return se3.log(se3.exp(-carried) @ se3.exp(perturbations[1:]))
