@@ -22,12 +22,12 @@ from trajeval_ros.io.bags.mcap_records import (
     SCHEMA,
     DamagedError,
     Growing,
-    Index,
     Messages,
     Registry,
     head_of,
     records,
 )
+from trajeval_ros.io.bags.selection import are_of
 
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
@@ -286,5 +286,4 @@ def block_in(data: bytes, messages: Messages, earliest: int) -> Block:
 
 def of_channels(messages: Messages, wanted: Collection[int]) -> Messages:
     """Return the messages of some channels."""
-    ids: Index = np.fromiter(wanted, np.int64, len(wanted))
-    return messages[np.isin(messages.channels, ids)]
+    return messages[are_of(messages.channels, wanted)]

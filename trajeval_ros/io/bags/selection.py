@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags.blocks import Block, Index
 
 
 @dataclass(eq=False)
@@ -33,6 +34,13 @@ def all_connections(selections: Sequence[Selection]) -> frozenset[int]:
     return frozenset().union(*(each.connections for each in selections))
 
 
+def are_of(ids: Index, wanted: Collection[int]) -> NDArray[np.bool_]:
+    """Return which of the ids (N,) are of some connections."""
+    if len(wanted) == 1:  # a tenth of the time that isin takes
+        return np.asarray(ids == next(iter(wanted)))
+    return np.isin(ids, list(wanted))
+
+
 def split_by_selection(
     block: Block, selections: Sequence[Selection]
 ) -> Iterator[tuple[Selection, Block]]:
@@ -41,9 +49,6 @@ def split_by_selection(
         yield selections[0], block
         return
     for selection in selections:
-        if len(ids := list(selection.connections)) == 1:
-            rows = np.flatnonzero(block.connections == ids[0])
-        else:
-            rows = np.flatnonzero(np.isin(block.connections, ids))
+        rows = np.flatnonzero(are_of(block.connections, selection.connections))
         if len(rows):
             yield selection, block[rows]
