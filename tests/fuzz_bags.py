@@ -26,7 +26,7 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
         decode_transforms,
         plan_of,
     )
-    from trajeval_ros.io.bags.selection import Selection
+    from trajeval_ros.io.bags.selection import TopicSelection
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -90,7 +90,7 @@ def read_file(data: bytes, *, strict: bool) -> None:
     channels = [frozenset([connection.id]) for connection in reader.connections]
     channels.append(frozenset().union(*channels))
     assert reader.span is None or len(reader.span) == 2
-    together = [Selection(each) for each in channels]
+    together = [TopicSelection(each) for each in channels]
     counts = dict.fromkeys(together, 0)
     for selection, block in reader.blocks(together):
         counts[selection] += len(block)
@@ -98,7 +98,7 @@ def read_file(data: bytes, *, strict: bool) -> None:
         assert len(columns.rows) <= len(block)
         list(block.decompressed())
     for selection, count in counts.items():
-        alone = Selection(selection.connections)
+        alone = TopicSelection(selection.connections)
         assert sum(len(block) for _, block in reader.blocks([alone])) == count
         assert (alone.damage, alone.notes) == (selection.damage, selection.notes)
 

@@ -23,7 +23,7 @@ from trajeval_ros.io.bags.blocks import Block, in_order, merged
 from trajeval_ros.io.bags.containers import Container, open_file
 from trajeval_ros.io.bags.metadata import Metadata, read_metadata
 from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
-from trajeval_ros.io.bags.selection import Selection
+from trajeval_ros.io.bags.selection import TopicSelection
 from trajeval_ros.io.checks import nearest
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class Bag:
         with _one_sentence(self.path):
             for container in self._containers:
                 selections = {
-                    Selection(ids): each
+                    TopicSelection(ids): each
                     for each in readings
                     if (ids := each.topic.connections_in(container))
                 }
@@ -227,7 +227,7 @@ class Bag:
             InputError: The bag is damaged, and is read strictly.
         """
         done = 0
-        selections: list[Selection] = []
+        selections: list[TopicSelection] = []
         with _one_sentence(self.path):
             streams = []
             for container in self._containers:
@@ -237,7 +237,7 @@ class Bag:
                     for connection in topic.connections_in(container)
                 }
                 if wanted:
-                    selections.append(Selection(frozenset(wanted)))
+                    selections.append(TopicSelection(frozenset(wanted)))
                     streams.append(self._stream(container, selections[-1], wanted, begin, end))
             for message in heapq.merge(*streams, key=_log_time):
                 yield message
@@ -254,7 +254,7 @@ class Bag:
     @staticmethod
     def _stream(
         container: Container,
-        selection: Selection,
+        selection: TopicSelection,
         wanted: dict[int, Topic],
         begin: int | None,
         end: int | None,

@@ -11,7 +11,7 @@ from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.byte_source import RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
-from trajeval_ros.io.bags.selection import Selection
+from trajeval_ros.io.bags.selection import TopicSelection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -36,12 +36,12 @@ class Container(Protocol):
 
     def blocks(
         self,
-        selections: Sequence[Selection],
+        selections: Sequence[TopicSelection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[Selection, Block]]:
+    ) -> Iterator[tuple[TopicSelection, Block]]:
         """Yield the messages of some connections, of all selections in one pass over the file.
 
         What can't be read is told in each selection, once all of its blocks were taken.

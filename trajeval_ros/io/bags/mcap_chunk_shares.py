@@ -22,7 +22,7 @@ from trajeval_ros.io.bags.mcap_chunks import (
     whole,
 )
 from trajeval_ros.io.bags.mcap_records import DamagedError, MessageIndex
-from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
 
 Range = tuple[int, int]  # offset and size, bytes
 
@@ -37,13 +37,13 @@ class Share:
         is_partial: Whether the chunk had not to be read whole for it, and was not verified.
     """
 
-    selection: Selection
+    selection: TopicSelection
     block: Block | str
     is_partial: bool = False
 
 
 def read_chunk(
-    source: ByteSource, chunk: Chunk, selections: Sequence[Selection], *, strict: bool
+    source: ByteSource, chunk: Chunk, selections: Sequence[TopicSelection], *, strict: bool
 ) -> list[Share]:
     """Return what each selection gets of a chunk.
 
@@ -76,7 +76,7 @@ class _Reading:
         self._whole: bytes | DamagedError | None = None
         self._walked: MessageIndex | None = None
 
-    def together(self, selections: Sequence[Selection]) -> list[Share] | None:
+    def together(self, selections: Sequence[TopicSelection]) -> list[Share] | None:
         """Return what all selections get, looked up and measured as one.
 
         Returns:
@@ -107,7 +107,7 @@ class _Reading:
             return None
         return [Share(*each, is_partial) for each in split_by_selection(block, selections)]
 
-    def share_of(self, selection: Selection) -> Share:
+    def share_of(self, selection: TopicSelection) -> Share:
         """Return what a selection gets."""
         chunk, indexed = self._chunk, None
         if self._is_indexed:

@@ -21,13 +21,13 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
-    Index,
     MessageIndex,
     MessageIndexBuilder,
     Registry,
     head_of,
     records,
 )
+from trajeval_ros.io.bags.selection import are_of
 
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
@@ -286,5 +286,4 @@ def block_in(data: bytes, messages: MessageIndex, earliest: int) -> Block:
 
 def of_channels(messages: MessageIndex, wanted: Collection[int]) -> MessageIndex:
     """Return the messages of some channels."""
-    ids: Index = np.fromiter(wanted, np.int64, len(wanted))
-    return messages[np.isin(messages.channels, ids)]
+    return messages[are_of(messages.channels, wanted)]

@@ -40,7 +40,7 @@ from trajeval_ros.io.bags.mcap_records import (
     records,
 )
 from trajeval_ros.io.bags.mcap_scan import Scan, scan
-from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -51,7 +51,9 @@ _END_SIZE = _FOOTER_SIZE + len(MAGIC)
 # each page of the next chunk mapped again costs as much as decompressing it.
 _KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
-Piece = tuple[int, Chunk | MessageIndex, Sequence[Selection]]  # first log time, what, for whom
+Piece = tuple[
+    int, Chunk | MessageIndex, Sequence[TopicSelection]
+]  # first log time, what, for whom
 T = TypeVar("T")
 
 
@@ -108,12 +110,12 @@ class McapReader:
 
     def blocks(
         self,
-        selections: Sequence[Selection],
+        selections: Sequence[TopicSelection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[tuple[Selection, Block]]:
+    ) -> Iterator[tuple[TopicSelection, Block]]:
         """Yield the messages of some channels, of all selections in one pass over the chunks."""
         chunks = [
             chunk
@@ -134,7 +136,7 @@ class McapReader:
             threads = max(threads, _DECOMPRESSING)
             bytes(_KEPT)
         lost = {each: Counter[str]() for each in selections}
-        partial: Counter[Selection] = Counter()
+        partial: Counter[TopicSelection] = Counter()
         loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
         for share in itertools.chain.from_iterable(loaded):
             if isinstance(share.block, str):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.io.bags.blocks import Block, blocks_of
-from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -45,12 +45,12 @@ class Ros1Reader:
 
     def blocks(
         self,
-        selections: Sequence[Selection],
+        selections: Sequence[TopicSelection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[tuple[Selection, Block]]:
+    ) -> Iterator[tuple[TopicSelection, Block]]:
         """Yield the messages of some connections, of all selections in one pass."""
         counts = dict.fromkeys(selections, 0)
         failures: list[Exception] = []

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags.blocks import Block, Index
 
 
 @dataclass(eq=False)
-class Selection:
+class TopicSelection:
     """Some connections of a file, and what was found wrong while they were read.
 
     Several selections can be read in one pass. `damage` and `notes` of each are the same as if it
@@ -28,22 +29,26 @@ class Selection:
     notes: list[str] = field(default_factory=list)
 
 
-def all_connections(selections: Sequence[Selection]) -> frozenset[int]:
+def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
     """Return the ids of the connections of all selections."""
     return frozenset().union(*(each.connections for each in selections))
 
 
+def are_of(ids: Index, wanted: Collection[int]) -> NDArray[np.bool_]:
+    """Return which of the ids (N,) are of some connections."""
+    if len(wanted) == 1:  # a tenth of the time that isin takes
+        return np.asarray(ids == next(iter(wanted)))
+    return np.isin(ids, list(wanted))
+
+
 def split_by_selection(
-    block: Block, selections: Sequence[Selection]
-) -> Iterator[tuple[Selection, Block]]:
+    block: Block, selections: Sequence[TopicSelection]
+) -> Iterator[tuple[TopicSelection, Block]]:
     """Yield the messages of each selection that has some, given a block of all selections."""
     if len(selections) == 1:
         yield selections[0], block
         return
     for selection in selections:
-        if len(ids := list(selection.connections)) == 1:
-            rows = np.flatnonzero(block.connections == ids[0])
-        else:
-            rows = np.flatnonzero(np.isin(block.connections, ids))
+        rows = np.flatnonzero(are_of(block.connections, selection.connections))
         if len(rows):
             yield selection, block[rows]

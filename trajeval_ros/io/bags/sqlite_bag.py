@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
 from trajeval_ros.io.bags.metadata import qos_of
-from trajeval_ros.io.bags.selection import Selection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -80,18 +80,18 @@ class SqliteReader:
 
     def blocks(
         self,
-        selections: Sequence[Selection],
+        selections: Sequence[TopicSelection],
         begin: int | None = None,
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[Selection, Block]]:
+    ) -> Iterator[tuple[TopicSelection, Block]]:
         """Yield the messages of some topics, of all selections in one scan of the table."""
         yield from self._blocks(selections, _Window(begin, end, in_order), None)
 
     def _blocks(
-        self, selections: Sequence[Selection], window: _Window, reached: Place | None
-    ) -> Iterator[tuple[Selection, Block]]:
+        self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
+    ) -> Iterator[tuple[TopicSelection, Block]]:
         """Yield the messages that come after a place; None means all."""
         query, values = window.query(all_connections(selections))
         try:
@@ -127,7 +127,7 @@ class SqliteReader:
             yield selection, block
 
     def _one_by_one(
-        self, query: str, values: tuple[Any, ...], selection: Selection
+        self, query: str, values: tuple[Any, ...], selection: TopicSelection
     ) -> Iterator[tuple[int, int]]:
         """Yield log time and id of each message that can be had, whatever damage is around it."""
         try:
