@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 from trajeval_ros.cli.app import main
 
@@ -311,7 +312,7 @@ def test_it_works_elsewhere_with_a_home_that_cannot_be_written(
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

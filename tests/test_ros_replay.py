@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from ros_bags import STORE
-from ros_processes import ODOMETRY, TRUTH, TYPES, listening, replay, replay_command
+from ros_processes import ODOMETRY, TRUTH, TYPES, Peer, listening, replay, replay_command
 from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S
 
@@ -76,10 +75,10 @@ def test_all_arrives_in_order_and_with_the_clock(
     assert clock == sorted(clock)
     times = [stamp for messages in sent.values() for stamp, _ in messages]
     assert min(times) <= clock[0] < clock[-1] == max(times)
-    assert len(clock) > 0.5 * 20 / rate / 0.01  # every 10 ms, on a machine that may be busy
     took = re.search(r"in ([\d.]+) s \(rate", said)
     assert took is not None
-    assert float(took[1]) == pytest.approx(20 / rate, abs=0.5)
+    # On a machine that is busy it may take longer.
+    assert float(took[1]) > (max(times) - min(times)) / 1e9 / rate - 0.1
 
 
 def test_a_part_of_one_topic_under_another_name(
@@ -134,10 +133,11 @@ def test_a_type_that_is_not_installed_is_named(
 ) -> None:
     bag = shared_data / "bags" / "nav2_turtlebot.mcap"
     with listening({"/odom": TYPES[ODOMETRY]}, environment, tmp_path) as received:
-        said = replay(bag, environment, "--end", 20, "--rate", 20, "--wait-for-subscribers", 5)
+        said = replay(bag, environment, "--end", 20, "--rate", 20, "--wait-for-subscribers", 15)
     assert received["/odom"]
     try:
-        import tf2_msgs  # type: ignore[import-not-found]  # noqa: F401
+        # Beside the tests there is a folder of the same name, which alone can be imported, too.
+        from tf2_msgs.msg import TFMessage  # type: ignore[import-not-found]  # noqa: F401
     except ImportError:
         assert "/tf, /tf_static not played: tf2_msgs/msg/TFMessage is not installed" in said
     else:
@@ -147,8 +147,11 @@ def test_a_type_that_is_not_installed_is_named(
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_in_order(
-    flight: Path, ending: signal.Signals, environment: dict[str, str], tmp_path: Path
+    flight: Path, ending: signal.Signals, peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
+    from rosgraph_msgs.msg import Clock
+
+    ticks = peer.hear("/clock", Clock)
     with (
         listening(TYPES, environment, tmp_path) as received,
         subprocess.Popen(
@@ -162,7 +165,9 @@ def test_a_signal_ends_it_in_order(
         assert process.stdout is not None
         while not process.stdout.readline().startswith("playing"):
             assert process.poll() is None
-        time.sleep(1.0)
+        peer.until(
+            lambda: ticks and ticks[-1].clock.sec > ticks[0].clock.sec, "a second is played"
+        )
         process.send_signal(ending)
         process.send_signal(ending)
         said, complaints = process.communicate(timeout=PATIENCE_S)

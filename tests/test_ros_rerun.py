@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ros_processes import ODOMETRY, TRUTH, evaluating, listening, parameters, replay
+from waiting import PATIENCE_S
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -112,7 +113,7 @@ def test_without_rerun_the_extra_is_named_and_the_node_runs_on(
         try:
             replay(flights / "mcap", environment, "--rate", 9)
             process.send_signal(signal.SIGINT)
-            _, err = process.communicate(timeout=60.0)
+            _, err = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
     assert process.returncode == 0

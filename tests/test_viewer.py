@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE_S, until
 
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
@@ -182,13 +182,13 @@ class Slow:
 def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
     sink, drawn = Slow(), []
     stream = DrawingThread(sink, sink)
-    stream.put(lambda: sink.free.wait(30.0))
+    stream.put(lambda: sink.free.wait(PATIENCE_S))
     for each in range(5000):
         stream.put(lambda each=each: drawn.append(each))
     assert stream.dropped > 2000
     assert not stream.close(patience_s=0.2)
     sink.free.set()
-    assert stream.close(patience_s=30.0)
+    assert stream.close(patience_s=PATIENCE_S)
     assert len(drawn) == 5000 - stream.dropped
     assert drawn == list(range(len(drawn)))
     assert sink.told[-1:] in ([], [stream.dropped])
@@ -197,15 +197,13 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
 def test_drops_are_told_while_it_goes_on() -> None:
     sink = Slow()
     stream = DrawingThread(sink, sink)
-    stream.put(lambda: sink.free.wait(30.0))
+    stream.put(lambda: sink.free.wait(PATIENCE_S))
     for _ in range(3000):
         stream.put(lambda: None)
     sink.free.set()
-    until = time.monotonic() + 30.0
-    while not sink.told and time.monotonic() < until:
-        time.sleep(0.05)
+    until(lambda: sink.told, "drops are told")
     assert sink.told == [stream.dropped]
-    assert stream.close()
+    assert stream.close(patience_s=PATIENCE_S)
 
 
 # The file.
