@@ -46,9 +46,15 @@ Received = dict[str, list[bytes]]
 
 @contextmanager
 def listening(
-    topics: Mapping[str, str], environment: dict[str, str], folder: Path
+    topics: Mapping[str, str],
+    environment: dict[str, str],
+    folder: Path,
+    begun: Callable[[subprocess.Popen[str]], object] = lambda _: None,
 ) -> Iterator[Received]:
-    """Listen in another process; what it received is there after the block."""
+    """Listen in another process; what it received is there after the block.
+
+    `begun` is handed the process when it listens.
+    """
     output = folder / "received.pickle"
     arguments = [f"{topic}={kind}" for topic, kind in topics.items()]
     received: Received = {topic: [] for topic in topics}
@@ -60,8 +66,8 @@ def listening(
     ) as process:
         try:
             assert process.stdout is not None
-            if process.stdout.readline().strip() != "ready":
-                raise AssertionError(f"the listener ended with status {process.wait(PATIENCE_S)}")
+            assert process.stdout.readline().strip() == "ready"
+            begun(process)
             yield received
             process.terminate()
             assert process.wait(PATIENCE_S) == 0

@@ -14,6 +14,7 @@ from ros_processes import ODOMETRY, TRUTH, TYPES, Peer, listening, replay, repla
 from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.io.bags.bag import Bag
 
 pytest.importorskip(
@@ -179,6 +180,35 @@ def test_a_signal_ends_it_in_order(
         int(each) for each in counts.groups()
     ]
     assert 0 < len(received[TRUTH]) < len(recorded(flight)[TRUTH])
+
+
+def test_a_subscriber_that_stands_still_loses_nothing(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    """More is sent meanwhile than a publisher keeps, so that it has to wait."""
+    flight = tmp_path / "flight"
+    assert main(["simulate", str(flight), "--duration", "120"]) == 0
+    truth = {TRUTH: TYPES[TRUTH]}
+    listeners: list[subprocess.Popen[str]] = []
+    with (
+        listening(truth, environment, tmp_path, listeners.append) as received,
+        subprocess.Popen(
+            replay_command(flight, "--topic", TRUTH, "--rate", 40),
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
+        assert process.stdout is not None
+        while not process.stdout.readline().startswith("playing"):
+            assert process.poll() is None
+        [listener] = listeners
+        listener.send_signal(signal.SIGSTOP)
+        time.sleep(6.0)  # Fast DDS gives a subscriber up after 20 s
+        listener.send_signal(signal.SIGCONT)
+        said, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert_same(received[TRUTH], [payload for _, payload in recorded(flight)[TRUTH]])
 
 
 @pytest.mark.parametrize(
