@@ -66,7 +66,8 @@ def listening(
     ) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline().strip() == "ready"
+            if process.stdout.readline().strip() != "ready":
+                raise AssertionError(f"the listener ended with status {process.wait(PATIENCE_S)}")
             begun(process)
             yield received
             process.terminate()
