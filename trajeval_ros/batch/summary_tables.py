@@ -16,7 +16,8 @@ from trajeval_ros.batch.pooling import read_pooled
 from trajeval_ros.batch.results_table import ATE, OK, RE, ResultsTable
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.report.matrix import Cell, Matrix, number_text
+from trajeval_ros.report.matrix import Cell, Matrix
+from trajeval_ros.report.numbers import number_text
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
 _PARTIAL = "†"
