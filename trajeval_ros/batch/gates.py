@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.report.matrix import markdown_table, markdown_text, number_text
+from trajeval_ros.report.matrix import markdown_table, markdown_text
+from trajeval_ros.report.numbers import number_text
 
 Array = NDArray[np.float64]
 Group = tuple[str, str]

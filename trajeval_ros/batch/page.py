@@ -19,7 +19,7 @@ from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, mat
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
-from trajeval_ros.report.matrix import coverage_text, number_text
+from trajeval_ros.report.numbers import coverage_text, number_text
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 REPORT = "report.html"

@@ -24,7 +24,8 @@ from trajeval_ros.batch.results_table import (
 )
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.report.matrix import Cell, Matrix, number_text
+from trajeval_ros.report.matrix import Cell, Matrix
+from trajeval_ros.report.numbers import number_text
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
 _PARTIAL = "†"

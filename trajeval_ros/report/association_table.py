@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trajeval_ros.report.tables import new_table, number
+from trajeval_ros.report.numbers import number
+from trajeval_ros.report.tables import new_table
 
 if TYPE_CHECKING:
     from rich.table import Table

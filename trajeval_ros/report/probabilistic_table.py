@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.report.tables import new_table, number
+from trajeval_ros.report.numbers import number
+from trajeval_ros.report.tables import new_table
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,33 +65,21 @@ def _draw_boxes(
     axes: Axes, all_segments: Sequence[SubTrajectoryErrors], metric: str, place: int, of: int
 ) -> None:
     colour, dashes = canvas.line_style(place)
-    line = {"color": colour, "linewidth": 0.8}
     width = 0.8 / of
     shift = width * (place - (of - 1) / 2.0)
-    boxes: list[dict[str, Any]] = []
-    positions = []
+    boxes = []
     for group, segments in enumerate(all_segments):
         errors = _errors(segments, metric)
         if len(errors):
-            low, first, median, third, high = np.percentile(errors, [5, 25, 50, 75, 95])
-            boxes.append({"whislo": low, "q1": first, "med": median, "q3": third, "whishi": high})
-            positions.append(group + shift)
-    axes.bxp(
+            numbers = np.percentile(errors, [5, 25, 50, 75, 95]).tolist()
+            boxes.append((group + shift, numbers))
+    canvas.draw_boxes(
+        axes,
         boxes,
-        positions=positions,
-        widths=0.85 * width,
-        showfliers=False,
-        patch_artist=True,
-        manage_ticks=False,
-        boxprops={
-            "facecolor": canvas.tint(colour),
-            "edgecolor": colour,
-            "linewidth": 0.8,
-            "linestyle": dashes,
-        },
-        whiskerprops=line,
-        capprops=line,
-        medianprops={"color": "black", "linewidth": 1.1},
+        0.85 * width,
+        edge=(colour, dashes, 0.8),
+        inside=canvas.tint(colour),
+        median=("black", 1.1),
     )
 
 

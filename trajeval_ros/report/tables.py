@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.report.numbers import number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -219,15 +220,6 @@ def _mean(statistics: Statistics | None, with_median: bool) -> str:
         return "-"
     mean = number(statistics.mean)
     return f"{mean} ({number(statistics.median)})" if with_median else mean
-
-
-def number(value: float) -> str:
-    """Return four significant digits, never an exponent for what people measure."""
-    if value == 0.0 or abs(value) < 5e-7:
-        return "0"
-    if abs(value) >= 1000.0:
-        return f"{value:.1f}"
-    return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
 
 
 def consistency_lines(name: str, consistency: Consistency) -> list[str]:
