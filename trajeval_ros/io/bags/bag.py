@@ -207,10 +207,12 @@ class Bag:
         Raises:
             InputError: There is damage, and the bag is read strictly.
         """
-        notes = [*self.notes, *(note for each in readings for note in each.notes)]
-        damage = [*self.damage, *(damage for each in readings for damage in each.damage)]
-        if self._strict and damage:
-            raise InputError("; ".join(dict.fromkeys(damage)))
+        notes, damage = [*self.notes], [*self.damage]
+        for reading in readings:
+            notes += reading.notes
+            damage += reading.damage
+            if self._strict and damage:
+                raise InputError("; ".join(dict.fromkeys(damage)))
         return tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(damage))
 
     def messages(
