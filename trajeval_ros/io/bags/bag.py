@@ -184,13 +184,18 @@ class Bag:
                 }
                 if not selections:
                     continue
-                for selection, block in merged(container.blocks(tuple(selections))):
-                    reading = selections[selection]
+                for own, block in merged(container.blocks(tuple(selections))):
                     for plain in block.decompressed():
-                        for connection, own in plain.by_connection():
-                            yield reading, (id(container), connection), own
-                    reading.count += len(block)
-                    done += len(block)
+                        for connection, messages in plain.by_connection():
+                            for selection in own:
+                                if connection in selection.connections:
+                                    selections[selection].count += len(messages)
+                                    done += len(messages)
+                                    yield (
+                                        selections[selection],
+                                        (id(container), connection),
+                                        messages,
+                                    )
                     if self._advance is not None:
                         self._advance(done, max(done, total))
                 for selection, reading in selections.items():
