@@ -26,7 +26,7 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
         decode_transforms,
         plan_of,
     )
-    from trajeval_ros.io.bags.selection import TopicSelection
+    from trajeval_ros.io.bags.selection import TopicSelection, are_of
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -92,8 +92,9 @@ def read_file(data: bytes, *, strict: bool) -> None:
     assert reader.span is None or len(reader.span) == 2
     together = [TopicSelection(each) for each in channels]
     counts = dict.fromkeys(together, 0)
-    for selection, block in reader.blocks(together):
-        counts[selection] += len(block)
+    for selections, block in reader.blocks(together):
+        for each in selections:
+            counts[each] += int(are_of(block.connections, each.connections).sum())
         columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
         assert len(columns.rows) <= len(block)
         list(block.decompressed())

@@ -10,18 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
+from strategies import seeds
 from test_io_bags import STORE, TYPES, header, pose, pose_stamped, the_file, transform, write
 from test_io_damage import definition
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags import byte_source, containers, mcap_chunks
+from trajeval_ros.io.bags.blocks import block_of, merged
 from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED
 from trajeval_ros.io.sources import read_many, read_trajectory
 
@@ -81,12 +84,12 @@ def flight(images: int = 0) -> list[Message]:
     return found
 
 
-def mcap(path: Path, given: Sequence[Message], **options: Any) -> Path:
+def mcap(path: Path, flown: Sequence[Message], **options: Any) -> Path:
     with path.open("wb") as file:
         writer = McapWriter(file, **options)
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
-        for topic, kind, stamp, payload in given:
+        for topic, kind, stamp, payload in flown:
             if topic not in channels:
                 schema = writer.register_schema(kind, "ros2msg", definition(kind))
                 channels[topic] = writer.register_channel(topic, "cdr", schema)
@@ -95,7 +98,7 @@ def mcap(path: Path, given: Sequence[Message], **options: Any) -> Path:
     return path
 
 
-def ros1(path: Path, given: Sequence[Message], compression: str | None = None) -> Path:
+def ros1(path: Path, flown: Sequence[Message], compression: str | None = None) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register({TF: STORE.fielddefs[TF]})
     writer = Ros1Writer(path)
@@ -104,7 +107,7 @@ def ros1(path: Path, given: Sequence[Message], compression: str | None = None) -
     writer.chunk_threshold = 1 << 14
     with writer:
         connections: dict[str, Any] = {}
-        for topic, kind, stamp, payload in given:
+        for topic, kind, stamp, payload in flown:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=store)
             content = payload if kind == IMAGE else STORE.cdr_to_ros1(payload, kind)
@@ -114,11 +117,11 @@ def ros1(path: Path, given: Sequence[Message], compression: str | None = None) -
 
 def split(path: Path) -> Path:
     """Write a directory of two files; only the second has the path."""
-    given = flight()
-    half = len(given) // 2
+    flown = flight()
+    half = len(flown) // 2
     path.mkdir()
-    mcap(path / "x_0.mcap", [each for each in given[:half] if each[0] != "/path"])
-    mcap(path / "x_1.mcap", given[half:], compression=CompressionType.ZSTD)
+    mcap(path / "x_0.mcap", [each for each in flown[:half] if each[0] != "/path"])
+    mcap(path / "x_1.mcap", flown[half:], compression=CompressionType.ZSTD)
     return path
 
 
@@ -211,9 +214,9 @@ def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
 
 
 def test_damage_is_told_of_the_sources_that_it_is_in(tmp_path: Path) -> None:
-    given = [each for each in flight() if each[0] in ("/truth", "/odom")]
-    given.sort(key=lambda message: message[0] == "/truth")  # each in chunks of its own
-    bag = mcap(tmp_path / "x.mcap", given, compression=ZSTD, chunk_size=SMALL)
+    flown = [each for each in flight() if each[0] in ("/truth", "/odom")]
+    flown.sort(key=lambda message: message[0] == "/truth")  # each in chunks of its own
+    bag = mcap(tmp_path / "x.mcap", flown, compression=ZSTD, chunk_size=SMALL)
     content = bytearray(bag.read_bytes())
     content[200:240] = bytes(40)  # within the first chunk, of odometry
     bag.write_bytes(content)
@@ -241,6 +244,33 @@ def test_a_damaged_page_of_one_topic_is_not_of_the_others(tmp_path: Path) -> Non
     assert len(truth) == COUNT
     assert path.damage
     assert_as_alone([f"{bag}:{each}" for each in READABLE])
+
+
+@given(seeds)
+def test_merging_keeps_what_each_owner_gets_in_order(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    groups = [("a", "b"), ("a",), ("b",), ("c",)]
+    sent: dict[str, list[int]] = {owner: [] for owner in "abc"}
+    got: dict[str, list[bytes]] = {owner: [] for owner in "abc"}
+    given_blocks = []
+    number = 0
+    for _ in range(60):
+        owners = groups[int(random.integers(len(groups)))]
+        numbers = list(range(number, number + int(random.integers(1, 400))))
+        number = numbers[-1] + 1
+        size = int(random.choice([4, 5, 300]))
+        payloads = [each.to_bytes(4, "big").ljust(size, b"x") for each in numbers]
+        block = block_of([1] * len(numbers), numbers, payloads)
+        rows = np.flatnonzero(random.random(len(numbers)) < random.random())
+        given_blocks.append((owners, block[rows]))
+        for owner in owners:
+            sent[owner] += [numbers[row] for row in rows]
+    for owners, block in merged(given_blocks):
+        for owner in owners:
+            got[owner] += [bytes(each[:4]) for each in block.payloads()]
+            assert (np.diff(block.log_times) > 0).all()
+    for owner, numbers in sent.items():
+        assert [int.from_bytes(each, "big") for each in got[owner]] == numbers
 
 
 # What is read, and how often.

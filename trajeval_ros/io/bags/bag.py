@@ -184,13 +184,18 @@ class Bag:
                 }
                 if not selections:
                     continue
-                for selection, block in merged(container.blocks(tuple(selections))):
-                    reading = selections[selection]
+                for own, block in merged(container.blocks(tuple(selections))):
                     for plain in block.decompressed():
-                        for connection, own in plain.by_connection():
-                            yield reading, (id(container), connection), own
-                    reading.count += len(block)
-                    done += len(block)
+                        for connection, messages in plain.by_connection():
+                            for selection in own:
+                                if connection in selection.connections:
+                                    selections[selection].count += len(messages)
+                                    done += len(messages)
+                                    yield (
+                                        selections[selection],
+                                        (id(container), connection),
+                                        messages,
+                                    )
                     if self._advance is not None:
                         self._advance(done, max(done, total))
                 for selection, reading in selections.items():
@@ -207,10 +212,12 @@ class Bag:
         Raises:
             InputError: There is damage, and the bag is read strictly.
         """
-        notes = [*self.notes, *(note for each in readings for note in each.notes)]
-        damage = [*self.damage, *(damage for each in readings for damage in each.damage)]
-        if self._strict and damage:
-            raise InputError("; ".join(dict.fromkeys(damage)))
+        notes, damage = [*self.notes], [*self.damage]
+        for reading in readings:
+            notes += reading.notes
+            damage += reading.damage
+            if self._strict and damage:
+                raise InputError("; ".join(dict.fromkeys(damage)))
         return tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(damage))
 
     def messages(

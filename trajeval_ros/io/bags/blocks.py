@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Index = NDArray[np.int64]
 Buffer = NDArray[np.uint8]
-Key = TypeVar("Key")
+Owner = TypeVar("Owner")
 
 ROWS = 8192  # of a block, at most
 BYTES = 1 << 20  # of a block made of single messages, until which more are added
@@ -154,20 +154,27 @@ def blocks_of(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Block]:
         yield block_of(connections, log_times, payloads)
 
 
-def merged(blocks: Iterable[tuple[Key, Block]]) -> Iterator[tuple[Key, Block]]:
+def merged(
+    blocks: Iterable[tuple[Sequence[Owner], Block]],
+) -> Iterator[tuple[Sequence[Owner], Block]]:
     """Yield the same messages in fewer blocks, without the bytes between them.
 
     Args:
-        blocks: Each with a key; only blocks of the same key are merged.
+        blocks: Each with those whose it is; only blocks of the same owners are merged. What an
+            owner gets keeps its order.
     """
-    waiting: dict[Key, _Waiting] = {}
-    for key, block in blocks:
-        own = waiting.setdefault(key, _Waiting())
+    waiting: dict[tuple[Owner, ...], _Waiting] = {}
+    for several, block in blocks:
+        owners = tuple(several)
+        for other in [each for each in waiting if each != owners]:
+            if any(each in owners for each in other):
+                yield other, _concatenated(waiting.pop(other).blocks)
+        own = waiting.setdefault(owners, _Waiting())
         own.add(block.compact())
         if own.rows >= ROWS or own.size >= BYTES:
-            yield key, _concatenated(waiting.pop(key).blocks)
-    for key, own in waiting.items():
-        yield key, _concatenated(own.blocks)
+            yield owners, _concatenated(waiting.pop(owners).blocks)
+    for owners, own in waiting.items():
+        yield owners, _concatenated(own.blocks)
 
 
 class _Waiting:

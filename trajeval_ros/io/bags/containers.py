@@ -41,10 +41,12 @@ class Container(Protocol):
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[TopicSelection, Block]]:
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some connections, of all selections in one pass over the file.
 
-        What can't be read is told in each selection, once all of its blocks were taken.
+        Each block comes with the selections that it is for: of its messages, each gets those of
+        its own connections. What can't be read is told in each selection when all blocks were
+        taken.
 
         Args:
             selections: Those wanted.

@@ -22,22 +22,22 @@ from trajeval_ros.io.bags.mcap_chunks import (
     whole,
 )
 from trajeval_ros.io.bags.mcap_records import DamagedError, MessageIndex
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 Range = tuple[int, int]  # offset and size, bytes
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a selection gets of one piece of a file.
+    """What selections get of one piece of a file.
 
     Attributes:
-        selection: Whose it is.
-        block: Its messages, or why they can't be read.
-        is_partial: Whether the chunk had not to be read whole for it, and was not verified.
+        selections: Whose it is.
+        block: Their messages, or why they can't be read.
+        is_partial: Whether the chunk had not to be read whole for them, and was not verified.
     """
 
-    selection: TopicSelection
+    selections: Sequence[TopicSelection]
     block: Block | str
     is_partial: bool = False
 
@@ -59,10 +59,10 @@ def read_chunk(
     try:
         require_size(chunk)
     except DamagedError as error:
-        return [Share(each, str(error)) for each in selections]
+        return [Share(selections, str(error))]
     reading = _Reading(source, chunk, is_indexed=bool(chunk.indexes) and not strict)
-    if len(selections) > 1 and (shares := reading.together(selections)) is not None:
-        return shares
+    if len(selections) > 1 and (share := reading.together(selections)) is not None:
+        return [share]
     return [reading.share_of(each) for each in selections]
 
 
@@ -76,7 +76,7 @@ class _Reading:
         self._whole: bytes | DamagedError | None = None
         self._walked: MessageIndex | None = None
 
-    def together(self, selections: Sequence[TopicSelection]) -> list[Share] | None:
+    def together(self, selections: Sequence[TopicSelection]) -> Share | None:
         """Return what all selections get, looked up and measured as one.
 
         Returns:
@@ -105,7 +105,7 @@ class _Reading:
                 is_partial = False
         except DamagedError:
             return None
-        return [Share(*each, is_partial) for each in split_by_selection(block, selections)]
+        return Share(selections, block, is_partial)
 
     def share_of(self, selection: TopicSelection) -> Share:
         """Return what a selection gets."""
@@ -114,23 +114,23 @@ class _Reading:
             try:
                 indexed = index_of(self._source, chunk, selection.connections)
                 if (runs := runs_of(chunk, indexed)) is not None:
-                    return Share(selection, partial(self._source, chunk, indexed, runs), True)
+                    return Share([selection], partial(self._source, chunk, indexed, runs), True)
             except DamagedError:
                 indexed = None  # the chunk itself may be well
         try:
             data = self._data()
         except DamagedError as error:
-            return Share(selection, str(error))
+            return Share([selection], str(error))
         if indexed is not None:
             try:
                 found = measured(data, indexed, len(data))
-                return Share(selection, block_in(data, found, chunk.first))
+                return Share([selection], block_in(data, found, chunk.first))
             except DamagedError:
                 pass
         if self._walked is None:
             self._walked = walked(data)
         found = of_channels(self._walked, selection.connections)
-        return Share(selection, block_in(data, found, chunk.first))
+        return Share([selection], block_in(data, found, chunk.first))
 
     def _data(self) -> bytes:
         """Return the records of the whole chunk, decompressed and verified once."""

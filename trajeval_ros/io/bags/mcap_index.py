@@ -40,7 +40,7 @@ from trajeval_ros.io.bags.mcap_records import (
     records,
 )
 from trajeval_ros.io.bags.mcap_scan import Scan, scan
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -115,7 +115,7 @@ class McapReader:
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[tuple[TopicSelection, Block]]:
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some channels, of all selections in one pass over the chunks."""
         chunks = [
             chunk
@@ -140,11 +140,13 @@ class McapReader:
         loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
         for share in itertools.chain.from_iterable(loaded):
             if isinstance(share.block, str):
-                lost[share.selection][share.block] += 1
+                for selection in share.selections:
+                    lost[selection][share.block] += 1
                 continue
-            partial[share.selection] += share.is_partial
+            if share.is_partial:
+                partial.update(share.selections)
             if len(block := share.block.within(begin, end)):
-                yield share.selection, block
+                yield share.selections, block
         for selection in selections:
             selection.damage += [
                 f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
@@ -160,15 +162,14 @@ class McapReader:
                 )
 
     def _load(self, piece: Piece) -> list[Share]:
-        """Return what each selection gets of a chunk, or of messages outside of chunks."""
+        """Return what selections get of a chunk, or of messages outside of chunks."""
         _, place, selections = piece
         if isinstance(place, Chunk):
             return read_chunk(self._source, place, selections, strict=self._strict)
         try:
-            block = self._loose(place)
+            return [Share(selections, self._loose(place))]
         except DamagedError as error:
-            return [Share(each, str(error)) for each in selections]
-        return [Share(*each) for each in split_by_selection(block, selections)]
+            return [Share(selections, str(error))]
 
     def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
         """Yield the wanted messages outside of chunks, in runs that make a block each."""

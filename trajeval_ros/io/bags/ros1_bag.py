@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.io.bags.blocks import Block, blocks_of
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -50,24 +51,24 @@ class Ros1Reader:
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[tuple[TopicSelection, Block]]:
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some connections, of all selections in one pass."""
-        counts = dict.fromkeys(selections, 0)
         failures: list[Exception] = []
+        counts: Counter[int] = Counter()
         messages = self._messages(all_connections(selections), begin, end, failures)
         for block in blocks_of(messages):
-            for selection, own in split_by_selection(block, selections):
-                counts[selection] += len(own)
-                yield selection, own
-        if len(selections) > 1 and failures:  # the damage may be of one of them alone
-            for selection, count in counts.items():
-                alone: list[Exception] = []
-                messages = self._messages(selection.connections, begin, end, alone)
-                for block in blocks_of(itertools.islice(messages, count, None)):
-                    yield selection, block
-                selection.damage += map(self._sentence, alone)
-        else:
+            yield selections, block
+            counts.update(block.connections.tolist())
+        if len(selections) == 1:
             selections[0].damage += map(self._sentence, failures)
+        elif failures:  # the damage may be of one of them alone
+            for selection in selections:
+                alone: list[Exception] = []
+                done = sum(counts[each] for each in selection.connections)
+                messages = self._messages(selection.connections, begin, end, alone)
+                for block in blocks_of(itertools.islice(messages, done, None)):
+                    yield [selection], block
+                selection.damage += map(self._sentence, alone)
 
     def _messages(
         self,

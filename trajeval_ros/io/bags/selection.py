@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.blocks import Block, Index
+from trajeval_ros.io.bags.blocks import Index
 
 
 @dataclass(eq=False)
@@ -39,16 +39,3 @@ def are_of(ids: Index, wanted: Collection[int]) -> NDArray[np.bool_]:
     if len(wanted) == 1:  # a tenth of the time that isin takes
         return np.asarray(ids == next(iter(wanted)))
     return np.isin(ids, list(wanted))
-
-
-def split_by_selection(
-    block: Block, selections: Sequence[TopicSelection]
-) -> Iterator[tuple[TopicSelection, Block]]:
-    """Yield the messages of each selection that has some, given a block of all selections."""
-    if len(selections) == 1:
-        yield selections[0], block
-        return
-    for selection in selections:
-        rows = np.flatnonzero(are_of(block.connections, selection.connections))
-        if len(rows):
-            yield selection, block[rows]

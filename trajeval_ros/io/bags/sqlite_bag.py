@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
 from trajeval_ros.io.bags.metadata import qos_of
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections, split_by_selection
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -85,13 +85,13 @@ class SqliteReader:
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[TopicSelection, Block]]:
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some topics, of all selections in one scan of the table."""
         yield from self._blocks(selections, _Window(begin, end, in_order), None)
 
     def _blocks(
         self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
-    ) -> Iterator[tuple[TopicSelection, Block]]:
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages that come after a place; None means all."""
         query, values = window.query(all_connections(selections))
         try:
@@ -99,7 +99,7 @@ class SqliteReader:
             count = _FEW
             while some := rows.fetchmany(count):
                 keys, topics, log_times, payloads = zip(*some, strict=True)
-                yield from split_by_selection(block_of(topics, log_times, payloads), selections)
+                yield selections, block_of(topics, log_times, payloads)
                 reached = window.place(log_times[-1], keys[-1])
                 size = sum(map(len, payloads)) // len(payloads)
                 count = min(ROWS, 1 + _FETCHED // max(size, 1))
@@ -124,7 +124,7 @@ class SqliteReader:
             if reached is None or each > reached
             for row in self._row(query, values, each[1])
         ):
-            yield selection, block
+            yield selections, block
 
     def _one_by_one(
         self, query: str, values: tuple[Any, ...], selection: TopicSelection
