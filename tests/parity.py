@@ -19,7 +19,7 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.protocol_file import read_protocol
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.metrics.evaluation import Evaluation, Segments, evaluate
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors, evaluate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.metrics.statistics import Statistics
@@ -115,7 +115,7 @@ def evaluated(pair: str, setting: Setting) -> Evaluation:
     return setting.evaluate(pair)
 
 
-def of_length(evaluation: Evaluation, length_m: float) -> Segments:
+def of_length(evaluation: Evaluation, length_m: float) -> SubTrajectoryErrors:
     assert evaluation.segments is not None
     return next(each for each in evaluation.segments if each.length_m == length_m)
 
