@@ -147,8 +147,20 @@ def definition(settings: dict[str, Any]) -> str:
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
         f"({Gauge(settings['gauge']).description}){modality} with {how}, association "
-        f"{settings['association']}{span}."
+        f"{settings['association']}{span}.{_calibration(settings)}"
     )
+
+
+def _calibration(settings: dict[str, Any]) -> str:
+    """Say what of clocks and bodies the numbers are with."""
+    asked = ["clock offset"] if settings["calibrate_time_offset"] else []
+    asked += ["body"] if settings["hand_eye"] == "auto" else []
+    text = ""
+    if asked:
+        text = f" Calibrated for each run, and applied where significant: {' and '.join(asked)}."
+    if isinstance(settings["hand_eye"], list):
+        text += " With a given hand-eye transform."
+    return text
 
 
 def matrices(summary: ComparisonSummary) -> list[Matrix]:
@@ -166,17 +178,23 @@ def matrices(summary: ComparisonSummary) -> list[Matrix]:
 # Metric: title, and what the number is.
 _VALUES = {
     "time_offset_s": (
-        "clock offset (s)",
+        "Clock offset [s]",
         "Estimated for each run and applied where it is significant; errors are with it.",
     ),
-    "joint_nees_per_dof": ("joint NEES per degree of freedom", "1 if covariances fit errors."),
-    "pose_nees_per_dof": ("NEES per degree of freedom, mean of poses", "1 if covariances fit."),
+    "joint_nees_per_dof": (
+        "Joint NEES per degree of freedom",
+        "About 1 where covariances fit the errors.",
+    ),
+    "pose_nees_per_dof": (
+        "NEES per degree of freedom, mean of poses",
+        "About 1 where covariances fit the errors.",
+    ),
     "nll_per_pose": (
-        "negative log-likelihood per pose",
+        "Negative log-likelihood per pose",
         "Smaller is better; comparable among estimates with the same stamps.",
     ),
     "weighted_m": (
-        "ATE weighted by the groundtruth's uncertainty (m)",
+        "ATE weighted by the groundtruth's uncertainty [m]",
         "Over all poses of an estimate that the continuous groundtruth covers.",
     ),
 }
