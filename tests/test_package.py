@@ -203,3 +203,14 @@ def test_package_xml_has_the_same_version() -> None:
 def test_changelog_has_an_entry_for_the_version() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(rf"^## {re.escape(trajeval_ros.__version__)}\b", changelog, re.MULTILINE)
+
+
+def test_docs_name_files_that_exist() -> None:
+    known = [path.as_posix() for path in (*PACKAGE.rglob("*.py"), *ROOT.glob("*/*.py"))]
+    gone = {
+        f"{page.name}: {name}"
+        for page in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md")
+        for name in re.findall(r"`([\w/]+\.py)`", page.read_text(encoding="utf-8"))
+        if not any(path.endswith(f"/{name}") for path in known)
+    }
+    assert not gone
