@@ -206,7 +206,10 @@ def test_changelog_has_an_entry_for_the_version() -> None:
 
 
 def test_docs_name_files_that_exist() -> None:
-    known = [path.as_posix() for path in (*PACKAGE.rglob("*.py"), *ROOT.glob("*/*.py"))]
+    known = [
+        path.as_posix()
+        for path in (*PACKAGE.rglob("*.py"), *ROOT.glob("*.py"), *ROOT.glob("*/*.py"))
+    ]
     gone = {
         f"{page.name}: {name}"
         for page in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md")
