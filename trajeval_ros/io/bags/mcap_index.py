@@ -8,7 +8,6 @@ without summary or footer is walked through from its beginning.
 from __future__ import annotations
 
 import io
-import itertools
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -136,15 +135,18 @@ class McapReader:
         lost = {each: Counter[str]() for each in selections}
         partial: Counter[Selection] = Counter()
         loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
-        for share in itertools.chain.from_iterable(loaded):
-            if isinstance(share.block, str):
-                for selection in share.selections:
-                    lost[selection][share.block] += 1
-                continue
-            if share.is_partial:
-                partial.update(share.selections)
-            if len(block := share.block.within(begin, end)):
-                yield share.selections, block
+        for (_, _, own), shares in zip(pieces, loaded, strict=True):
+            for share in shares:
+                if isinstance(share.block, str):
+                    for selection in share.selections:
+                        lost[selection][share.block] += 1
+                    continue
+                if share.is_partial:
+                    partial.update(share.selections)
+                # For all of them if it is for all that are in the chunk: so blocks are merged.
+                owners = selections if len(share.selections) == len(own) else share.selections
+                if len(block := share.block.within(begin, end)):
+                    yield owners, block
         for selection in selections:
             selection.damage += [
                 f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
