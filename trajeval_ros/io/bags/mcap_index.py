@@ -122,9 +122,8 @@ class McapReader:
         ]
         pieces: list[Piece] = []
         for chunk in chunks:
-            own = tuple(each for each in selections if chunk.may_hold(each.connections))
-            if own:
-                pieces.append((chunk.first, chunk, own))
+            if some := [each for each in selections if chunk.may_hold(each.connections)]:
+                pieces.append((chunk.first, chunk, some))
         wanted = all_connections(selections)
         pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
