@@ -120,10 +120,11 @@ class McapReader:
             if (begin is None or chunk.last >= begin or not chunk.indexes)
             and (end is None or chunk.first < end)
         ]
-        pieces: list[Piece] = []
-        for chunk in chunks:
-            if some := [each for each in selections if chunk.may_hold(each.connections)]:
-                pieces.append((chunk.first, chunk, some))
+        pieces: list[Piece] = [
+            (chunk.first, chunk, some)
+            for chunk in chunks
+            if (some := [each for each in selections if chunk.may_hold(each.connections)])
+        ]
         wanted = all_connections(selections)
         pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
