@@ -8,7 +8,6 @@ without summary or footer is walked through from its beginning.
 from __future__ import annotations
 
 import io
-import itertools
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -123,11 +122,11 @@ class McapReader:
             if (begin is None or chunk.last >= begin or not chunk.indexes)
             and (end is None or chunk.first < end)
         ]
-        pieces: list[Piece] = []
-        for chunk in chunks:
-            own = tuple(each for each in selections if chunk.may_hold(each.connections))
-            if own:
-                pieces.append((chunk.first, chunk, own))
+        pieces: list[Piece] = [
+            (chunk.first, chunk, some)
+            for chunk in chunks
+            if (some := [each for each in selections if chunk.may_hold(each.connections)])
+        ]
         wanted = all_connections(selections)
         pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
@@ -138,15 +137,18 @@ class McapReader:
         lost = {each: Counter[str]() for each in selections}
         partial: Counter[TopicSelection] = Counter()
         loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
-        for share in itertools.chain.from_iterable(loaded):
-            if isinstance(share.block, str):
-                for selection in share.selections:
-                    lost[selection][share.block] += 1
-                continue
-            if share.is_partial:
-                partial.update(share.selections)
-            if len(block := share.block.within(begin, end)):
-                yield share.selections, block
+        for (_, _, own), shares in zip(pieces, loaded, strict=True):
+            for share in shares:
+                if isinstance(share.block, str):
+                    for selection in share.selections:
+                        lost[selection][share.block] += 1
+                    continue
+                if share.is_partial:
+                    partial.update(share.selections)
+                # For all of them if it is for all that are in the chunk: so blocks are merged.
+                owners = selections if len(share.selections) == len(own) else share.selections
+                if len(block := share.block.within(begin, end)):
+                    yield owners, block
         for selection in selections:
             selection.damage += [
                 f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
