@@ -36,7 +36,6 @@ TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 TYPES = {TRUTH: POSE, ODOMETRY: ODOM}
 # What two results of the same run may differ in: where it came from.
 APART = {"source", "name", "inputs", "live"}
-# Messages between two looks at whether all have arrived. The evaluator holds 10 s of groundtruth
 
 Received = dict[str, list[bytes]]
 
