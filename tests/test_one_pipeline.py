@@ -147,9 +147,9 @@ def test_comparison_tabulates_what_was_asked_for(
     out = tmp_path / "out"
     assert main(["compare", str(config), *options, "--workers", "1", "--quiet", "--output",
                  str(out)]) == 0  # fmt: skip
-    from trajeval_ros.batch.results_table import Rows
+    from trajeval_ros.batch.results_table import ResultsTable
 
-    values = {row["metric"]: row["mean"] for row in Rows(out / "runs.parquet").select(
+    values = {row["metric"]: row["mean"] for row in ResultsTable(out / "runs.parquet").select(
         ("kind", "metric", "mean")) if row["kind"] not in ("ate", "re", "re.pooled")}  # fmt: skip
     for metric, expected in metrics.items():
         assert np.isfinite(values[metric])

@@ -4,6 +4,8 @@ Every message is one sentence that says what is wrong, where, and how to mend it
 line prints it alone and exits with status 2; a traceback always means a defect of ours.
 """
 
+from collections.abc import Iterable
+
 
 class TrajevalError(Exception):
     """Base of all errors that this package raises on purpose."""
@@ -23,3 +25,24 @@ class DegenerateGeometryError(TrajevalError):
 
 class NoMatchError(InputError):
     """No pose of the estimate has a groundtruth to be compared with."""
+
+
+def require_one_of(value: object, known: Iterable[str], what: str) -> None:
+    """Check that a name is a known one.
+
+    Args:
+        value: What was given.
+        known: All names that there are.
+        what: What they name, for the message.
+
+    Raises:
+        SettingsError: It isn't; says which name might be meant.
+    """
+    known = list(known)
+    if isinstance(value, str) and value in known:
+        return
+    from difflib import get_close_matches
+
+    near = get_close_matches(value, known, n=1) if isinstance(value, str) else []
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    raise SettingsError(f"there is no {what} {value!r}{hint}; use one of {', '.join(known)}")

@@ -19,7 +19,7 @@ from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODEL
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.covariance_frames import body_from_world_positions
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -164,10 +164,7 @@ def fit_trajectory(
         SettingsError: There is no such model.
         InputError: Fewer than two samples.
     """
-    if model not in MODELS:
-        raise SettingsError(
-            f"there is no continuous model {model!r}; use one of {', '.join(MODELS)}"
-        )
+    require_one_of(model, MODELS, "continuous model")
     samples = Samples.of(groundtruth, noise or Noise())
     if model == "auto":
         model = _most_predictive(samples)
