@@ -81,7 +81,7 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     from comparison_runs import here
 
-    from trajeval_ros.batch.comparison import RECORDS, compare
+    from trajeval_ros.batch.comparison import RECORDS, run_plan
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.records import read_record
 
@@ -101,7 +101,7 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
         + "".join(f"{key}: '{value}'\n" for key, value in words.items() if key in TEXTS)
         + "".join(f"{key}: {value}\n" for key, value in words.items() if key not in TEXTS)
     )
-    progress = compare(plan_of(config, {}), tmp_path / "out", here)
+    progress = run_plan(plan_of(config, {}), tmp_path / "out", here)
     assert progress.failed == 0
     (record,) = (tmp_path / "out" / RECORDS).glob("*.run")
     recorded = read_record(record.parent, record.stem)

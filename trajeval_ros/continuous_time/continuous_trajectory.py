@@ -104,6 +104,13 @@ class ContinuousTrajectory:
         samples: What it was fitted to.
         poses: The model, fitted.
         statements: What can't be said, and why, one sentence each.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> bool(continuous.covers(slow.stamps).all())
+        True
     """
 
     model: str
@@ -163,6 +170,14 @@ def fit_trajectory(
     Raises:
         SettingsError: There is no such model.
         InputError: Fewer than two samples.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> belief = continuous.at(slow.stamps[:-1] + 50_000_000)
+        >>> belief.poses.shape == (len(slow) - 1, 4, 4)
+        True
     """
     require_one_of(model, MODELS, "continuous model")
     samples = Samples.of(groundtruth, noise or Noise())

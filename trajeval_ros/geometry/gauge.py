@@ -23,6 +23,11 @@ class Gauge(Enum):
     """A group that acts on whole trajectories: p -> s R p + t, R_i -> R R_i, v -> s R v (eq. 8).
 
     The value is its name on the command line and in results.
+
+    Example:
+        >>> from trajeval_ros import Gauge
+        >>> Gauge.of("yaw").turns_about_gravity_only
+        True
     """
 
     NONE = "none"
@@ -98,7 +103,13 @@ MODALITIES: dict[str, Gauge] = {
     "wheel": Gauge.PLANAR,
     "gnss-aided": Gauge.NONE,
 }
-"""Sensor sets and what they can't observe (tutorial, Table I, and section V for the others)."""
+"""Sensor sets and what they can't observe (tutorial, Table I, and section V for the others).
+
+Example:
+    >>> from trajeval_ros import MODALITIES
+    >>> MODALITIES["mono-inertial"].value
+    'yaw'
+"""
 
 
 def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -> Gauge:

@@ -43,6 +43,12 @@ class AssociationRule:
         time_offset_s: Added to the estimate's stamps before pairing.
         model: For `continuous`: how the groundtruth moves between its samples.
         noise: For `continuous`: of the groundtruth's samples.
+
+    Example:
+        >>> from trajeval_ros import AssociationRule, Protocol
+        >>> rule = AssociationRule("nearest", max_time_difference_s=0.01)
+        >>> Protocol(association=rule).association.method
+        'nearest'
     """
 
     method: str = "linear"

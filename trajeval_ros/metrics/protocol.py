@@ -211,3 +211,11 @@ PROTOCOLS: dict[str, Protocol] = {
         score=PointTable((0.005, 0.01, 0.03, 0.06, 0.1, 0.4), (20.0, 10.0, 6.0, 5.0, 3.0, 1.0)),
     ),
 }
+"""Named settings that reproduce published numbers (docs/definitions.md).
+
+Example:
+    >>> from dataclasses import replace
+    >>> from trajeval_ros import PROTOCOLS, Gauge
+    >>> replace(PROTOCOLS["evo"], gauge=Gauge.SIM3).association.method
+    'evo'
+"""

@@ -21,7 +21,13 @@ RULES = ("nearest", "toolbox", "first-past")
 
 @dataclass(frozen=True)
 class Length:
-    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path."""
+    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path.
+
+    Example:
+        >>> from trajeval_ros import Length
+        >>> Length(8, "m") == Length.of(8) == Length.parse("8m")
+        True
+    """
 
     value: float
     unit: str
