@@ -277,10 +277,17 @@ def evaluate(
 ) -> Evaluation:
     """Measure the errors of one estimate: ATE and relative errors, with warnings.
 
+    Tutorial: alignment by eq. (13) in the protocol's gauge, absolute errors (23) with the rmse
+    (24), relative errors (27) over sub-trajectories (25).
+
     Args:
-        groundtruth: M states.
-        estimate: N states in a frame of their own.
-        protocol: How poses are paired, aligned and measured.
+        groundtruth: M states, in a frame whose z is up.
+        estimate: N states in a frame of their own; z is up for gauges yaw and planar.
+        protocol: How poses are paired, aligned and measured; None for gauge se3 and lengths of 8
+            to 40 m.
+
+    Returns:
+        Errors in metres and degrees, pair by pair and as statistics, in the groundtruth's frame.
 
     Raises:
         InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
