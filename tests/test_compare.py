@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 import pyarrow
 import pyarrow.parquet
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
+from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.summary_tables import ComparisonSummary, matrices, summary_of
@@ -27,7 +27,7 @@ from trajeval_ros.exceptions import InputError
 
 def run(config: Path, **more: bool) -> tuple[Progress, ComparisonSummary]:
     out = config.parent / "out"
-    progress = compare(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
+    progress = run_plan(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
     return progress, summary_of(out)
 
 
@@ -91,7 +91,7 @@ def test_other_content_with_the_stamp_and_size_of_the_old_is_seen(tmp_path: Path
 def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     run(config)
-    compare(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
+    run_plan(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
     assert len(records(config)) == 16
     progress, _ = run(config)
     assert progress.done == 0
@@ -193,7 +193,7 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
 def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)
-    compare(plan_of(config, {"lengths": "20%"}), tmp_path / "out", here)
+    run_plan(plan_of(config, {"lengths": "20%"}), tmp_path / "out", here)
     rows = ResultsTable(tmp_path / "out" / RUNS).select(["length", "length_m"], kind="re")
     assert {row["length"] for row in rows} == {"20%"}
     assert len({row["length_m"] for row in rows}) == 1
@@ -249,11 +249,11 @@ def test_urls_are_sources_too(tmp_path: Path) -> None:
     far = tmp_path / "far"
     plan = plan_of(remote, {})
     assert all(each.estimate.startswith("memory://") for each in plan.runs)
-    compare(plan, far, here)
+    run_plan(plan, far, here)
     assert [each.rmse for each in summary_of(far).trials] == [each.rmse for each in local.trials]
-    assert compare(plan, far, here).done == 0
+    assert run_plan(plan, far, here).done == 0
     store.put(str(write_run(tmp_path / "x.txt", 1.1)), "/runs/bad/yard_trial0.txt")
-    assert compare(plan_of(remote, {}), far, here).done == 1
+    assert run_plan(plan_of(remote, {}), far, here).done == 1
     remote.write_text(text.replace("bad/{seq", "worse/{seq"))
     with pytest.raises(InputError, match="nothing matches"):
         plan_of(remote, {})

@@ -15,7 +15,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import compare
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gates import (
     Gate,
@@ -92,7 +92,7 @@ def test_trials_that_only_vary_are_seldom_called_a_regression(trials: int) -> No
 
 
 def table(folder: Path, config: Path) -> Path:
-    compare(plan_of(config, {}), folder, here)
+    run_plan(plan_of(config, {}), folder, here)
     return folder / "runs.parquet"
 
 

@@ -17,7 +17,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
+from trajeval_ros.batch.comparison import RECORDS, RUNS, run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
 from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
@@ -79,7 +79,7 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     first = plan.runs[0]
     deadly = DeadlyRun(**{name: getattr(first, name) for name in first.__dataclass_fields__})
     plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.request)
-    progress = compare(plan, tmp_path / "out", lambda: local_pool(2))
+    progress = run_plan(plan, tmp_path / "out", lambda: local_pool(2))
     assert (progress.done, progress.failed) == (7, 1)
     (lost,) = ResultsTable(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
     assert "died" in lost["reason"]

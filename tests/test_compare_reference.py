@@ -13,7 +13,7 @@ from rpg_toolbox import METRICS, SLIPPED
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import POOLED, RUNS, compare
+from trajeval_ros.batch.comparison import POOLED, RUNS, run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.pooling import read_pooled
@@ -45,7 +45,7 @@ def compared(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Com
     def run(**settings: str) -> Path:
         plan = plan_of(config, settings)
         assert len(plan.runs) == 33
-        progress = compare(plan, folder / "out", lambda: local_pool(2))
+        progress = run_plan(plan, folder / "out", lambda: local_pool(2))
         assert progress.failed == 0
         return folder / "out"
 

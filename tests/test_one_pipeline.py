@@ -81,7 +81,7 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     from comparison_runs import here
 
-    from trajeval_ros.batch.comparison import RECORDS, compare
+    from trajeval_ros.batch.comparison import RECORDS, run_plan
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.records import read_record
 
@@ -101,7 +101,7 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
         + "".join(f"{key}: '{value}'\n" for key, value in words.items() if key in TEXTS)
         + "".join(f"{key}: {value}\n" for key, value in words.items() if key not in TEXTS)
     )
-    progress = compare(plan_of(config, {}), tmp_path / "out", here)
+    progress = run_plan(plan_of(config, {}), tmp_path / "out", here)
     assert progress.failed == 0
     (record,) = (tmp_path / "out" / RECORDS).glob("*.run")
     recorded = read_record(record.parent, record.stem)
@@ -147,9 +147,9 @@ def test_comparison_tabulates_what_was_asked_for(
     out = tmp_path / "out"
     assert main(["compare", str(config), *options, "--workers", "1", "--quiet", "--output",
                  str(out)]) == 0  # fmt: skip
-    from trajeval_ros.batch.results_table import Rows
+    from trajeval_ros.batch.results_table import ResultsTable
 
-    values = {row["metric"]: row["mean"] for row in Rows(out / "runs.parquet").select(
+    values = {row["metric"]: row["mean"] for row in ResultsTable(out / "runs.parquet").select(
         ("kind", "metric", "mean")) if row["kind"] not in ("ate", "re", "re.pooled")}  # fmt: skip
     for metric, expected in metrics.items():
         assert np.isfinite(values[metric])

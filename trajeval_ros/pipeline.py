@@ -12,7 +12,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics import evaluation as measuring
+from trajeval_ros.metrics.columns import html_table
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
@@ -51,6 +52,12 @@ class Request:
             evaluate; None for all.
         lengths_of_groundtruth: Whether lengths in percent are shares of the whole groundtruth's
             path, the same for all estimates, instead of the matched path.
+
+    Example:
+        >>> from trajeval_ros import CalibrationRequest, Protocol, Request
+        >>> request = Request(Protocol(modality="mono"), CalibrationRequest(offset=True))
+        >>> request.is_continuous
+        False
     """
 
     protocol: Protocol = field(default_factory=Protocol)
@@ -88,7 +95,7 @@ class Request:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RunOutcome:
     """What was found about one estimate.
 
@@ -99,6 +106,13 @@ class RunOutcome:
         consistency: Whether its covariances fit its errors; None if nobody asked.
         likelihood: How likely it is; None unless the association is continuous.
         live: What only a live run can tell; None of a recorded one.
+
+    Example:
+        >>> from trajeval_ros import run, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> first = run(flight.groundtruth, [flight.estimate]).runs[0]
+        >>> first.consistency is None and first.evaluation.ate["position_m"].count > 500
+        True
     """
 
     estimate: InputSummary
@@ -106,10 +120,37 @@ class RunOutcome:
     calibrated: Calibrated | None = None
     consistency: Consistency | None = None
     likelihood: Assessment | None = None
-    live: dict[str, Any] | None = None
+    live: Mapping[str, object] | None = None
+
+    def __repr__(self) -> str:
+        """Return a few lines: the errors, and what else was found."""
+        lines = [f"<RunOutcome of {self.estimate.name or 'unnamed'}", repr(self.evaluation)]
+        if self.calibrated is not None:
+            lines.append(f"{self.calibrated.parameters_applied} calibrated parameters applied")
+        if self.consistency is not None:
+            lines.append(f"covariances: {self.consistency.verdict}, {self.consistency.exactness}")
+        if self.likelihood is not None:
+            bayes = ", ".join(f"{each:+.4g}" for each in self.likelihood.log_bayes.values())
+            lines.append(f"likelihood assessed; log Bayes factors: {bayes or 'none'}")
+        return "\n  ".join(lines) + ">"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class FailedRun:
+    """An estimate that could not be evaluated.
+
+    Attributes:
+        name: What a table calls it.
+        source: What it was read from.
+        reason: Why, in a sentence.
+    """
+
+    name: str
+    source: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Outcome:
     """What was found about estimates of one groundtruth.
 
@@ -117,13 +158,47 @@ class Outcome:
         request: What was asked for.
         groundtruth: What was read.
         runs: One for each estimate, in their order.
-        failed: Name, source and reason of each estimate that could not be evaluated.
+        failed: The estimates that could not be evaluated.
+
+    Example:
+        >>> from trajeval_ros import run, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> outcome = run(flight.groundtruth, [flight.estimate])
+        >>> repr(outcome).splitlines()[0]
+        '<Outcome of 1 estimates, 0 failed'
     """
 
     request: Request
     groundtruth: InputSummary
     runs: tuple[RunOutcome, ...]
-    failed: tuple[dict[str, str], ...] = ()
+    failed: tuple[FailedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return a line for each estimate."""
+        lines = [f"<Outcome of {len(self.runs)} estimates, {len(self.failed)} failed"]
+        lines += [f"{name}: {' '.join(cells)}" for name, *cells in self._rows()]
+        return "\n  ".join(lines) + ">"
+
+    def _repr_html_(self) -> str:
+        """Return a row for each estimate, for notebooks."""
+        gauge = self.request.protocol.gauge.value
+        header = ("estimate", "position ATE", "rotation ATE", "pairs")
+        return html_table(f"position and rotation ATE, gauge {gauge}", header, self._rows())
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = []
+        for each in self.runs:
+            ate = each.evaluation.ate
+            position, rotation = ate["position_m"], ate["rotation_deg"]
+            rows.append(
+                (
+                    each.estimate.name or "unnamed",
+                    "" if position is None else f"{position.rmse:.4g} m",
+                    "" if rotation is None else f"{rotation.rmse:.4g} deg",
+                    f"{len(each.evaluation.association)} pairs",
+                )
+            )
+        return rows + [(each.name, "failed", each.reason, "") for each in self.failed]
 
     @property
     def damage(self) -> tuple[str, ...]:
@@ -150,6 +225,13 @@ def run(
     Raises:
         InputError: An estimate can't be evaluated; the message begins with its source or name.
         SettingsError: The request means nothing for these trajectories.
+
+    Example:
+        >>> from trajeval_ros import Request, run, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> outcome = run(flight.groundtruth, [flight.estimate, flight.estimate[::2]], Request())
+        >>> len(outcome.runs)
+        2
     """
     request = request or Request()
     runs: list[RunOutcome] = []
@@ -195,14 +277,29 @@ def evaluate(
 ) -> Evaluation:
     """Measure the errors of one estimate: ATE and relative errors, with warnings.
 
+    Tutorial: alignment by eq. (13) in the protocol's gauge, absolute errors (23) with the rmse
+    (24), relative errors (27) over sub-trajectories (25).
+
     Args:
-        groundtruth: M states.
-        estimate: N states in a frame of their own.
-        protocol: How poses are paired, aligned and measured.
+        groundtruth: M states, in a frame whose z is up.
+        estimate: N states in a frame of their own; z is up for gauges yaw and planar.
+        protocol: How poses are paired, aligned and measured; None for gauge se3 and lengths of 8
+            to 40 m.
+
+    Returns:
+        Errors in metres and degrees, pair by pair and as statistics, in the groundtruth's frame.
 
     Raises:
         InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+
+    Example:
+        >>> from trajeval_ros import Protocol, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> protocol = Protocol(modality="stereo-inertial", lengths=(8, 16))
+        >>> found = evaluate(flight.groundtruth, flight.estimate, protocol)
+        >>> 0.0 < found.ate["position_m"].rmse < 1.0
+        True
     """
     return with_warnings(measuring.evaluate(groundtruth, estimate, protocol))
 

@@ -62,7 +62,7 @@ class Progress:
     running: list[str] = field(default_factory=list)
 
 
-def compare(
+def run_plan(
     plan: Plan,
     folder: Path,
     start_pool: Callable[[], Pool],

@@ -75,6 +75,12 @@ class Calibration:
         pairs: Number of increments.
         horizon_s: Their length.
         warnings: One sentence each.
+
+    Example:
+        >>> from trajeval_ros import calibrate, simulate
+        >>> flight = simulate(seed=1, duration_s=60.0)
+        >>> calibrate(flight.groundtruth, flight.estimate).skew is None
+        True
     """
 
     offset: Parameter
@@ -94,7 +100,7 @@ class Calibration:
 def calibrate(
     groundtruth: Trajectory,
     estimate: Trajectory,
-    gauge: Gauge = Gauge.SE3,
+    gauge: Gauge | str = Gauge.SE3,
     *,
     around_s: float = 0.0,
     with_skew: bool = False,
@@ -120,7 +126,17 @@ def calibrate(
 
     Raises:
         InputError: States without stamps, or too few of them.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import calibrate, simulate
+        >>> flight = simulate(seed=1, duration_s=60.0)
+        >>> late = replace(flight.estimate, stamps=flight.estimate.stamps + 100_000_000)
+        >>> found = calibrate(flight.groundtruth, late, "yaw")
+        >>> found.offset.status, round(float(found.offset.value[0]), 1)
+        ('significant', -0.1)
     """
+    gauge = Gauge.of(gauge)
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.stamped:
             raise InputError(

@@ -17,6 +17,11 @@ class CalibrationRequest:
         hand_eye: Likewise the body's rotation and lever arm.
         known: A hand-eye transform to apply, instead of one to be estimated.
         source: Where the known transform was read from.
+
+    Example:
+        >>> from trajeval_ros import CalibrationRequest
+        >>> CalibrationRequest(offset=True, hand_eye=True).anything
+        True
     """
 
     offset: bool = False

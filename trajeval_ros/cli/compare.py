@@ -133,8 +133,8 @@ def compare(
         trajeval compare euroc.yaml --baseline main.parquet
         --fail-if 'ate.position_m.rmse worse than 5 % + 2 MAD'
     """
-    from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.comparison import compare as compare_runs
+    from trajeval_ros.batch.compare_runs import write_tables
+    from trajeval_ros.batch.comparison import RUNS, run_plan
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.executors import local_pool
     from trajeval_ros.batch.page import REPORT, write_report
@@ -160,11 +160,11 @@ def compare(
     # Read before anything is written: it may be the table of the same folder.
     before = _read_baseline(baseline, fail_if or [], plan)
     with _progress_bar() as tell:
-        progress = compare_runs(plan, output, lambda: _pool(workers, cluster), tell)
+        progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
     summary = summary_of(output)
     # It is written last: if it is newer than the results, all is there.
     if not _is_newer(output / REPORT, output / RUNS):
-        _write_tables(output, summary)
+        write_tables(output, summary)
         with drawing("drawing the report") as advance:
             write_report(output, summary, local_pool(workers), advance)
     if not quiet:
@@ -219,20 +219,6 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
     from trajeval_ros.batch.executors import dask_pool, local_pool
 
     return local_pool(workers) if cluster is None else dask_pool(cluster)
-
-
-def _write_tables(folder: Path, summary: ComparisonSummary) -> None:
-    from trajeval_ros.batch.summary_tables import failures, matrices
-    from trajeval_ros.report import matrix as tables
-
-    made = matrices(summary)
-    lost = [f"* {tables.markdown_text(line)}" for line in failures(summary)]
-    without = ["### Runs without numbers", "", *lost, ""] if lost else []
-    text = "\n".join([f"# {summary.title}", "", *map(tables.to_markdown, made), *without])
-    write_text(folder / "tables.md", text)
-    write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
-    for each in made:
-        write_text(folder / f"{each.name}.csv", tables.to_csv(each))
 
 
 def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:

@@ -66,7 +66,7 @@ def deliver(
         for requirement in requirements
         if (why := requirement.unmet(run, lengths))
     ]
-    failed = [f"{each['name']}: {each['reason']}" for each in result["failed"]]
+    failed = [f"{each.name}: {each.reason}" for each in outcome.failed]
     if requirements:
         unmet += failed
     if output is not None:

@@ -27,6 +27,11 @@ class CovarianceRequest:
             `body`.
         groundtruth_noise: Standard deviations of groundtruth positions (m) and rotations (deg);
             None for exact groundtruth.
+
+    Example:
+        >>> from trajeval_ros import CovarianceRequest, Request
+        >>> Request(covariances=CovarianceRequest("message")).reads_covariances
+        True
     """
 
     source: str = "none"

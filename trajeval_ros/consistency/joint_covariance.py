@@ -43,6 +43,15 @@ class JointCovariance:
         information: (N d, N d), sparse, landmarks and all else eliminated, or None.
         gauge: `free` for an information matrix of rank N d - 4, without a prior on position and
             yaw; otherwise only informative.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import JointCovariance
+        >>> joint = JointCovariance(
+        ...     stamps=np.array([0, 100_000_000]), positions=np.zeros((2, 3)),
+        ...     quaternions=np.array([[0.0, 0.0, 0.0, 1.0]] * 2), block=6,
+        ...     covariance=0.01 * np.eye(12))
+        >>> joint.require_sound()
     """
 
     stamps: Indices

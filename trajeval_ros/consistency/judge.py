@@ -32,6 +32,20 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
         InputError: Covariances that say nothing, or are of other poses.
         SettingsError: An alignment that covariances can't be brought to.
         DegenerateGeometryError: States that don't determine the alignment.
+
+    Example:
+        >>> import numpy as np
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import CovarianceRequest, Protocol, evaluate, judge, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> block = np.diag([0.1**2] * 3 + [0.01**2] * 3)
+        >>> blocks = np.broadcast_to(block, (len(flight.estimate), 6, 6))
+        >>> estimate = replace(flight.estimate, covariances=blocks)
+        >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
+        >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
+        >>> consistency = judge(found, request)
+        >>> consistency.exactness, consistency.nees.shape == (len(found.association),)
+        ('bound', True)
     """
     aligned = _aligned(evaluation, request)
     if request.joint is not None:

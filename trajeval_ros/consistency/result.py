@@ -80,6 +80,20 @@ class Consistency:
         nees: (N,) NEES / 6 of each pair; NaN where it has none; None as `per_pose`.
         errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
         covariances: (N, 6, 6), of the errors of each pose; None as `per_pose`.
+
+    Example:
+        >>> import numpy as np
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import CovarianceRequest, Protocol, evaluate, judge, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> block = np.diag([0.1**2] * 3 + [0.01**2] * 3)
+        >>> blocks = np.broadcast_to(block, (len(flight.estimate), 6, 6))
+        >>> estimate = replace(flight.estimate, covariances=blocks)
+        >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
+        >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
+        >>> consistency = judge(found, request)
+        >>> consistency.errors.shape == consistency.sigmas.shape
+        True
     """
 
     gauge: Gauge

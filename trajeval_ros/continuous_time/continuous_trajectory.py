@@ -19,7 +19,7 @@ from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODEL
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.covariance_frames import body_from_world_positions
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -104,6 +104,13 @@ class ContinuousTrajectory:
         samples: What it was fitted to.
         poses: The model, fitted.
         statements: What can't be said, and why, one sentence each.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> bool(continuous.covers(slow.stamps).all())
+        True
     """
 
     model: str
@@ -163,11 +170,16 @@ def fit_trajectory(
     Raises:
         SettingsError: There is no such model.
         InputError: Fewer than two samples.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> belief = continuous.at(slow.stamps[:-1] + 50_000_000)
+        >>> belief.poses.shape == (len(slow) - 1, 4, 4)
+        True
     """
-    if model not in MODELS:
-        raise SettingsError(
-            f"there is no continuous model {model!r}; use one of {', '.join(MODELS)}"
-        )
+    require_one_of(model, MODELS, "continuous model")
     samples = Samples.of(groundtruth, noise or Noise())
     if model == "auto":
         model = _most_predictive(samples)

@@ -32,6 +32,12 @@ class Noise:
     Attributes:
         position_m: Along each axis.
         rotation_rad: About each axis.
+
+    Example:
+        >>> import math
+        >>> from trajeval_ros import Noise
+        >>> Noise(0.005, math.radians(1.0)).position_m
+        0.005
     """
 
     position_m: float = 0.002

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 
 Array = NDArray[np.float64]
@@ -23,6 +23,11 @@ class Gauge(Enum):
     """A group that acts on whole trajectories: p -> s R p + t, R_i -> R R_i, v -> s R v (eq. 8).
 
     The value is its name on the command line and in results.
+
+    Example:
+        >>> from trajeval_ros import Gauge
+        >>> Gauge.of("yaw").turns_about_gravity_only
+        True
     """
 
     NONE = "none"
@@ -31,6 +36,18 @@ class Gauge(Enum):
     PLANAR = "planar"
     SE3 = "se3"
     SIM3 = "sim3"
+
+    @classmethod
+    def of(cls, gauge: Gauge | str) -> Gauge:
+        """Return a gauge, or that of a name.
+
+        Raises:
+            SettingsError: There is none of that name.
+        """
+        if isinstance(gauge, Gauge):
+            return gauge
+        require_one_of(gauge, (each.value for each in cls), "gauge")
+        return cls(gauge)
 
     @property
     def has_translation(self) -> bool:
@@ -86,28 +103,25 @@ MODALITIES: dict[str, Gauge] = {
     "wheel": Gauge.PLANAR,
     "gnss-aided": Gauge.NONE,
 }
-"""Sensor sets and what they can't observe (tutorial, Table I, and section V for the others)."""
+"""Sensor sets and what they can't observe (tutorial, Table I, and section V for the others).
+
+Example:
+    >>> from trajeval_ros import MODALITIES
+    >>> MODALITIES["mono-inertial"].value
+    'yaw'
+"""
 
 
-def gauge_for(gauge: str | None, modality: str | None, default: Gauge) -> Gauge:
+def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -> Gauge:
     """Return the gauge that a user asked for by name, by sensor set, or not at all.
 
     Raises:
         SettingsError: Unknown name, or a gauge that contradicts the modality.
     """
-    named = default
-    if gauge is not None:
-        try:
-            named = Gauge(gauge)
-        except ValueError:
-            names = ", ".join(each.value for each in Gauge)
-            raise SettingsError(f"there is no gauge {gauge!r}; use one of {names}") from None
+    named = default if gauge is None else Gauge.of(gauge)
     if modality is None:
         return named
-    if modality not in MODALITIES:
-        raise SettingsError(
-            f"there is no modality {modality!r}; use one of {', '.join(MODALITIES)}"
-        )
+    require_one_of(modality, MODALITIES, "modality")
     implied = MODALITIES[modality]
     if gauge is not None and named is not implied:
         raise SettingsError(

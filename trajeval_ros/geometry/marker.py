@@ -24,6 +24,12 @@ class HandEye:
         lever_m: (3,), the marker's origin in the body, metres.
         body: Name of the body's frame, "" if unknown.
         marker: Name of the marker's frame, "" if unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import HandEye
+        >>> HandEye(np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.2])).inverse().lever_m
+        array([-0.1, -0. , -0.2])
     """
 
     rotation_xyzw: Array

@@ -22,6 +22,15 @@ class Similarity:
         rotation: (3, 3) rotation matrix.
         translation: (3,), metres.
         scale: Positive factor, 1 for rigid transformations.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import Similarity, simulate
+        >>> estimate = simulate(seed=1, duration_s=30.0).estimate
+        >>> similarity = Similarity(np.eye(3), np.array([1.0, 0.0, 0.0]), scale=2.0)
+        >>> moved = similarity.trajectory(estimate)
+        >>> bool(np.allclose(moved.positions, 2.0 * estimate.positions + [1.0, 0.0, 0.0]))
+        True
     """
 
     rotation: Array

@@ -59,6 +59,13 @@ class Trajectory:
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
         damage: What of its source could not be read, one sentence each: the user must know.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import Trajectory
+        >>> stamps = np.array([0, 500_000_000])
+        >>> Trajectory.from_columns(stamps, [[0, 0, 0], [2, 0, 0]], [[0, 0, 0, 1], [0, 0, 0, 2]])
+        <Trajectory unnamed, 2 poses, 0.5 s, 2.0 m>
     """
 
     stamps: NDArray[np.int64]

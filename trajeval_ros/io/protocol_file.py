@@ -26,8 +26,8 @@ from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.score import PointTable
-from trajeval_ros.metrics.settings import parse_lengths, parse_states, protocol_named
-from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.metrics.settings import parse_states, protocol_named
+from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
 _WORDS = ("align_weights", "ate_form", "re_form")

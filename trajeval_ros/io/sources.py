@@ -51,7 +51,7 @@ def read_trajectory(
     covariances: bool = True,
     strict: bool = False,
 ) -> Trajectory:
-    """Read the trajectory that a SOURCE names.
+    r"""Read the trajectory that a SOURCE names.
 
     Args:
         source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`, or
@@ -63,6 +63,15 @@ def read_trajectory(
 
     Raises:
         InputError: It can't be read; the message says what is wrong, where, and how to mend it.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> from trajeval_ros import read_trajectory
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "run.txt"
+        ...     _ = path.write_text("1.0 0 0 0 0 0 0 1\n1.5 2 0 0 0 0 0 1\n")
+        ...     read_trajectory(path)
+        <Trajectory run, 2 poses, 0.5 s, 2.0 m>
     """
     (trajectory,) = read_many([source], advance=advance, covariances=covariances, strict=strict)
     return trajectory
@@ -75,7 +84,7 @@ def read_many(
     covariances: bool | Sequence[bool] = True,
     strict: bool = False,
 ) -> list[Trajectory]:
-    """Read the trajectories that several SOURCEs name; each bag once, however many are in it.
+    r"""Read the trajectories that several SOURCEs name; each bag once, however many are in it.
 
     A trajectory, its notes and its damage are the same as if its source were read alone.
 
@@ -92,6 +101,15 @@ def read_many(
     Raises:
         InputError: One can't be read; the message says which, what is wrong, and how to mend it.
             That each exists is checked before any is read.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> from trajeval_ros import read_many
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "run.txt"
+        ...     _ = path.write_text("1.0 0 0 0 0 0 0 1\n1.5 2 0 0 0 0 0 1\n")
+        ...     [len(each) for each in read_many([path, path])]
+        [2, 2]
     """
     parsed = [parse_source(str(source)) for source in sources]
     flags = [covariances] * len(parsed) if isinstance(covariances, bool) else list(covariances)

@@ -80,6 +80,15 @@ def assess(evaluation: Evaluation) -> Assessment:
         InputError: It was associated otherwise.
         SettingsError: The gauge is a plane's.
         DegenerateGeometryError: The poses leave a direction of the gauge open.
+
+    Example:
+        >>> from trajeval_ros import AssociationRule, Protocol, assess, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> rule = AssociationRule("continuous", model="wnoa")
+        >>> protocol = Protocol(gauge="yaw", association=rule, lengths=())
+        >>> found = assess(evaluate(flight.groundtruth[::100], flight.estimate, protocol))
+        >>> 0.0 <= found.ate.supported_share <= 1.0
+        True
     """
     pairs, protocol = evaluation.association, evaluation.protocol
     continuous = pairs.continuous

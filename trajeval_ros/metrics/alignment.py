@@ -33,6 +33,12 @@ class Alignment:
         states_used: Number of states that it was computed from.
         undetermined: Empty, or the sentence that says why the rotation is not determined by
             the states; rotation errors under this alignment mean nothing then.
+
+    Example:
+        >>> from trajeval_ros import evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> evaluate(flight.groundtruth, flight.estimate).alignment.undetermined
+        ''
     """
 
     similarity: Similarity
@@ -128,7 +134,7 @@ def _mean_to_mean(rotation: Array, scale: float, moments: Moments) -> Similarity
 
 
 def align(
-    gauge: Gauge,
+    gauge: Gauge | str,
     groundtruth: Array,
     estimate: Array,
     weights: Array | None = None,
@@ -136,7 +142,7 @@ def align(
     """Align N estimated positions with the groundtruth's (Alg. 1, or with eq. 18), (N, 3) each.
 
     Args:
-        gauge: What the alignment may change.
+        gauge: What the alignment may change, or its name.
         groundtruth: (N, 3), metres. For `planar` the height plays no part in the rotation.
         estimate: (N, 3), metres.
         weights: (N,) positive, per pair, as in `weighted_alignment`; None for all alike.
@@ -144,7 +150,15 @@ def align(
     Raises:
         DegenerateGeometryError: Fewer states than the gauge needs, or no motion at all where a
             rotation is to be found.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import align
+        >>> points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        >>> align("sim3", 2.0 * points + 5.0, points).similarity.scale.__round__(9)
+        2.0
     """
+    gauge = Gauge.of(gauge)
     count = len(groundtruth)
     if count < gauge.minimum_states:
         raise DegenerateGeometryError(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
+from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
 from trajeval_ros.metrics.coverage import coverage_of, time_without_gaps
@@ -43,6 +43,12 @@ class AssociationRule:
         time_offset_s: Added to the estimate's stamps before pairing.
         model: For `continuous`: how the groundtruth moves between its samples.
         noise: For `continuous`: of the groundtruth's samples.
+
+    Example:
+        >>> from trajeval_ros import AssociationRule, Protocol
+        >>> rule = AssociationRule("nearest", max_time_difference_s=0.01)
+        >>> Protocol(association=rule).association.method
+        'nearest'
     """
 
     method: str = "linear"
@@ -54,19 +60,13 @@ class AssociationRule:
 
     def __post_init__(self) -> None:
         """Refuse what no rule can mean."""
-        if self.method not in METHODS:
-            raise SettingsError(
-                f"there is no association {self.method!r}; use one of {', '.join(METHODS)}"
-            )
+        require_one_of(self.method, METHODS, "association")
         for name in ("max_time_difference_s", "max_gap_s"):
             if not 0.0 < getattr(self, name) <= _LONGEST_S:
                 raise SettingsError(
                     f"{name} must be above 0 and at most {_LONGEST_S:g}, not {getattr(self, name)}"
                 )
-        if self.model not in MODELS:
-            raise SettingsError(
-                f"there is no continuous model {self.model!r}; use one of {', '.join(MODELS)}"
-            )
+        require_one_of(self.model, MODELS, "continuous model")
         if not abs(self.time_offset_s) <= LATEST_CLOCK_S:
             raise SettingsError(
                 f"the time offset must be within {LATEST_CLOCK_S:g} s, not {self.time_offset_s}"

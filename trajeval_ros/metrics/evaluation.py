@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
 from trajeval_ros.metrics.alignment import Alignment, align, align_first
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.columns import arrow_table, html_table, pandas_frame
 from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
 from trajeval_ros.metrics.errors import (
     AbsoluteErrors,
@@ -28,12 +30,16 @@ from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length, select
 from trajeval_ros.metrics.weighted_alignment import align_weighted
 
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
 Array = NDArray[np.float64]
 
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SubTrajectoryErrors:
     """The relative errors of all sub-trajectories of one length.
 
@@ -53,8 +59,12 @@ class SubTrajectoryErrors:
     errors: RelativeErrors
     statistics: dict[str, Statistics | None]
 
+    def __repr__(self) -> str:
+        """Return a line that says how large they are, without the arrays."""
+        return f"<SubTrajectoryErrors of {self.length}: {_rmse_text(self.statistics)}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """How wrong an estimate is, with everything that the numbers depend on.
 
@@ -73,6 +83,15 @@ class Evaluation:
         warnings: What a reader of the numbers must know, one sentence each; the pipeline adds
             them.
         score: By the protocol's points; None if it has none.
+
+    Example:
+        >>> from trajeval_ros import evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> found = evaluate(flight.groundtruth, flight.estimate)
+        >>> found.absolute.position_m.shape == (len(found.association),)
+        True
+        >>> sorted(found.to_columns("8m"))[:2]
+        ['ends', 'position_m']
     """
 
     protocol: Protocol
@@ -97,6 +116,94 @@ class Evaluation:
             if each.length_m is not None and (percent := each.statistics["position_percent"])
         ]
         return max(known, key=lambda drift: drift.length_m, default=None)
+
+    def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:
+        """Return errors as columns of equal lengths.
+
+        Args:
+            length: One of the protocol's lengths, for the errors of its K sub-trajectories; None
+                for those of all N pairs.
+
+        Returns:
+            Of pairs `stamps` (int64 ns, of the groundtruth's clock) and each error that
+            `AbsoluteErrors` has; of sub-trajectories `starts` and `ends` (indices of pairs) and
+            each error that `RelativeErrors` has.
+
+        Raises:
+            SettingsError: No relative errors of that length were computed.
+        """
+        if length is None:
+            return {"stamps": self.association.estimate.stamps, **_columns_of(self.absolute)}
+        wanted = Length.of(length)
+        for each in self.segments or ():
+            if each.length == wanted:
+                return _columns_of(each.errors)
+        known = ", ".join(str(each.length) for each in self.segments or ()) or "none"
+        raise SettingsError(f"there are no relative errors of {wanted}; there are: {known}")
+
+    def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
+        """Return `to_columns` as an Arrow table.
+
+        Raises:
+            InputError: pyarrow is not installed.
+        """
+        return arrow_table(self.to_columns(length))
+
+    def to_pandas(self, length: Length | float | str | None = None) -> pandas.DataFrame:
+        """Return `to_columns` as a pandas data frame.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return pandas_frame(self.to_columns(length))
+
+    def __repr__(self) -> str:
+        """Return a few lines that say how wrong the estimate is, without the arrays."""
+        pairs, segments = self.association, self.segments or ()
+        coverage = 100.0 * pairs.groundtruth_coverage
+        lines = [
+            f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
+            f"{self.protocol.gauge.value}, {len(pairs)} pairs, {coverage:.1f} % of groundtruth",
+            f"  ATE: {_rmse_text(self.ate)}",
+            *(f"  RE {each.length}: {_rmse_text(each.statistics)}" for each in segments),
+        ]
+        if self.warnings:
+            lines.append(f"  warnings: {len(self.warnings)}")
+        return "\n".join(lines) + ">"
+
+    def _repr_html_(self) -> str:
+        """Return the statistics as a table, for notebooks."""
+        names = ("rmse", "mean", "median", "std", "max", "count")
+        groups = [("ATE", self.ate)]
+        groups += [(f"RE {each.length}", each.statistics) for each in self.segments or ()]
+        rows = [
+            (kind, metric, *(f"{getattr(found, name):.4g}" for name in names))
+            for kind, statistics in groups
+            for metric, found in statistics.items()
+            if found is not None
+        ]
+        caption = (
+            f"{self.estimate.name or 'unnamed'}: gauge {self.protocol.gauge.value}, "
+            f"{len(self.association)} pairs"
+        )
+        return html_table(caption, ("", "error", *names), rows)
+
+
+def _columns_of(errors: AbsoluteErrors | RelativeErrors) -> dict[str, NDArray[Any]]:
+    return {
+        field.name: column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }
+
+
+def _rmse_text(statistics: dict[str, Statistics | None]) -> str:
+    """Return the rmse of position and rotation as a text."""
+    position, rotation = statistics["position_m"], statistics["rotation_deg"]
+    parts = ["none" if position is None else f"{position.rmse:.4g} m"]
+    if rotation is not None:
+        parts.append(f"{rotation.rmse:.4g} deg")
+    return " ".join(parts)
 
 
 def evaluate(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from difflib import get_close_matches
 from typing import Any
 
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectories import parse_lengths
 
 _INTERPOLATING = ("linear", "continuous")
 
@@ -22,10 +21,7 @@ def protocol_named(name: str) -> Protocol:
     Raises:
         SettingsError: There is none of that name.
     """
-    if name not in PROTOCOLS:
-        near = get_close_matches(name, PROTOCOLS, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(PROTOCOLS)}"
-        raise SettingsError(f"there is no protocol {name!r}; {hint}")
+    require_one_of(name, PROTOCOLS, "protocol")
     return PROTOCOLS[name]
 
 
@@ -89,10 +85,12 @@ def protocol_from(
         max_gap_s=max_gap,
         time_offset_s=time_offset,
     )
+    if gauge is not None or modality is not None:
+        # One that the base names goes with its gauge.
+        chosen = gauge_for(gauge, modality, base.gauge)
+        base = dataclasses.replace(base, gauge=chosen, modality=modality)
     protocol: Protocol = _replaced(
         base,
-        gauge=gauge_for(gauge, modality, base.gauge),
-        modality=modality,
         association=rule,
         lengths=None if lengths is None else parse_lengths(lengths),
         ate_form=ate_form,
@@ -101,16 +99,6 @@ def protocol_from(
     if align_states is None:
         return protocol
     return dataclasses.replace(protocol, align_states=parse_states(align_states))
-
-
-def parse_lengths(text: str) -> tuple[Length, ...]:
-    """Read "8,16,24", "1s,5s", "10%,20%" or "none"."""
-    if text.strip() == "none":
-        return ()
-    lengths = tuple(Length.parse(part) for part in text.split(","))
-    if len(set(lengths)) < len(lengths):
-        raise SettingsError(f"a length is given twice in {text!r}")
-    return lengths
 
 
 def parse_states(text: str) -> int | None:

@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Statistics:
     """Statistics of errors that are never negative; each has the unit of the errors.
 
     `std` is the population's (ddof 0), as in the authors' toolbox and in evo; `p95` is the
     sample's 95th percentile (linear between order statistics), not a normal distribution's.
+
+    Example:
+        >>> from trajeval_ros import Statistics
+        >>> Statistics(rmse=5.0, mean=4.0, median=4.0, std=3.0, min=1.0, max=7.0, p95=6.7, count=2)
+        <Statistics rmse 5, mean 4, median 4, std 3, min 1, max 7, p95 6.7, count 2>
     """
 
     rmse: float
@@ -24,6 +29,12 @@ class Statistics:
     max: float
     p95: float
     count: int
+
+    def __repr__(self) -> str:
+        """Return a line to read; `dataclasses.asdict` has all digits."""
+        names = ("rmse", "mean", "median", "std", "min", "max", "p95")
+        values = ", ".join(f"{name} {getattr(self, name):.4g}" for name in names)
+        return f"<Statistics {values}, count {self.count}>"
 
     def scaled(self, factor: float) -> Statistics:
         """Return the statistics of the same errors in another unit, `factor` > 0 times as many."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -21,7 +21,13 @@ RULES = ("nearest", "toolbox", "first-past")
 
 @dataclass(frozen=True)
 class Length:
-    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path."""
+    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path.
+
+    Example:
+        >>> from trajeval_ros import Length
+        >>> Length(8, "m") == Length.of(8) == Length.parse("8m")
+        True
+    """
 
     value: float
     unit: str
@@ -46,9 +52,36 @@ class Length:
         except ValueError:
             raise SettingsError(f"{text!r} is no length") from None
 
+    @classmethod
+    def of(cls, length: Length | float | str) -> Length:
+        """Return a length, one of so many metres, or what a text says.
+
+        Raises:
+            SettingsError: It is none.
+        """
+        if isinstance(length, Length):
+            return length
+        if isinstance(length, str):
+            return cls.parse(length)
+        if isinstance(length, bool) or not isinstance(length, (int, float, np.number)):
+            raise SettingsError(
+                f"{length!r} is no length; write metres as a number, or 8m, 1s or 10% as a text"
+            )
+        return cls(float(length), "m")
+
     def __str__(self) -> str:
         """Write it as `parse` reads it."""
         return f"{self.value:g}{self.unit}"
+
+
+def parse_lengths(text: str) -> tuple[Length, ...]:
+    """Read "8,16,24", "1s,5s", "10%,20%" or "none"."""
+    if text.strip() == "none":
+        return ()
+    lengths = tuple(Length.parse(part) for part in text.split(","))
+    if len(set(lengths)) < len(lengths):
+        raise SettingsError(f"a length is given twice in {text!r}")
+    return lengths
 
 
 @dataclass(frozen=True)
@@ -68,10 +101,7 @@ class Selection:
 
     def __post_init__(self) -> None:
         """Refuse rules that there are not."""
-        if self.rule not in RULES:
-            raise SettingsError(
-                f"there is no selection rule {self.rule!r}; use one of {', '.join(RULES)}"
-            )
+        require_one_of(self.rule, RULES, "selection rule")
         if self.every < 1:
             raise SettingsError(f"every n-th state is a start from n = 1 on, not {self.every}")
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
@@ -25,9 +25,11 @@ from trajeval_ros.online.pairing import (
     POSITION,
     QUATERNION,
     VELOCITY,
+    WIDTH,
     PairingBuffer,
     Pairs,
     on_plane,
+    states,
 )
 from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
@@ -41,7 +43,21 @@ FREEZE_AT_RAD = float(np.radians(1.0))
 
 
 class OnlineEvaluator:
-    """Feed it states of both streams as they arrive; ask it for errors at any time."""
+    """Feed it states of both streams as they arrive; ask it for errors at any time.
+
+    It pairs, aligns and measures as `evaluate` does with association `linear`: counts are equal,
+    statistics agree to 1e-9.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import OnlineEvaluator, simulate
+        >>> flight, live = simulate(seed=1, duration_s=30.0), OnlineEvaluator()
+        >>> for add, side in ((live.add_groundtruth, flight.groundtruth),
+        ...                   (live.add_estimate, flight.estimate)):
+        ...     add(side.stamps, np.hstack([side.positions, side.quaternions]))
+        >>> live.update(at_end=True).pairs == live.snapshot().pairs > 500
+        True
+    """
 
     def __init__(
         self,
@@ -71,11 +87,19 @@ class OnlineEvaluator:
         self._count = self._late = 0
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        """Take groundtruth states that have arrived.
+
+        Args:
+            stamps: (N,) int64, nanoseconds.
+            rows: (N, 3) positions, metres; (N, 7) positions and quaternions xyzw; or (N, 10) of
+                `pairing.states`, with velocities.
+        """
+        rows = _all_columns(rows)
         self.buffer.add_groundtruth(stamps, on_plane(rows) if self._is_planar else rows)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        """Take estimated states that have arrived, as `add_groundtruth` does."""
+        rows = _all_columns(rows)
         rows = on_plane(rows) if self._is_planar else rows
         self.buffer.add_estimate(stamps + self._offset, rows)
 
@@ -335,6 +359,18 @@ class OnlineEvaluator:
             self.buffer.groundtruth_count,
             self.buffer.max_gap_s,
         )
+
+
+def _all_columns(rows: Floats) -> Floats:
+    """Return rows (N, 10) of positions (N, 3), or of positions and quaternions (N, 7)."""
+    if rows.ndim == 2 and rows.shape[1] == WIDTH:
+        return rows
+    if rows.ndim != 2 or rows.shape[1] not in (3, 7):
+        raise InputError(
+            f"states are rows of 3, 7 or {WIDTH} columns (position, quaternion xyzw, velocity), "
+            f"not an array of shape {rows.shape}"
+        )
+    return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
 
 
 def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:

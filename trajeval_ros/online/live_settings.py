@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.metrics.protocol import Protocol
@@ -10,24 +10,51 @@ from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.window import Window
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class OnlineSettings:
     """What a live evaluator does.
 
     Attributes:
         protocol: Gauge, states to align by, gap, offset, lengths and forms, as offline. Lengths
             that are shares of the path can only be had at the end.
-        window: What the sliding numbers are about.
+        window: What the sliding numbers are about: a `Window`, or "0" (the whole run), "30s",
+            "50m" or "500" (pairs).
         freeze: Keep the first alignment that the states determine well.
         limits: Of the memory for states that wait for their groundtruth.
+
+    Raises:
+        SettingsError: A window that is none, or a protocol that can't be live.
+
+    Example:
+        >>> from trajeval_ros import OnlineSettings, Protocol
+        >>> settings = OnlineSettings(Protocol(modality="stereo-inertial"), window="30s")
+        >>> settings.window.size, settings.window.unit
+        (30.0, 's')
     """
 
-    protocol: Protocol = field(default_factory=Protocol)
-    window: Window = field(default_factory=Window)
-    freeze: bool = False
-    limits: Limits = field(default_factory=Limits)
+    protocol: Protocol
+    window: Window
+    freeze: bool
+    limits: Limits
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        protocol: Protocol | None = None,
+        window: Window | str = "0",
+        freeze: bool = False,
+        limits: Limits | None = None,
+    ) -> None:
+        values = {
+            "protocol": protocol or Protocol(),
+            "window": Window.parse(window) if isinstance(window, str) else window,
+            "freeze": freeze,
+            "limits": limits or Limits(),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._require_possible()
+
+    def _require_possible(self) -> None:
         """Refuse what can't be done live."""
         method = self.protocol.association.method
         if method != "linear":

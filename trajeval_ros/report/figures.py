@@ -4,13 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import side_view, top_view
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DRAWINGS = {
+    "top": top_view,
+    "side": side_view,
+    "absolute": absolute_error,
+    "relative": relative_error,
+}
+
+
+def draw(
+    evaluations: Evaluation | Sequence[Evaluation],
+    kind: str = "top",
+    path: str | Path | None = None,
+) -> Figure:
+    """Draw one figure of estimates that were evaluated against one groundtruth.
+
+    Args:
+        evaluations: One, or several with the same groundtruth and protocol.
+        kind: `top` or `side`: aligned estimates and groundtruth from above or from the side;
+            `absolute`: errors over the distance travelled; `relative`: errors by length.
+        path: Where to write it as PNG, too; None to write nothing.
+
+    Returns:
+        The figure, which no pyplot knows of.
+
+    Raises:
+        SettingsError: There is no such kind.
+        InputError: matplotlib is not installed, or the file can't be written.
+
+    Example:
+        >>> from trajeval_ros import draw, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> figure = draw(evaluate(flight.groundtruth, flight.estimate), "absolute")
+        >>> type(figure).__name__
+        'Figure'
+    """
+    require_one_of(kind, _DRAWINGS, "figure")
+    given = [evaluations] if isinstance(evaluations, Evaluation) else list(evaluations)
+    with canvas.house_style():
+        figure = _DRAWINGS[kind](given, canvas.short_names([each.estimate.name for each in given]))
+        if path is not None:
+            write_whole(Path(path), lambda temporary: canvas.save(figure, temporary))
+    return figure
 
 
 def write_figures(
@@ -43,5 +92,6 @@ def write_figures(
         figures["relative_error.png"] = relative_error
     with canvas.house_style():
         return [
-            canvas.save(draw(evaluations, legend), folder / name) for name, draw in figures.items()
+            canvas.save(figure_of(evaluations, legend), folder / name)
+            for name, figure_of in figures.items()
         ]

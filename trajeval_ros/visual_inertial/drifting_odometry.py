@@ -75,6 +75,11 @@ def simulate(
 
     Raises:
         SettingsError: A flight too short for what is in it, or too long for memory.
+
+    Example:
+        >>> from trajeval_ros import simulate
+        >>> simulate(seed=1, duration_s=30.0).groundtruth.frame
+        'world'
     """
     if not SHORTEST_S <= duration_s <= LONGEST_S:
         raise SettingsError(

@@ -26,7 +26,7 @@ from trajeval_ros.metrics.coverage import coverage_of
 from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.pipeline import Outcome, Request, RunOutcome, run_pairs
+from trajeval_ros.pipeline import FailedRun, Outcome, Request, RunOutcome, run_pairs
 
 REVISED_SUFFIX = ".revised.npz"
 
@@ -59,7 +59,7 @@ def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
             "evaluator's output folder"
         )
     found: list[_EvaluatedEstimate] = []
-    failed: list[dict[str, str]] = []
+    failed: list[FailedRun] = []
     for path in paths:
         try:
             estimate = _evaluate(path, request)
@@ -67,11 +67,11 @@ def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
             raise
         except TrajevalError as error:
             name = path.name.removesuffix(SUFFIX)
-            failed.append({"name": name, "source": str(path), "reason": str(error)})
+            failed.append(FailedRun(name, str(path), str(error)))
             continue
         found.append(estimate)
     if not found:
-        raise InputError("; ".join(each["reason"] for each in failed))
+        raise InputError("; ".join(each.reason for each in failed))
     found.sort(key=lambda each: each.place)
     runs = tuple(each.run for each in found)
     return Outcome(request, found[0].groundtruth, runs, tuple(failed))

@@ -42,7 +42,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "notes": list(groundtruth.notes),
         },
         "runs": [_run(run) for run in runs],
-        "failed": list(outcome.failed),
+        "failed": [dataclasses.asdict(each) for each in outcome.failed],
         "provenance": {
             "version": __version__,
             "protocol": protocol.name,
