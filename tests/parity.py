@@ -41,15 +41,7 @@ RPG_METRICS = {
 }
 # Where trajeval gives another number than the program, which is a defect of trajeval.
 COLUMNS = "protocol kitti pairs files with a frame's number in the first column row by row"
-REPEATED = "protocol evo takes another one of several groundtruth rows with the same stamp"
-TIES = "protocol evo sorts before it chooses between two states that are equally near"
 REPAIRED = "matrices are made rotations before they are used, and the programs don't do that"
-KNOWN_OF_EVO = {
-    "repeated_stamps_gt": REPEATED,
-    "repeated_stamps_both": REPEATED,
-    "repeated_stamps_long_est": REPEATED,
-    "half_period_unsorted": TIES,
-}
 
 
 @dataclass(frozen=True)
@@ -148,16 +140,7 @@ class Row:
     @property
     def known(self) -> str | None:
         """Return why trajeval is known to give another number; None if it isn't."""
-        if self.tool == "kitti" and self.pair != "car_kitti":
-            return COLUMNS
-        if self.tool != "evo" or self.pair not in KNOWN_OF_EVO:
-            return None
-        assert self.setting is not None
-        aligned = self.setting.gauge != "none" and self.setting.align_states != "1"
-        other_pairs = self.relative and self.pair != "repeated_stamps_long_est"
-        if self.pair.startswith("repeated") and self.rotational and not (aligned or other_pairs):
-            return None  # rows of one stamp have the same rotation
-        return KNOWN_OF_EVO[self.pair]
+        return COLUMNS if self.tool == "kitti" and self.pair != "car_kitti" else None
 
     @property
     def raw(self) -> bool:

@@ -21,6 +21,7 @@ from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
 from trajeval_ros.metrics.coverage import coverage_of, time_without_gaps
+from trajeval_ros.metrics.evo_association import match
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 
 if TYPE_CHECKING:
@@ -326,16 +327,9 @@ def _evo(
     """
     driven_by_truth = len(groundtruth) < len(estimate)
     short, long = (groundtruth, estimate) if driven_by_truth else (estimate, groundtruth)
-    short_s, long_s = _float_seconds(short.stamps), _float_seconds(long.stamps)
-    order = np.argsort(long_s, kind="stable")
-    times = long_s[order]
-    after = np.clip(np.searchsorted(times, short_s), 1, max(len(times) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(times) - 1)
-    closer_after = np.abs(times[after] - short_s) < np.abs(times[before] - short_s)
-    nearest = np.where(closer_after, after, before)
-    close = np.abs(times[nearest] - short_s) <= rule.max_time_difference_s
-    short_rows, long_rows = np.flatnonzero(close), order[nearest[close]]
+    short_rows, long_rows = match(
+        _float_seconds(short.stamps), _float_seconds(long.stamps), rule.max_time_difference_s
+    )
     return (short_rows, long_rows) if driven_by_truth else (long_rows, short_rows)
 
 
