@@ -78,3 +78,12 @@ def test_of_repeated_stamps_evo_takes_the_last(recording: Recording) -> None:
     assert ours is not None
     assert ours.count == 893
     assert ours.rmse == pytest.approx(0.352249, abs=5e-7)
+
+
+def test_default_warns_of_repeated_stamps_that_conflict(recording: Recording) -> None:
+    groundtruth, estimate = (
+        recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
+    )
+    first = evaluate(groundtruth, estimate).warnings[0]
+    assert first.startswith("uzh_run2_mocap has 2 repeated stamps (of 1787) with positions")
+    assert "by up to 10.1 m" in first

@@ -46,6 +46,8 @@ def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the warnings about a finished evaluation, the gravest first."""
     return (
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
+        *evaluation.groundtruth.conflicts,
+        *evaluation.estimate.conflicts,
         *_about_alignment(evaluation),
         *_about_jumps(evaluation),
         *_about_rotations(evaluation),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -59,6 +60,7 @@ class Trajectory:
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
         damage: What of its source could not be read, one sentence each: the user must know.
+        conflicts: How its states contradict each other, one sentence each: the user must know.
     """
 
     stamps: NDArray[np.int64]
@@ -76,6 +78,7 @@ class Trajectory:
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+    conflicts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the columns, so that a wrong one fails where it was made.
@@ -231,6 +234,7 @@ class Trajectory:
             return self
         order = np.argsort(self.stamps, kind="stable")
         first = np.concatenate([[True], np.diff(self.stamps[order]) > 0])
+        conflicts = conflicts_of(self.stamps[order], self.positions[order])
         duplicates = int(np.count_nonzero(~first))
         backwards = int(np.count_nonzero(steps < 0))
         notes = list(self.notes)
@@ -244,7 +248,20 @@ class Trajectory:
             ordered,
             notes=tuple(notes),
             dropped=add_counts(self.dropped, {"duplicate_stamp": duplicates}),
+            conflicts=(*self.conflicts, *self._said(conflicts, duplicates)),
         )
+
+    def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
+        """Say which repeated stamps contradict each other, if any do."""
+        if not conflicts.number:
+            return []
+        return [
+            f"{self.name or 'the trajectory'} has {conflicts.number} repeated "
+            f"stamp{'' if conflicts.number == 1 else 's'} (of {duplicates}) with positions that "
+            "are further apart than the motion there explains, by up to "
+            f"{conflicts.largest_m:.3g} m; the first pose of each stamp was used, which may be "
+            "the wrong one: remove the rows that are wrong"
+        ]
 
     def require_usable(self) -> None:
         """Check that there is a state, and that all are finite.
