@@ -40,7 +40,6 @@ RPG_METRICS = {
     "rel_gravity_stats": "tilt_deg",
 }
 # Where trajeval gives another number than the program, which is a defect of trajeval.
-COLUMNS = "protocol kitti pairs files with a frame's number in the first column row by row"
 REPAIRED = "matrices are made rotations before they are used, and the programs don't do that"
 
 
@@ -136,11 +135,6 @@ class Row:
 
     def __str__(self) -> str:
         return f"{self.entry['call']}: {self.quantity}"
-
-    @property
-    def known(self) -> str | None:
-        """Return why trajeval is known to give another number; None if it isn't."""
-        return COLUMNS if self.tool == "kitti" and self.pair != "car_kitti" else None
 
     @property
     def raw(self) -> bool:

@@ -27,6 +27,7 @@ NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "
 # Shapes of a row of each column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
+    "frames": (),
     "positions": (3,),
     "quaternions": (4,),
     "velocities": (3,),
@@ -52,11 +53,13 @@ class Trajectory:
         accelerometer_biases: (N, 3), m/s^2, in the body, or None.
         covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
             the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
+        frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         name: What a table calls it.
         source: What it was read from, as a user names it; "" if from nothing.
         stamped: False if the file had no stamps; then they count the rows, one second apart.
+        numbered: Whether the file gave the `frames`; else they count its rows.
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
         damage: What of its source could not be read, one sentence each: the user must know.
@@ -70,11 +73,13 @@ class Trajectory:
     gyroscope_biases: NDArray[np.float64] | None = None
     accelerometer_biases: NDArray[np.float64] | None = None
     covariances: NDArray[np.float64] | None = None
+    frames: NDArray[np.int64] | None = None
     frame: str = ""
     child_frame: str = ""
     name: str = ""
     source: str = ""
     stamped: bool = True
+    numbered: bool = False
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()

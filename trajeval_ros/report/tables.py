@@ -46,7 +46,7 @@ METHODS = {
     "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
     "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
     "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
-    "index": "paired row by row",
+    "index": "paired by frame or row",
 }
 RE_FORMS = {
     "gauge": "first state aligned by the gauge, plain difference at the end",
