@@ -130,7 +130,9 @@ def _rpg(entry: dict[str, Any]) -> list[Row]:
 def _kitti(entry: dict[str, Any]) -> list[Row]:
     if entry["alignment"] not in KITTI_GAUGES:
         return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
-    made = _rows(entry, Setting("kitti", **KITTI_GAUGES[entry["alignment"]]))
+    form = "se3" if entry["rotations"] == "nearest" else None
+    setting = Setting("kitti", re_form=form, **KITTI_GAUGES[entry["alignment"]])
+    made = _rows(entry, setting)
     return [dataclasses.replace(row, unanswered=_why_not_kitti(row)) for row in made]
 
 

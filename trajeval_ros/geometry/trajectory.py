@@ -28,6 +28,7 @@ NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
     "frames": (),
+    "matrices": (3, 3),
     "positions": (3,),
     "quaternions": (4,),
     "velocities": (3,),
@@ -54,6 +55,8 @@ class Trajectory:
         covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
             the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
         frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
+        matrices: (N, 3, 3), the left parts of KITTI's matrices as the file has them, which with
+            few digits are only nearly the rotations of `quaternions`; None where there are none.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         name: What a table calls it.
@@ -74,6 +77,7 @@ class Trajectory:
     accelerometer_biases: NDArray[np.float64] | None = None
     covariances: NDArray[np.float64] | None = None
     frames: NDArray[np.int64] | None = None
+    matrices: NDArray[np.float64] | None = None
     frame: str = ""
     child_frame: str = ""
     name: str = ""

@@ -170,6 +170,7 @@ def _modelled(
         accelerometer_biases=None,
         covariances=None,
         frames=None,
+        matrices=None,
     )
     return truth, rows, _outside(groundtruth.stamps, estimate.stamps)
 
@@ -203,6 +204,7 @@ def _interpolated(
         accelerometer_biases=mix(groundtruth.accelerometer_biases, start, end, fraction),
         covariances=None,
         frames=None,
+        matrices=None,
     )
     return truth, rows, bracket.dropped()
 

@@ -320,4 +320,5 @@ def _on_plane(trajectory: Trajectory) -> Trajectory:
         positions=trajectory.positions * flat,
         quaternions=None if quaternions is None else lie.normalized(lie.heading(quaternions)),
         velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
+        matrices=None,
     )

@@ -52,6 +52,7 @@ RE_FORMS = {
     "gauge": "first state aligned by the gauge, plain difference at the end",
     "se3": "relative poses, SE(3) at the first state",
     "tutorial": "eq. (26) to the letter",
+    "matrices": "relative poses, by the matrices as they are in the file",
     "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }

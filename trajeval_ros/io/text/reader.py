@@ -66,6 +66,7 @@ def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
         accelerometer_biases=groups.get("accelerometer_bias"),
         covariances=covariances,
         frames=frames,
+        matrices=groups["matrix"].reshape(-1, 3, 4)[:, :, :3] if "matrix" in groups else None,
         name=path.stem,
         stamped=stamped,
         numbered=layout.indexed,
