@@ -1,7 +1,7 @@
 """Relative errors as the KITTI devkit computes them: by matrices that are nearly rotations.
 
 KITTI's files have few digits. The devkit inverts and multiplies the matrices as they are, which
-changes small angles: at 6 digits, a mean rotation error by 0.1 %.
+changes small angles: at 6 digits, on KITTI 00 the smallest by 9 %, their mean by 0.003 %.
 """
 
 from __future__ import annotations
