@@ -211,6 +211,32 @@ def test_of_equal_stamps_the_first_stays_and_the_others_are_counted() -> None:
     assert "odometry steps back in time at 1 place" in ordered.notes[0]
 
 
+@given(seed=seeds, coarse=st.integers(2, 3))
+def test_rounded_stamps_dont_conflict(seed: int, coarse: int) -> None:
+    # Poses on a line, never turning back, several of them with one stamp.
+    moved_m = np.random.default_rng(seed).uniform(0.01, 0.02, 60)
+    positions = np.outer(np.cumsum(moved_m), [0.6, 0.8, 0.0])
+    rounded = stamps(60) // (coarse * 10**9) * coarse * 10**9
+    ordered = Trajectory(rounded, positions).in_order()
+    assert ordered.dropped["duplicate_stamp"] == 60 - len(set(rounded.tolist()))
+    assert ordered.conflicts == ()
+
+
+@given(seed=seeds, place=st.integers(1, 57), offset_m=st.floats(1.0, 1e3), early=st.booleans())
+def test_repeats_that_are_elsewhere_are_told_with_their_distance(
+    seed: int, place: int, offset_m: float, early: bool
+) -> None:
+    moved_m = np.random.default_rng(seed).uniform(0.01, 0.02, 60)
+    positions = np.outer(np.cumsum(moved_m), [0.6, 0.8, 0.0])
+    times = stamps(60)
+    times[place + 1] = times[place]
+    positions[place + 1] = positions[place]
+    positions[place if early else place + 1, 2] += offset_m
+    (said,) = Trajectory(times, positions, name="mocap").in_order().conflicts
+    assert said.startswith("mocap has 1 repeated stamp (of 1) with positions")
+    assert f"by up to {offset_m:.3g} m" in said
+
+
 def test_what_is_in_order_already_is_left_alone() -> None:
     trajectory = make_groundtruth(1)
     assert trajectory.in_order() is trajectory

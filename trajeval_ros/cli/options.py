@@ -155,7 +155,8 @@ AteFormOption = Annotated[
 ReFormOption = Annotated[
     str | None,
     typer.Option(
-        help="gauge, se3 (relative poses, as KITTI) or tutorial (eq. 26 to the letter).",
+        help="gauge, se3 (relative poses), matrices (the same by KITTI's matrices as they are) or "
+        "tutorial (eq. 26 to the letter).",
         rich_help_panel=MEASURE,
     ),
 ]

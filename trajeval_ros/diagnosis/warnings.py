@@ -28,6 +28,7 @@ _FOLLOWS = 0.2
 _SPARSE_S = 0.12
 _REASONS = {
     "no_groundtruth_within_max_time_difference": "no groundtruth close enough in time",
+    "no_groundtruth_of_this_frame": "in frames without groundtruth",
     "before_groundtruth": "before the groundtruth",
     "after_groundtruth": "after the groundtruth",
     "in_groundtruth_gap": "in a groundtruth gap",
@@ -46,6 +47,8 @@ def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the warnings about a finished evaluation, the gravest first."""
     return (
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
+        *evaluation.groundtruth.conflicts,
+        *evaluation.estimate.conflicts,
         *_about_alignment(evaluation),
         *_about_jumps(evaluation),
         *_about_rotations(evaluation),

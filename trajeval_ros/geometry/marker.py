@@ -87,6 +87,7 @@ class HandEye:
             quaternions=lie.normalized(quaternions),
             velocities=velocities,
             covariances=None,
+            matrices=None,
             child_frame=body or groundtruth.child_frame,
             notes=notes,
             gyroscope_biases=self._turned(groundtruth.gyroscope_biases),

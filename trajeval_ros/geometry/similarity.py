@@ -68,6 +68,7 @@ class Similarity:
             else lie.normalized(self.quaternions(quaternions)),
             velocities=None if velocities is None else self.vectors(velocities),
             covariances=None,
+            matrices=None,
         )
 
     def vectors(self, vectors: Array) -> Array:

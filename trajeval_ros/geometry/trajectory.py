@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -26,6 +27,8 @@ NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "
 # Shapes of a row of each column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
+    "frames": (),
+    "matrices": (3, 3),
     "positions": (3,),
     "quaternions": (4,),
     "velocities": (3,),
@@ -51,14 +54,19 @@ class Trajectory:
         accelerometer_biases: (N, 3), m/s^2, in the body, or None.
         covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
             the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
+        frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
+        matrices: (N, 3, 3), the left parts of KITTI's matrices as the file has them, which with
+            few digits are only nearly the rotations of `quaternions`; None where there are none.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         name: What a table calls it.
         source: What it was read from, as a user names it; "" if from nothing.
         stamped: False if the file had no stamps; then they count the rows, one second apart.
+        numbered: Whether the file gave the `frames`; else they count its rows.
         dropped: Number of rows that were dropped, by reason.
         notes: What the reader recognised or repaired, one sentence each, for the user.
         damage: What of its source could not be read, one sentence each: the user must know.
+        conflicts: How its states contradict each other, one sentence each: the user must know.
 
     Example:
         >>> import numpy as np
@@ -75,14 +83,18 @@ class Trajectory:
     gyroscope_biases: NDArray[np.float64] | None = None
     accelerometer_biases: NDArray[np.float64] | None = None
     covariances: NDArray[np.float64] | None = None
+    frames: NDArray[np.int64] | None = None
+    matrices: NDArray[np.float64] | None = None
     frame: str = ""
     child_frame: str = ""
     name: str = ""
     source: str = ""
     stamped: bool = True
+    numbered: bool = False
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+    conflicts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the columns, so that a wrong one fails where it was made.
@@ -238,6 +250,7 @@ class Trajectory:
             return self
         order = np.argsort(self.stamps, kind="stable")
         first = np.concatenate([[True], np.diff(self.stamps[order]) > 0])
+        conflicts = conflicts_of(self.stamps[order], self.positions[order])
         duplicates = int(np.count_nonzero(~first))
         backwards = int(np.count_nonzero(steps < 0))
         notes = list(self.notes)
@@ -251,7 +264,20 @@ class Trajectory:
             ordered,
             notes=tuple(notes),
             dropped=add_counts(self.dropped, {"duplicate_stamp": duplicates}),
+            conflicts=(*self.conflicts, *self._said(conflicts, duplicates)),
         )
+
+    def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
+        """Say which repeated stamps contradict each other, if any do."""
+        if not conflicts.number:
+            return []
+        return [
+            f"{self.name or 'the trajectory'} has {conflicts.number} repeated "
+            f"stamp{'' if conflicts.number == 1 else 's'} (of {duplicates}) with positions that "
+            "are further apart than the motion there explains, by up to "
+            f"{conflicts.largest_m:.3g} m; the first pose of each stamp was used, which may be "
+            "the wrong one: remove the rows that are wrong"
+        ]
 
     def require_usable(self) -> None:
         """Check that there is a state, and that all are finite.

@@ -77,6 +77,7 @@ class Degradation:
             gyroscope_biases=None,
             accelerometer_biases=None,
             covariances=None,
+            matrices=None,
         )
 
     def _lost(self, times: Array, end: float, random: np.random.Generator) -> NDArray[np.bool_]:

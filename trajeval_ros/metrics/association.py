@@ -3,7 +3,7 @@
 `linear` interpolates the groundtruth at the estimate's stamps, never across a gap and never
 beyond its ends. `continuous` asks a model of the groundtruth's motion, also in gaps. `nearest`
 pairs one to one, closest first. The other methods reproduce a tool or a benchmark: `rpg` and
-`evo` by name, and `index` pairs row by row.
+`evo` by name, and `index` pairs by the number of the frame, or row by row.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError, require_one_of
+from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
 from trajeval_ros.metrics.coverage import coverage_of, time_without_gaps
+from trajeval_ros.metrics.evo_association import match
+from trajeval_ros.metrics.frame_association import match_rows
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 
 if TYPE_CHECKING:
@@ -109,7 +111,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
 
     Raises:
         NoMatchError: Nothing pairs; says both time ranges and the likely cause.
-        InputError: Pairing by row, but the numbers of rows differ.
+        InputError: Pairing by frame or row, but see `match_rows`.
     """
     groundtruth.require_usable()
     estimate.require_usable()
@@ -119,8 +121,8 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     by_row = rule.method == "index" or not (groundtruth.stamped and estimate.stamped)
     if by_row:
         rule = dataclasses.replace(rule, method="index")
-        truth, rows, dropped = _by_index(groundtruth, estimate)
-        truth_rows = rows
+        truth_rows, rows, dropped = match_rows(groundtruth, estimate)
+        truth = groundtruth[truth_rows]
     elif rule.method == "linear":
         truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
     elif rule.method == "continuous":
@@ -167,6 +169,8 @@ def _modelled(
         gyroscope_biases=None,
         accelerometer_biases=None,
         covariances=None,
+        frames=None,
+        matrices=None,
     )
     return truth, rows, _outside(groundtruth.stamps, estimate.stamps)
 
@@ -199,6 +203,8 @@ def _interpolated(
         gyroscope_biases=mix(groundtruth.gyroscope_biases, start, end, fraction),
         accelerometer_biases=mix(groundtruth.accelerometer_biases, start, end, fraction),
         covariances=None,
+        frames=None,
+        matrices=None,
     )
     return truth, rows, bracket.dropped()
 
@@ -326,16 +332,9 @@ def _evo(
     """
     driven_by_truth = len(groundtruth) < len(estimate)
     short, long = (groundtruth, estimate) if driven_by_truth else (estimate, groundtruth)
-    short_s, long_s = _float_seconds(short.stamps), _float_seconds(long.stamps)
-    order = np.argsort(long_s, kind="stable")
-    times = long_s[order]
-    after = np.clip(np.searchsorted(times, short_s), 1, max(len(times) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(times) - 1)
-    closer_after = np.abs(times[after] - short_s) < np.abs(times[before] - short_s)
-    nearest = np.where(closer_after, after, before)
-    close = np.abs(times[nearest] - short_s) <= rule.max_time_difference_s
-    short_rows, long_rows = np.flatnonzero(close), order[nearest[close]]
+    short_rows, long_rows = match(
+        _float_seconds(short.stamps), _float_seconds(long.stamps), rule.max_time_difference_s
+    )
     return (short_rows, long_rows) if driven_by_truth else (long_rows, short_rows)
 
 
@@ -349,19 +348,6 @@ def _float_seconds(stamps: Indices) -> NDArray[np.float64]:
     """
     seconds: NDArray[np.float64] = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
     return seconds
-
-
-def _by_index(
-    groundtruth: Trajectory, estimate: Trajectory
-) -> tuple[Trajectory, Indices, dict[str, int]]:
-    if len(groundtruth) != len(estimate):
-        raise InputError(
-            f"{groundtruth.name or 'the groundtruth'} has {len(groundtruth)} poses and "
-            f"{estimate.name or 'the estimate'} {len(estimate)}, and without stamps in both they "
-            "can only be paired row by row; give files of equal length, or with stamps (for "
-            "KITTI files: a times file beside each)"
-        )
-    return groundtruth, np.arange(len(estimate)), {}
 
 
 def _distinct(rows: Indices, count: int) -> int:

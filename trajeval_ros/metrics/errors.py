@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.matrix_errors import by_matrices
 from trajeval_ros.metrics.span_alignment import align_spans
 
 Array = NDArray[np.float64]
@@ -141,7 +142,8 @@ def relative_errors(
             `tutorial`: aligned by the gauge, eq. (26) to the letter. `euler`: as `se3`, with
             yaw and tilt as Euler angles of the error in the estimate's own world, as
             rpg_trajectory_evaluation has them. `fitted`: aligned by yaw and position over all
-            its states, eq. (18), plain difference at the end.
+            its states, eq. (18), plain difference at the end. `matrices`: as `se3`, with the
+            matrices as KITTI's files have them, which the devkit doesn't make rotations.
 
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
@@ -159,7 +161,10 @@ def relative_errors(
         angle, yaw, tilt = _rotation_errors(between)
         if form == "euler":
             yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
-        errors = (lengths(difference), angle, yaw, tilt)
+        position = lengths(difference)
+        if form == "matrices":
+            position, angle = by_matrices(groundtruth, estimate, s, e, scale)
+        errors = (position, angle, yaw, tilt)
         if groundtruth.velocities is None or estimate.velocities is None:
             return errors
         velocity = scale * lie.rotate(first, estimate.velocities[e])

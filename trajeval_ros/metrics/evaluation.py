@@ -27,7 +27,7 @@ from trajeval_ros.metrics.errors import (
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.score import Score
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.sub_trajectories import Length, select
+from trajeval_ros.metrics.sub_trajectories import Length, select, select_frames
 from trajeval_ros.metrics.weighted_alignment import align_weighted
 
 if TYPE_CHECKING:
@@ -335,6 +335,15 @@ def _relative(
         return None
     truth = pairs.groundtruth
     distance, time = travelled_distance(truth.positions), truth.seconds
+    # The devkit measures the path through all frames, those without an estimate included.
+    by_frame = protocol.selection.rule == "first-past" and pairs.rule.method == "index"
+    paired = pairs.groundtruth_rows
+    if by_frame:
+        assert paired is not None
+        whole_m, whole_s = groundtruth.travelled, groundtruth.seconds
+        distance, time = whole_m[paired], whole_s[paired]
+        frames = groundtruth.frames
+        numbers = np.arange(len(groundtruth)) if frames is None else frames
     if any(length.unit == "s" for length in protocol.lengths) and (np.diff(time) < 0.0).any():
         raise InputError(
             "the pairs step back in time, so no sub-trajectory can be chosen by its duration; "
@@ -345,8 +354,13 @@ def _relative(
         value = length.value
         if length.unit == "%":
             value = _share_of_path(length.value, distance[-1], groundtruth, protocol)
-        along = time if length.unit == "s" else distance
-        starts, ends = select(along, value, protocol.selection)
+        if by_frame:
+            assert paired is not None
+            along = whole_s if length.unit == "s" else whole_m
+            starts, ends = select_frames(along, numbers, paired, value, protocol.selection)
+        else:
+            along = time if length.unit == "s" else distance
+            starts, ends = select(along, value, protocol.selection)
         errors = relative_errors(
             truth,
             pairs.estimate,
@@ -413,4 +427,5 @@ def _on_plane(trajectory: Trajectory) -> Trajectory:
         positions=trajectory.positions * flat,
         quaternions=None if quaternions is None else lie.normalized(lie.heading(quaternions)),
         velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
+        matrices=None,
     )

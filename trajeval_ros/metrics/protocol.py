@@ -14,7 +14,7 @@ from trajeval_ros.metrics.score import PointTable
 from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
 
 ATE_FORMS = ("plain", "tutorial")
-RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted")
+RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices")
 ALIGN_WEIGHTS = ("none", "covariance")
 
 
@@ -188,7 +188,7 @@ PROTOCOLS: dict[str, Protocol] = {
         gauge=Gauge.NONE,
         association="index",
         in_order=False,
-        re_form="se3",
+        re_form="matrices",
         lengths=metres(100, 200, 300, 400, 500, 600, 700, 800),
         selection=Selection("first-past", every=10),
     ),

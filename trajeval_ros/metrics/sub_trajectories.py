@@ -127,6 +127,30 @@ def select(along: Array, length: float, selection: Selection) -> tuple[Indices, 
     return starts[accepted], ends[accepted]
 
 
+def select_frames(
+    along: Array, frames: Indices, paired: Indices, length: float, selection: Selection
+) -> tuple[Indices, Indices]:
+    """Return the starts and ends (K,) that the KITTI devkit takes where frames may be missing.
+
+    Every n-th frame by its number is a start, and the end is the first groundtruth frame beyond
+    the length. Sub-trajectories whose start or end has no estimate are left out.
+
+    Args:
+        along: (M,) as for `select`, of all groundtruth frames.
+        frames: (M,) their numbers.
+        paired: (N,) index of those that are in a pair; starts and ends count these pairs.
+        length: In the unit of `along`.
+        selection: Of rule `first-past`.
+    """
+    starts = np.flatnonzero(frames % selection.every == 0)
+    ends = np.searchsorted(along, along[starts] + length, side="right")
+    starts, ends = starts[ends < len(along)], ends[ends < len(along)]
+    pair = np.full(len(along), -1)
+    pair[paired] = np.arange(len(paired))
+    both = (pair[starts] >= 0) & (pair[ends] >= 0)
+    return pair[starts[both]], pair[ends[both]]
+
+
 def nearest_ends(
     along: Array, starts: Indices, length: float | Array, rule: str = "nearest"
 ) -> tuple[Indices, NDArray[np.bool_]]:

@@ -46,12 +46,13 @@ METHODS = {
     "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
     "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
     "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
-    "index": "paired row by row",
+    "index": "paired by frame or row",
 }
 RE_FORMS = {
     "gauge": "first state aligned by the gauge, plain difference at the end",
     "se3": "relative poses, SE(3) at the first state",
     "tutorial": "eq. (26) to the letter",
+    "matrices": "relative poses, by the matrices as they are in the file",
     "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }

@@ -26,6 +26,7 @@ Advance = Callable[[int, int], None]
 # block, instead of giving each block's arrays back to the kernel, which costs as much as parsing.
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
+_FRAMES = 10**8  # a sequence has fewer
 _BLOCK = 1 << 19  # bytes that are parsed at once: their arrays stay in the processor's cache
 
 
@@ -44,7 +45,8 @@ def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
     columns = _read_columns(path, text, advance)
     groups = columns.groups
     positions, quaternions = _poses_of(groups)
-    stamps, stamped, timing = _stamps_of(path, layout, columns, len(positions))
+    frames = _frames_of(path, layout, columns, len(positions))
+    stamps, stamped, timing = _stamps_of(path, layout, columns, frames)
     if stamped:
         check_stamps(stamps, str(path))
     quaternions, judgement = judge_rotations(quaternions)
@@ -63,8 +65,11 @@ def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
         gyroscope_biases=groups.get("gyroscope_bias"),
         accelerometer_biases=groups.get("accelerometer_bias"),
         covariances=covariances,
+        frames=frames,
+        matrices=groups["matrix"].reshape(-1, 3, 4)[:, :, :3] if "matrix" in groups else None,
         name=path.stem,
         stamped=stamped,
+        numbered=layout.indexed,
         dropped={"not_finite": columns.untimed},
         notes=tuple(notes),
     )
@@ -225,11 +230,27 @@ def _lines_before(path: Path, offset: int) -> int:
         )
 
 
+def _frames_of(path: Path, layout: Layout, rows: _Columns, count: int) -> NDArray[np.int64] | None:
+    """Return the numbers (N,) of KITTI's frames; None where the rows have stamps."""
+    if rows.stamps is None:
+        return np.arange(count)
+    if not layout.indexed:
+        return None
+    wrong = rows.stamps.negative | (rows.stamps.billionths > 0) | (rows.stamps.whole >= _FRAMES)
+    if wrong.any():
+        raise InputError(
+            f"{path}: row {int(np.argmax(wrong)) + 1} has no number of a frame in its first "
+            "column, as the first rows have; correct or remove the row"
+        )
+    return rows.stamps.whole.astype(np.int64)
+
+
 def _stamps_of(
-    path: Path, layout: Layout, rows: _Columns, count: int
+    path: Path, layout: Layout, rows: _Columns, frames: NDArray[np.int64] | None
 ) -> tuple[NDArray[np.int64], bool, list[str]]:
     """Return the stamps (N,), whether they are times, and what to tell about them."""
-    if rows.stamps is not None and not layout.indexed:
+    if frames is None:
+        assert rows.stamps is not None
         if not len(rows.stamps.whole):
             return np.zeros(0, dtype=np.int64), True, []
         try:
@@ -237,9 +258,7 @@ def _stamps_of(
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         return stamps, True, ["stamps are in nanoseconds"] if in_nanoseconds else []
-    frames = np.arange(count)
-    if rows.stamps is not None:
-        frames = rows.stamps.whole.astype(np.int64)
+    count = len(frames)
     notes = []
     for times_path in (path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt")):
         if not times_path.is_file():
