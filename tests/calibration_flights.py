@@ -63,7 +63,8 @@ def fly(
     Args:
         seed: Of everything.
         duration_s: Of the estimate; the groundtruth is 3 s longer at both ends.
-        kind: `drone`, `car` (planar), `straight`, `translating` or `static`.
+        kind: `drone`, `car` (planar), `road` (planar, heading along its path, with a slight
+            tilt), `straight`, `translating` or `static`.
         fault: What the marker's clock and body differ by.
         drift: In units of a VIO's: 0.1 deg/sqrt(s) of yaw, 8 mm/sqrt(s), 1 % of scale.
         scale: The estimate's unit, metres.
@@ -126,7 +127,7 @@ class _Motion:
         if self._kind == "straight":
             return np.outer(times, [10.0, 0.0, 0.0])
         moved = _waves(times, self._frequencies, self._phases, self._sizes)
-        if self._kind == "car":
+        if self._kind in ("car", "road"):
             moved = _waves(times, self._frequencies / 5.0, self._phases, 12.0 * self._sizes)
             moved[:, 2] = 0.0
         return moved
@@ -137,6 +138,10 @@ class _Motion:
         angles = _waves(times, self._rates, self._starts, self._angles)
         if self._kind == "car":
             angles[:, 1:] = 0.0
+        if self._kind == "road":
+            velocity = np.gradient(self.positions(times), times, axis=0)
+            angles[:, 0] = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+            angles[:, 1:] *= 0.05
         return Rotation.from_euler("ZYX", angles)
 
 

@@ -21,6 +21,7 @@ from trajeval_ros.calibration.increments import (
 from trajeval_ros.calibration.observability import observability
 from trajeval_ros.calibration.pose_interpolator import nanoseconds
 from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.calibration.row_gains import supported_by_both
 from trajeval_ros.calibration.significance import (
     CHANCE,
     CHANCE_OF_SKEW,
@@ -219,13 +220,16 @@ def _judged(
             whole=name == "turn",
         )
 
+    turn = unobservable(_NO_TURN)
+    if increments.has_turns:
+        turn = supported_by_both(verdict("turn", "rad"), increments, solution, systematic.turn_rad)
     offset = verdict("offset", "s")
     if not guess.is_usable:
         offset = unobservable(guess.problem, offset.reliability)
     return Calibration(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,
-        turn=verdict("turn", "rad") if increments.has_turns else unobservable(_NO_TURN),
+        turn=turn,
         lever=unobservable(_NO_LEVER) if increments.turned is None else verdict("lever", "m"),
         scale=fitted.unknowns.scale,
         guess=guess,

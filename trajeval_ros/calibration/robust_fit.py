@@ -145,11 +145,32 @@ def _weights(residual: Array, kinds: tuple[slice, ...]) -> Array:
     for kind in kinds:
         if kind.start >= residual.shape[1]:
             continue
-        length = np.linalg.norm(residual[:, kind], axis=1)
-        spread = max(float(np.median(length)) / _MEDIAN_OF_CHI3, _SMALLEST_SPREADS[kind.start])
+        length, spread = _lengths(residual, kind)
         share = np.minimum(1.0, _HUBER * spread / np.maximum(length, 1e-12))
         weights[:, kind.start // 3] = share / spread**2
     return weights
+
+
+def huber_cost(residual: Array, reference: Array, kind: slice) -> float:
+    """Return the mean Huber cost of one kind of rows, not below that of the finest spread.
+
+    Args:
+        residual: (N, 3 or 6).
+        reference: (M, 3 or 6), the residuals that the spread is taken from.
+        kind: Which rows.
+    """
+    spread = _lengths(reference, kind)[1]
+    length = np.linalg.norm(residual[:, kind], axis=1)
+    bound = _HUBER * spread
+    cost = np.where(length < bound, length**2 / 2.0, bound * (length - bound / 2.0))
+    return max(float(cost.mean()), _SMALLEST_SPREADS[kind.start] ** 2)
+
+
+def _lengths(residual: Array, kind: slice) -> tuple[Array, float]:
+    """Return the lengths (N,) of one kind of rows, and their robust spread."""
+    length = np.linalg.norm(residual[:, kind], axis=1)
+    spread = max(float(np.median(length)) / _MEDIAN_OF_CHI3, _SMALLEST_SPREADS[kind.start])
+    return length, spread
 
 
 def _inverse(hessian: Array) -> Array:

@@ -94,7 +94,7 @@ def judge(
         chance: The largest probability of chance that is taken for significance.
         whole: Whether it means nothing unless all directions are observable.
     """
-    from scipy.special import fdtrc, stdtrit
+    from scipy.special import stdtrit
 
     quantile = float(stdtrit(blocks - 1, 0.975))
     axes = found.directions[found.seen]
@@ -108,8 +108,7 @@ def judge(
     # Directions that can't be seen stay zero and play no part in the test.
     shown = axes @ covariance @ axes.T
     within = shown + systematic**2 * np.eye(len(axes))
-    statistic = float(axes @ value @ np.linalg.solve(within, axes @ value)) / len(axes)
-    by_chance = float(fdtrc(len(axes), blocks - 1, statistic))
+    by_chance = chance_of(axes @ value, within, blocks)
     sigma = np.sqrt(np.maximum(np.diag(axes.T @ within @ axes), 0.0))
     # What a hidden direction adds to a component could be anything.
     sigma[np.linalg.norm(axes, axis=0) <= _NAMED_AXIS] = np.nan
@@ -132,6 +131,20 @@ def judge(
     if hidden:
         reason += f"; nothing shows it along {hidden}, where it is taken as 0"
     return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)
+
+
+def chance_of(value: Array, covariance: Array, blocks: int) -> float:
+    """Return how often a value as far from zero would be seen if there were nothing (Wald's F).
+
+    Args:
+        value: (k,).
+        covariance: (k, k).
+        blocks: Number of blocks that the covariance is from.
+    """
+    from scipy.special import fdtrc
+
+    statistic = float(value @ np.linalg.solve(covariance, value)) / len(value)
+    return float(fdtrc(len(value), blocks - 1, statistic))
 
 
 def _axis(direction: Array) -> str:

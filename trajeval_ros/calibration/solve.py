@@ -35,10 +35,18 @@ _NO_BODY = (
 
 @dataclass(frozen=True, eq=False)
 class CalibrationFit:
-    """A fit, what its directions are worth, and what was left out to have standard deviations."""
+    """A fit, what its directions are worth, and what was left out to have standard deviations.
+
+    Attributes:
+        fit: The fit.
+        found: The directions of each parameter, fitted or not.
+        free: Of each fitted parameter, the directions that were free, as rows.
+        left_out: A sentence; empty if nothing was.
+    """
 
     fit: Fit
     found: dict[str, Directions]
+    free: dict[str, Array]
     left_out: str
 
 
@@ -81,7 +89,7 @@ def _settle(
         if fitted is None:
             return solution
         found = observability(increments, fitted)
-        solution = CalibrationFit(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
         worse = {
             name: each
             for name, each in found.items()
@@ -90,7 +98,7 @@ def _settle(
         if not worse:
             return solution
         hidden |= worse
-        solution = CalibrationFit(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
         free = {
             name: worse[name].directions[worse[name].seen] if name in worse else axes
             for name, axes in free.items()
