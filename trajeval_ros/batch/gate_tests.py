@@ -34,7 +34,7 @@ ENOUGH = 1.15  # least rejections that single numbers must have by their level
 _FLOOR = 0.3  # of the typical spread, that few trials of one number may have
 _TIE = 1e-9  # relative: sums in another order are equal
 
-Way = Literal["relabelling", "student", "none"]
+Way = Literal["relabelling", "student", "known", "none"]
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,20 @@ def levels_of(sizes: Sequence[Size], total: float = FALSE_ALARMS) -> Levels:
     return Levels(total, total - share, share, "relabelling", way)
 
 
+def levels_when_known(numbers: int, total: float) -> Levels:
+    """Share the chance of a false alarm where the spread of trials is known."""
+    if numbers == 1:
+        return Levels(total, total, 0.0, "known", "none")
+    share = _BY_RELABELLING * total
+    return Levels(total, total - share, share, "known", "known")
+
+
 def _is_one_trial(sizes: Sequence[Size]) -> bool:
     return len(sizes) == 1 and min(sizes[0]) < 2
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GateOutcome:
     """What a test says.
 
     Attributes:
@@ -116,7 +124,7 @@ def compare(
     total: float = FALSE_ALARMS,
     count: int = RELABELLINGS,
     random: np.random.Generator | None = None,
-) -> Outcome:
+) -> GateOutcome:
     """Test whether new trials are worse than old ones.
 
     Args:
@@ -134,7 +142,7 @@ def compare(
         p = np.ones(shape[0])
         if levels.pooled_by == "student":
             p = student(numbers, sizes, direction)
-        return Outcome(levels, p, np.ones(shape))
+        return GateOutcome(levels, p, np.ones(shape))
     scores = scores_of(numbers)
     count = max(balanced_count(count, size) for size in sizes)
     single = levels.numbers_by == "relabelling"
@@ -159,7 +167,7 @@ def compare(
             p_numbers[:, place] = share_at_least(largest, observed[:, place])
     elif levels.numbers_by == "student":
         p_numbers = _student_of_each(numbers, sizes, direction)
-    return Outcome(levels, p_pooled, p_numbers)
+    return GateOutcome(levels, p_pooled, p_numbers)
 
 
 def weight_of(size: Size) -> float:

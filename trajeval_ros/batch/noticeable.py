@@ -10,6 +10,7 @@ from scipy.special import stdtrit
 
 from trajeval_ros.batch.gate_tests import ENOUGH, FALSE_ALARMS, levels_of
 from trajeval_ros.batch.relabelling import (
+    LEAST_SPREAD,
     PRIOR,
     Array,
     Size,
@@ -24,7 +25,7 @@ _EFFICIENCY, _EFFICIENCY_OF_FEW = 0.85, 0.70  # of clipped scores, by simulation
 
 
 def noticeable(
-    numbers: Sequence[Array],
+    spreads: Array,
     sizes: Sequence[Size],
     margin: float,
     total: float = FALSE_ALARMS,
@@ -32,49 +33,47 @@ def noticeable(
     """Return the common worsening that is noticed, as a logarithm: (comparisons,).
 
     Args:
-        numbers: Logarithms, (comparisons, old + new).
+        spreads: Those of `spreads_within`.
         sizes: Old and new trials.
         margin: Logarithm of what may change.
         total: Chance of a false alarm.
     """
     levels = levels_of(sizes, total)
-    runs = len(numbers[0])
+    runs = len(spreads)
     if levels.pooled_by == "none":
         return np.full(runs, np.inf)
-    scales = _spreads_within(numbers, sizes)
     inverse = np.array([1.0 / old + 1.0 / new for old, new in sizes])
     degrees = sum(sum(size) - 2 for size in sizes) or len(sizes) - 1
     if levels.pooled_by == "student":
-        error = np.sqrt((scales**2 * inverse).sum(1)) / len(sizes)
+        error = np.sqrt((spreads**2 * inverse).sum(1)) / len(sizes)
     else:
         few = np.mean([sum(size) for size in sizes]) < _FEW
         efficiency = _EFFICIENCY_OF_FEW if few else _EFFICIENCY
-        error = 1.0 / np.sqrt(efficiency * (1.0 / (inverse * scales**2)).sum(1))
+        error = 1.0 / np.sqrt(efficiency * (1.0 / (inverse * spreads**2)).sum(1))
     made: Array = margin + _reach(degrees, levels.pooled) * error
     return made
 
 
 def noticeable_alone(
-    numbers: Sequence[Array],
+    spreads: Array,
     sizes: Sequence[Size],
     margin: float,
     total: float = FALSE_ALARMS,
 ) -> Array:
     """Return the same of each number alone, (comparisons, numbers); inf where it isn't judged."""
     if len(sizes) == 1:
-        return noticeable(numbers, sizes, margin, total)[:, None]
+        return noticeable(spreads, sizes, margin, total)[:, None]
     levels = levels_of(sizes, total)
-    made = np.full((len(numbers[0]), len(sizes)), np.inf)
+    made = np.full((len(spreads), len(sizes)), np.inf)
     if not levels.numbers:
         return made
-    scales = _spreads_within(numbers, sizes)
     by_student = levels.numbers_by == "student"
     for place, (old, new) in enumerate(sizes):
         enough = by_student or math.comb(old + new, new) * levels.numbers >= ENOUGH
         if min(old, new) > 1 and enough:
             degrees = 2.0 * min(old, new) - 2.0 if by_student else old + new - 2.0 + PRIOR
             reach = _reach(degrees, levels.numbers / len(sizes))
-            made[:, place] = margin + reach * scales[:, place] * math.sqrt(1.0 / old + 1.0 / new)
+            made[:, place] = margin + reach * spreads[:, place] * math.sqrt(1.0 / old + 1.0 / new)
     return made
 
 
@@ -82,7 +81,7 @@ def _reach(degrees: float, level: float) -> float:
     return float(-stdtrit(degrees, level) - stdtrit(degrees, 1.0 - POWER))
 
 
-def _spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
+def spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
     """Return spreads about each side's own median, shrunk to the typical one.
 
     Those of the scores are of both sides together, where a true change would add to them.
@@ -93,7 +92,7 @@ def _spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
         weights = np.array([side.shape[1] - 1.0 for side in sides])
         spreads = np.stack([centre_and_spread(side)[1] for side in sides], axis=1)
         raw.append(np.sqrt((weights * spreads**2).sum(1) / weights.sum()))
-    stacked = np.stack(raw, axis=1)
+    stacked: Array = np.maximum(np.stack(raw, axis=1), LEAST_SPREAD)
     if len(sizes) == 1:
         return stacked
     typical = median_of_finite(stacked)[:, None]

@@ -23,7 +23,7 @@ Size = tuple[int, int]
 PRIOR = 4.0  # degrees of freedom that the typical spread of all numbers is worth
 CLIP = 1.5  # spreads beyond which a trial counts no more; a failed trial has this score
 _NORMAL = 1.2533  # standard deviation by mean absolute deviation, of a normal distribution
-_LEAST_SPREAD = 1e-12
+LEAST_SPREAD = 1e-12
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def scores_of(numbers: Sequence[Array]) -> Scores:
     parts = [centre_and_spread(z) for z in numbers]
     raw = np.stack([spread for _, spread in parts], axis=1)
     typical = median_of_finite(np.where(raw > 0.0, raw, np.inf))
-    typical = np.where(np.isfinite(typical), typical, _LEAST_SPREAD)
+    typical = np.where(np.isfinite(typical), typical, LEAST_SPREAD)
     weights = np.array([z.shape[1] - 1.0 for z in numbers])
     scales = shrunk(raw, typical[:, None], weights)
     psi = [
