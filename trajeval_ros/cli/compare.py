@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from trajeval_ros.cli import options
+from trajeval_ros.cli import gating, options
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
@@ -19,14 +19,9 @@ from trajeval_ros.io.writing import write_text
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.executors import Pool
-    from trajeval_ros.batch.gates import Gate, GateValues
-    from trajeval_ros.batch.plan import Plan
     from trajeval_ros.batch.summary_tables import ComparisonSummary
 
-    Baseline = tuple[list[Gate], GateValues]
-
-WORK, GATES = "Work", "Gates"
-GATES_FILE = "gates.md"
+WORK = "Work"
 
 
 def compare(
@@ -86,23 +81,10 @@ def compare(
             rich_help_panel=WORK,
         ),
     ] = None,
-    baseline: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OLD.parquet",
-            help="The runs.parquet of another comparison, by the same settings.",
-            rich_help_panel=GATES,
-        ),
-    ] = None,
-    fail_if: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GATE",
-            help="Exit with status 1 if a number is worse than in the baseline; repeatable. Such "
-            "as 'ate.position_m.rmse worse than 5 % + 2 MAD'.",
-            rich_help_panel=GATES,
-        ),
-    ] = None,
+    baseline: gating.BaselineOption = None,
+    fail_if: gating.FailIfOption = None,
+    undecided: gating.UndecidedOption = "pass",
+    false_alarms: gating.FalseAlarmsOption = 2.5,
     output: Annotated[
         Path,
         typer.Option(
@@ -131,7 +113,7 @@ def compare(
     Today against yesterday; the Markdown in gates.md is for the pull request:
 
         trajeval compare euroc.yaml --baseline main.parquet
-        --fail-if 'ate.position_m.rmse worse than 5 % + 2 MAD'
+        --fail-if 'ate.position_m.rmse worse than 5 %'
     """
     from trajeval_ros.batch.compare_runs import write_tables
     from trajeval_ros.batch.comparison import RUNS, run_plan
@@ -158,7 +140,7 @@ def compare(
     }
     plan = plan_of(target, said, common_time_span=common_time_span)
     # Read before anything is written: it may be the table of the same folder.
-    before = _read_baseline(baseline, fail_if or [], plan)
+    gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan)
     with _progress_bar() as tell:
         progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
     summary = summary_of(output)
@@ -170,45 +152,8 @@ def compare(
     if not quiet:
         with may_break():
             _print(summary, progress, output)
-    if before is not None:
-        _judge(before, output, summary.title, quiet=quiet)
-
-
-def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
-    """Return gates and what they compare with; refuses what can't be compared before the work."""
-    from trajeval_ros.batch.gates import Gate, GateValues, require_same_settings
-    from trajeval_ros.batch.results_table import ResultsTable, settings_of
-
-    if (path is None) != (not texts):
-        raise SettingsError(
-            "--baseline says what to compare with and --fail-if what is worse; give both"
-        )
-    if path is None:
-        return None
-    gates = [Gate.parse(text) for text in texts]
-    values = GateValues(ResultsTable(path))
-    require_same_settings(values, settings_of(plan), gates)
-    for gate in gates:
-        values.find(gate.path)
-    return gates, values
-
-
-def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
-    """Write and print what became better and worse; exit with status 1 if something is worse."""
-    from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.gates import GateValues, judge, remarks_on, to_markdown
-    from trajeval_ros.batch.results_table import ResultsTable
-
-    gates, values = before
-    now = GateValues(ResultsTable(folder / RUNS))
-    verdicts = judge(gates, values, now)
-    text = to_markdown(verdicts, title, remarks_on(values, now))
-    write_text(folder / GATES_FILE, text)
-    if not quiet:
-        with may_break():
-            print(f"\n{text}", end="")
-    if any(verdict.fails for verdict in verdicts):
-        raise typer.Exit(1)
+    if gates is not None:
+        gating.judge(gates, output, summary.title, quiet=quiet)
 
 
 def _is_newer(path: Path, other: Path) -> bool:
