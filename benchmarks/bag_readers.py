@@ -1,6 +1,7 @@
-"""Reads both pose topics of a bag by one of several ways and prints what that cost as JSON.
+"""Reads topics of a bag by one of several ways and prints what that cost as JSON.
 
-Usage: python -m benchmarks.bag_readers READER FILE. The clock starts after imports.
+Usage: python -m benchmarks.bag_readers READER FILE reads two topics of poses, with a number as
+READER so many sources of a flight, by us. The clock starts after imports.
 """
 
 from __future__ import annotations
@@ -10,35 +11,38 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 TOPICS = ("/odom", "/pose")
+FLIGHT_SOURCES = ("/pose", "/odom", "/tf:map.base", "/path")
 _IMPORTED_WHEN_USED = (
     "concurrent.futures.thread",
     "lz4.frame",
     "mcap.records",
     "rosbags.typesys",
     "sqlite3",
-    "trajeval_ros.io.mcap_index",
-    "trajeval_ros.io.sqlite_bag",
+    "trajeval_ros.io.bags.mcap_index",
+    "trajeval_ros.io.bags.sqlite_bag",
+    "trajeval_ros.io.bags.topics",
     "zstandard",
 )
 
 
 def ours(path: Path) -> tuple[int, float]:
     """Read by column."""
+    return read_sources([f"{path}:{topic}" for topic in TOPICS])
+
+
+def read_sources(sources: Sequence[str]) -> tuple[int, float]:
+    """Read several sources of a bag."""
     for name in _IMPORTED_WHEN_USED:
         importlib.import_module(name)
-    from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.topics import read_columns, trajectory_of
+    from trajeval_ros.io.sources import read_many
 
     def read() -> tuple[int, float]:
-        with Bag(path) as bag:
-            topics = [bag.find(name)[0] for name in TOPICS]
-            columns = read_columns(bag, topics, covariances=False)[::-1]
-            trajectories = [trajectory_of(bag, topic, columns.pop()) for topic in topics]
+        trajectories = read_many(sources, covariances=False)
         assert not any(each.damage for each in trajectories)
         count = sum(len(each) for each in trajectories)
         total = sum(float(each.positions[:, 0].sum()) for each in trajectories)
@@ -111,4 +115,8 @@ OURS = "trajeval_ros"
 READERS = {OURS: ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mcap_ros2}
 
 if __name__ == "__main__":
-    READERS[sys.argv[1]](Path(sys.argv[2]))
+    reader, file = sys.argv[1:]
+    if reader.isdigit():
+        read_sources([f"{file}:{each}" for each in FLIGHT_SOURCES[: int(reader)]])
+    else:
+        READERS[reader](Path(file))

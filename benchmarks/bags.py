@@ -1,7 +1,8 @@
 """Compares ways of reading poses out of bags, each in a process of its own.
 
 Every round runs each reader once, one after the other. Medians and their ratios go to the
-terminal, and to bags.json beside the generated bags, which take 5.5 GB at scale 1.
+terminal, and to bags.json beside the generated bags, which take 7 GB at scale 1. A second table
+says what 1, 2 and 4 sources of one bag cost.
 
 Usage: make bench BENCH="--only bags --scale 0.1 --runs 3"
 """
@@ -13,6 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
@@ -24,21 +26,29 @@ from benchmarks.bag_readers import OURS, READERS
 from benchmarks.process import environment, run
 
 HERE = Path(__file__).parent
+SUFFIXES = (".mcap", ".db3", ".bag")
+SOURCES = ("1", "2", "4")
 Figures = dict[str, float]
 
 
-def measure(path: Path, runs: int) -> dict[str, Figures]:
+def compare_readers(path: Path, runs: int) -> dict[str, Figures]:
     """Return the medians of each reader's figures; all must have read the same."""
     names = [name for name in READERS if path.suffix == ".mcap" or not name.startswith("mcap")]
+    figures = measure(path, names, runs)
+    sums = [each["sum_x"] for each in figures.values()]
+    if max(sums) - min(sums) > 1e-6:
+        raise SystemExit(f"{path.name}: the readers disagree")
+    return figures
+
+
+def measure(path: Path, names: Sequence[str], runs: int) -> dict[str, Figures]:
+    """Return the medians of each reader's figures."""
     figures: dict[str, list[Figures]] = {name: [] for name in names}
     with tempfile.TemporaryDirectory() as home:
         for _ in range(runs):
             for name in names:
                 command = [sys.executable, "-m", "benchmarks.bag_readers", name, str(path)]
                 figures[name].append(json.loads(run(command, environment(Path(home))).output))
-    sums = [each["sum_x"] for several in figures.values() for each in several]
-    if max(sums) - min(sums) > 1e-6:
-        raise SystemExit(f"{path.name}: the readers disagree")
     return {
         name: {key: median(each[key] for each in several) for key in several[0]}
         for name, several in figures.items()
@@ -56,27 +66,38 @@ def main() -> None:
     subprocess.run(
         [sys.executable, "-m", "benchmarks.bag_files", str(folder), str(options.scale)], check=True
     )
-    table = Table("bag", "reader", box=box.SIMPLE_HEAD)
-    for heading in ("CPU s", "x", "read MB", "of file", "peak MB"):
-        table.add_column(heading, justify="right")
+    bags = [path for path in sorted(folder.glob("*.*")) if path.suffix in SUFFIXES]
     results = {}
-    for path in sorted(folder.glob("*.*")):
-        if path.suffix not in (".mcap", ".db3", ".bag"):
-            continue
-        results[path.name] = figures = measure(path, options.runs)
-        for name, each in figures.items():
-            ratio = each["cpu_s"] / figures[OURS]["cpu_s"]
-            table.add_row(
-                path.name,
-                name,
-                f"{each['cpu_s']:.2f}",
-                "" if name == OURS else f"{ratio:.1f}",
-                f"{each['read_mb']:.0f}",
-                f"{1e8 * each['read_mb'] / path.stat().st_size:.1f} %",
-                f"{each['peak_mb']:.0f}",
-            )
-    Console(width=100).print(table)
+    readers = Table("bag", "reader", box=box.SIMPLE_HEAD)
+    sources = Table("bag", "sources", box=box.SIMPLE_HEAD)
+    for table in (readers, sources):
+        for heading in ("poses", "CPU s", "x", "read MB", "of file", "peak MB"):
+            table.add_column(heading, justify="right")
+    for path in bags:
+        if path.name.startswith("flight"):
+            results[path.name] = figures = measure(path, SOURCES, options.runs)
+            add_rows(sources, path, figures, SOURCES[0])
+        else:
+            results[path.name] = figures = compare_readers(path, options.runs)
+            add_rows(readers, path, figures, OURS)
+    Console(width=100).print(readers, sources)
     (folder / "bags.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+def add_rows(table: Table, path: Path, figures: dict[str, Figures], unit: str) -> None:
+    """Lay out what the readers of a bag cost, in multiples of what one of them does."""
+    for name, each in figures.items():
+        ratio = each["cpu_s"] / figures[unit]["cpu_s"]
+        table.add_row(
+            path.name,
+            name,
+            f"{each['poses']:.0f}",
+            f"{each['cpu_s']:.3f}",
+            "" if name == unit else f"{ratio:.2f}",
+            f"{each['read_mb']:.0f}",
+            f"{1e8 * each['read_mb'] / path.stat().st_size:.1f} %",
+            f"{each['peak_mb']:.0f}",
+        )
 
 
 if __name__ == "__main__":

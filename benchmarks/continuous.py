@@ -16,14 +16,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.tum_pairs import estimate_of, flight
-from trajeval_ros import se3
+from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import fit_trajectory
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
-from trajeval_ros.likelihood.relative import generalised_relative_error
+from trajeval_ros.likelihood.relative_density import generalised_relative_error
 from trajeval_ros.likelihood.residuals import Residuals
-from trajeval_ros.trajectory import Trajectory
 
 QUERIES = 20_000
 LIKELIHOOD = "likelihood"
@@ -39,7 +39,7 @@ def continuous_s(model: str, count: int) -> dict[str, float]:
     groundtruth = Trajectory(
         np.arange(count, dtype=np.int64) * STEP_NS,
         positions[::2] + random.normal(scale=noise.position_m, size=(count, 3)),
-        attitudes[::2] * turns,
+        (attitudes[::2] * turns).as_quat(),
     )
     asked = np.sort(random.integers(0, groundtruth.stamps[-1], QUERIES))
     start = time.process_time()

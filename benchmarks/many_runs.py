@@ -60,19 +60,19 @@ def write_runs(folder: Path, count: int, poses: int) -> Path:
 
 def measure(config: Path, out: Path, how: str) -> dict[str, float]:
     """Evaluate all runs in a bare loop, in this process, or on a pool; return what it cost."""
-    from trajeval_ros.batch.comparison import compare
+    from trajeval_ros.batch.comparison import run_plan
     from trajeval_ros.batch.config import plan_of
-    from trajeval_ros.batch.pools import Pool, local_pool
-    from trajeval_ros.batch.work import Task, work
+    from trajeval_ros.batch.executors import Pool, local_pool
+    from trajeval_ros.batch.worker import Task, work
 
     plan = plan_of(config, {})
     start, cpu = time.perf_counter(), time.process_time()
     if how == LOOP:
         for run in sorted(plan.runs, key=lambda run: run.sequence):
-            assert not isinstance(work(Task(run, plan.protocol, (run.groundtruth, ""))), str)
+            assert not isinstance(work(Task(run, plan.request, (run.groundtruth, ""))), str)
     else:
         here = Pool(ThreadPoolExecutor, 1)
-        progress = compare(plan, out, lambda: here if how == ALONE else local_pool(int(how[0])))
+        progress = run_plan(plan, out, lambda: here if how == ALONE else local_pool(int(how[0])))
         assert (progress.done, progress.failed) == (len(plan.runs), 0)
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {

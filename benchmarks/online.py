@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import Window
 
 Floats = NDArray[np.float64]

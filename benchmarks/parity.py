@@ -45,12 +45,6 @@ ALIGNMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "--align_origin": (("--gauge", "se3", "--align-states", "1"), POSITION),
 }
 COLUMNS = tuple((name, error) for name, (_, errors) in ALIGNMENTS.items() for error in errors)
-KNOWN = {  # defects of ours, which tests/parity.py expects too
-    "repeated_stamps_gt": "repeated stamps",
-    "repeated_stamps_both": "repeated stamps",
-    "repeated_stamps_long_est": "repeated stamps",
-    "half_period_unsorted": "two states that are equally near, in an unsorted file",
-}
 WITHHELD, BOTH_REFUSE, ONE_REFUSES = "withheld", "both refuse", "one refuses"
 NOT_COMPARED = {WITHHELD: "- ", BOTH_REFUSE: "refused ", ONE_REFUSES: "refused!"}
 
@@ -176,11 +170,11 @@ def compare_pair(
     return found
 
 
-def cell(pair: str, found: Difference | str) -> str:
+def cell(found: Difference | str) -> str:
     """Return the difference, with a mark where it is more than the tolerance."""
     if isinstance(found, str):
         return NOT_COMPARED[found.partition(":")[0]]
-    mark = " " if found.share <= 1.0 else "*" if pair in KNOWN else "!"
+    mark = " " if found.share <= 1.0 else "!"
     return f"{abs(found.ours - found.evos):.1e}{mark}"
 
 
@@ -194,24 +188,19 @@ def report(
         heading = f"{alignment.removeprefix('--align_') or 'none'}\n{UNITS[error]}"
         table.add_column(heading, justify="right", no_wrap=True, min_width=9)
     for pair, found in results.items():
-        table.add_row(pair, *(cell(pair, found[column]) for column in COLUMNS))
-    console.print(
-        "largest difference by pair and evo's alignment; ! too much, * known, - withheld"
-    )
+        table.add_row(pair, *(cell(found[column]) for column in COLUMNS))
+    console.print("largest difference by pair and evo's alignment; ! too much, - withheld")
     console.print(table)
     flat = [(pair, each) for pair, found in results.items() for each in found.values()]
-    judged = [(pair, each) for pair, each in flat if pair not in KNOWN]
-    differences = [each for _, each in judged if isinstance(each, Difference)]
+    differences = [each for _, each in flat if isinstance(each, Difference)]
     refusals = [
         f"{pair}: {each}"
-        for pair, each in judged
+        for pair, each in flat
         if isinstance(each, str) and each.startswith(ONE_REFUSES)
     ]
     withheld = sum(each == WITHHELD for _, each in flat)
     console.print(f"{len(differences)} sets of {len(STATISTICS)} statistics compared")
     console.print(f"{withheld} rotation errors withheld: positions don't determine the rotation")
-    for pair, why in KNOWN.items():
-        console.print(f"known to differ: {pair}, by {why}")
     console.print(f"worst: {max(differences, key=lambda each: each.share)}")
     wrong = [str(each) for each in differences if not each.share <= 1.0] + refusals
     for each in wrong:

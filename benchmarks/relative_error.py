@@ -13,11 +13,11 @@ from statistics import median
 import numpy as np
 
 from benchmarks.tum_pairs import RATE_HZ, estimate_of, flight
-from trajeval_ros.errors import relative_errors
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.statistics import statistics_of
-from trajeval_ros.sub_trajectories import Selection, select
-from trajeval_ros.trajectory import Trajectory, travelled_distance
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
+from trajeval_ros.metrics.errors import relative_errors
+from trajeval_ros.metrics.statistics import statistics_of
+from trajeval_ros.metrics.sub_trajectories import Selection, select
 
 LENGTHS_M = (8.0, 16.0, 24.0, 32.0, 40.0)
 SIZES = (100_000, 200_000)

@@ -4,7 +4,7 @@ Every round runs each command once, one after the other, so that what else the m
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
 Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
-(or evo, continuous, or bags, of which --scale 0.1 makes a tenth of 5.5 GB)
+(or evo, continuous, or bags, of which --scale 0.1 makes a tenth of 7 GB)
 """
 
 from __future__ import annotations

@@ -13,11 +13,11 @@ from statistics import median
 
 import numpy as np
 
-from trajeval_ros.visual_inertial.covariance import fixed_covariance, free_covariance
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 SIZES = ((10, 50), (10, 500), (30, 500), (100, 500))
 LONG_KEYFRAMES, LONG_LANDMARKS, LONG_TRACK, LONG_M = 1000, 10_000, 8, 500.0
@@ -37,12 +37,12 @@ def solves(keyframes: int, landmarks: int, runs: int) -> dict[str, float]:
     )
     problem = scene.measured(np.random.default_rng(1))
     start = scene.disturbed(np.random.default_rng(2))
-    solution = solve(problem, start, Handling.FREE)
+    solution = solve(problem, start, GaugeHandling.FREE)
     return {
         "observations": len(problem.pixels),
         "iterations": solution.iterations,
         "solve_ms": median(
-            milliseconds(lambda: solve(problem, start, Handling.FREE)) for _ in range(runs)
+            milliseconds(lambda: solve(problem, start, GaugeHandling.FREE)) for _ in range(runs)
         ),
         "fixed_covariance_ms": milliseconds(lambda: fixed_covariance(problem, solution.state)),
         "free_covariance_ms": milliseconds(lambda: free_covariance(problem, solution.state)),

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 EPOCH = 1_700_000_000_000_000_000
@@ -45,7 +45,7 @@ def marked(stamps: Array, poses: Trajectory, duration_s: float, fault: Fault) ->
     return Trajectory(
         stamps_of(clock),
         poses.positions + poses.rotations.apply(np.asarray(fault.lever_m)),
-        poses.rotations * turn,
+        (poses.rotations * turn).as_quat(),
     )
 
 
@@ -63,7 +63,8 @@ def fly(
     Args:
         seed: Of everything.
         duration_s: Of the estimate; the groundtruth is 3 s longer at both ends.
-        kind: `drone`, `car` (planar), `straight`, `translating` or `static`.
+        kind: `drone`, `car` (planar), `road` (planar, heading along its path, with a slight
+            tilt), `straight`, `translating` or `static`.
         fault: What the marker's clock and body differ by.
         drift: In units of a VIO's: 0.1 deg/sqrt(s) of yaw, 8 mm/sqrt(s), 1 % of scale.
         scale: The estimate's unit, metres.
@@ -92,17 +93,17 @@ def fly(
     estimate = Trajectory(
         stamps_of(times[seen]),
         (world.apply(drifted[seen] + noise) + random.normal(0.0, 5.0, 3)) / scale,
-        world * turned[seen] * motion.rotations(times[seen]) * jitter,
+        (world * turned[seen] * motion.rotations(times[seen]) * jitter).as_quat(),
     )
     wide = np.arange(-3.0, duration_s + 3.0, step_s)
     shaken = Rotation.from_rotvec(random.normal(0.0, np.radians(0.05), (len(wide), 3)))
-    body = Trajectory(stamps_of(wide), motion.positions(wide), motion.rotations(wide))
+    body = Trajectory(stamps_of(wide), motion.positions(wide), motion.rotations(wide).as_quat())
     truth = marked(wide, body, times[seen][-1], fault or Fault())
     assert truth.rotations is not None
     truth = dataclasses.replace(
         truth,
         positions=truth.positions + random.normal(0.0, 0.001, truth.positions.shape),
-        rotations=truth.rotations * shaken,
+        quaternions=(truth.rotations * shaken).as_quat(),
     )
     return truth, estimate
 
@@ -126,7 +127,7 @@ class _Motion:
         if self._kind == "straight":
             return np.outer(times, [10.0, 0.0, 0.0])
         moved = _waves(times, self._frequencies, self._phases, self._sizes)
-        if self._kind == "car":
+        if self._kind in ("car", "road"):
             moved = _waves(times, self._frequencies / 5.0, self._phases, 12.0 * self._sizes)
             moved[:, 2] = 0.0
         return moved
@@ -137,6 +138,10 @@ class _Motion:
         angles = _waves(times, self._rates, self._starts, self._angles)
         if self._kind == "car":
             angles[:, 1:] = 0.0
+        if self._kind == "road":
+            velocity = np.gradient(self.positions(times), times, axis=0)
+            angles[:, 0] = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+            angles[:, 1:] *= 0.05
         return Rotation.from_euler("ZYX", angles)
 
 

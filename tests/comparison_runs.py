@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.batch.plan import Run
-from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.executors import Pool
+from trajeval_ros.batch.plan import PlannedRun
 
 
 def write_run(path: Path, scale: float = 1.0, *, count: int = 300, seconds: float = 20.0) -> Path:
@@ -62,7 +62,7 @@ def here() -> Pool:
 
 
 @dataclass(frozen=True)
-class DeadlyRun(Run):
+class DeadlyRun(PlannedRun):
     """A run that kills whatever other process it is sent to."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:

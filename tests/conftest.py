@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.trajectory import Trajectory
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))  # for `from strategies import ...` under pytest's importlib mode

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.alignment import align, align_first
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align, align_first
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 from trajeval_ros.visual_inertial.state import State
@@ -30,7 +30,7 @@ class Aligned(NamedTuple):
 
     errors: np.ndarray
     covariance: np.ndarray
-    transformation: Transformation
+    transformation: STransformation
     similarity: Similarity
 
 
@@ -39,7 +39,7 @@ def trajectory_of(scene: Scene, state: State) -> Trajectory:
     return Trajectory(
         np.rint(scene.times_s * 1e9).astype(np.int64),
         state.positions,
-        Rotation.from_matrix(state.rotations),
+        Rotation.from_matrix(state.rotations).as_quat(),
         state.velocities,
     )
 
@@ -52,9 +52,9 @@ def alignment_of(
         return align_first(
             gauge,
             truth.positions[0],
-            truth.rotations[0],
+            truth.quaternions[0],
             estimate.positions[0],
-            estimate.rotations[0],
+            estimate.quaternions[0],
         ).similarity
     part = slice(states)
     return align(gauge, truth.positions[part], estimate.positions[part]).similarity
@@ -70,7 +70,7 @@ def aligned_run(
     """Align a run and bring its covariance (9N, 9N) along."""
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    transformation = Transformation.of_alignment(gauge, states, truth, moved, velocities=True)
+    transformation = STransformation.of_alignment(gauge, states, truth, moved, velocities=True)
     turned = carried(covariance, similarity, 9)
     return Aligned(
         errors_of(truth, moved, velocities=True),

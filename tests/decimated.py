@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
+from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
-from trajeval_ros.degradation import Degradation
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.likelihood.degradation import Degradation
 
 Array = NDArray[np.float64]
 LIMIT_95 = 12.591587243743977  # chi2.ppf(0.95, 6)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.alignment import align
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
 
 Array = NDArray[np.float64]
 START = 1_700_000_000_000_000_000
@@ -66,8 +66,10 @@ def fly(
     groundtruth = Trajectory(
         samples.stamps,
         samples.positions + random.normal(scale=noise.position_m, size=samples.positions.shape),
-        samples.rotations
-        * Rotation.from_rotvec(random.normal(scale=noise.rotation_rad, size=(len(slow), 3))),
+        (
+            samples.rotations
+            * Rotation.from_rotvec(random.normal(scale=noise.rotation_rad, size=(len(slow), 3)))
+        ).as_quat(),
     )
     times = np.arange(0.013, slow[-1], 1.0 / estimate_hz)
     truth = _motion(times, phases)
@@ -82,7 +84,7 @@ def _motion(times: Array, phases: Array) -> Trajectory:
     angles = 2.0 * np.pi * np.array(_EULER_HZ) * times[:, None, None] + phases[1, :, :3]
     euler = (np.array(_EULER_RAD) * np.sin(angles)).sum(axis=2)
     stamps = START + np.round(1e9 * times).astype(np.int64)
-    return Trajectory(stamps, positions, Rotation.from_euler("ZYX", euler[:, ::-1]))
+    return Trajectory(stamps, positions, Rotation.from_euler("ZYX", euler[:, ::-1]).as_quat())
 
 
 def _drifted(
@@ -98,5 +100,5 @@ def _drifted(
     return Trajectory(
         truth.stamps,
         truth.positions + errors[:, :3],
-        truth.rotations * Rotation.from_rotvec(errors[:, 3:]),
+        (truth.rotations * Rotation.from_rotvec(errors[:, 3:])).as_quat(),
     )

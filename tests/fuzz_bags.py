@@ -16,19 +16,25 @@ import atheris
 
 with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
-    from trajeval_ros.io.cdr import Plan
-    from trajeval_ros.io.definitions import STANDARD, ros1_fields
-    from trajeval_ros.io.foxglove import TYPES, FoxglovePlan
-    from trajeval_ros.io.mcap_index import McapReader
-    from trajeval_ros.io.messages import decode_path, decode_poses, decode_transforms, plan_of
+    from trajeval_ros.io.bags.cdr import CdrPlan
+    from trajeval_ros.io.bags.foxglove import TYPES, FoxglovePlan
+    from trajeval_ros.io.bags.mcap_index import McapReader
+    from trajeval_ros.io.bags.message_definitions import STANDARD, ros1_fields
+    from trajeval_ros.io.bags.pose_messages import (
+        decode_path,
+        decode_poses,
+        decode_transforms,
+        plan_of,
+    )
+    from trajeval_ros.io.bags.selection import TopicSelection, are_of
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
 POSE = "geometry_msgs/msg/PoseStamped"
 KINDS = sorted(STANDARD)
-PLANS = [Plan(STANDARD[kind]) for kind in KINDS]
-PLANS += [Plan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
+PLANS = [CdrPlan(STANDARD[kind]) for kind in KINDS]
+PLANS += [CdrPlan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
 POSES = plan_of(None, POSE)
 FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
 JSON = 254  # the first byte of messages in JSON
@@ -81,12 +87,21 @@ def read_file(data: bytes, *, strict: bool) -> None:
         reader = McapReader(Memory(data), strict=strict)
     except InputError:
         return
-    wanted = frozenset(connection.id for connection in reader.connections)
+    channels = [frozenset([connection.id]) for connection in reader.connections]
+    channels.append(frozenset().union(*channels))
     assert reader.span is None or len(reader.span) == 2
-    for block in reader.blocks(wanted):
+    together = [TopicSelection(each) for each in channels]
+    counts = dict.fromkeys(together, 0)
+    for selections, block in reader.blocks(together):
+        for each in selections:
+            counts[each] += int(are_of(block.connections, each.connections).sum())
         columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
         assert len(columns.rows) <= len(block)
         list(block.decompressed())
+    for selection, count in counts.items():
+        alone = TopicSelection(selection.connections)
+        assert sum(len(block) for _, block in reader.blocks([alone])) == count
+        assert (alone.damage, alone.notes) == (selection.damage, selection.notes)
 
 
 def seeds(folder: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
@@ -58,6 +58,6 @@ class Case:
         return Trajectory(
             np.arange(len(column["p"]), dtype=np.int64) * 10**9,
             column["p"],
-            Rotation.from_rotvec(column["rotvec"]),
+            Rotation.from_rotvec(column["rotvec"]).as_quat(),
             column["v"],
         )

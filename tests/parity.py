@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.evaluation import Evaluation, Segments, evaluate
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.protocol_file import read_protocol
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.settings import protocol_from
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors, evaluate
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.metrics.statistics import Statistics
 
 FOLDER = Path(__file__).resolve().parent / "data" / "parity"
 REFERENCES: dict[str, Any] = json.loads((FOLDER / "references.json").read_text(encoding="utf-8"))
@@ -40,16 +40,10 @@ RPG_METRICS = {
     "rel_gravity_stats": "tilt_deg",
 }
 # Where trajeval gives another number than the program, which is a defect of trajeval.
-COLUMNS = "protocol kitti pairs files with a frame's number in the first column row by row"
-REPEATED = "protocol evo takes another one of several groundtruth rows with the same stamp"
-TIES = "protocol evo sorts before it chooses between two states that are equally near"
-REPAIRED = "matrices are made rotations before they are used, and the programs don't do that"
-KNOWN_OF_EVO = {
-    "repeated_stamps_gt": REPEATED,
-    "repeated_stamps_both": REPEATED,
-    "repeated_stamps_long_est": REPEATED,
-    "half_period_unsorted": TIES,
-}
+REPAIRED = (
+    "matrices are made rotations for all but the relative errors of protocol kitti, and the tool "
+    "brings positions to the first frame by a matrix that is none"
+)
 
 
 @dataclass(frozen=True)
@@ -62,6 +56,7 @@ class Setting:
     max_time_difference: float | None = None
     time_offset: float | None = None
     lengths: str | None = None
+    re_form: str | None = None
     protocol_text: str | None = None
 
     def words(self, pair: str, folder: Path) -> list[str]:
@@ -99,7 +94,7 @@ class Setting:
             time_offset=self.time_offset,
             lengths=self.lengths,
             ate_form=None,
-            re_form=None,
+            re_form=self.re_form,
         )
         files = PAIRS[pair]
         return evaluate(read(files["groundtruth"]), read(files["estimate"]), protocol)
@@ -115,7 +110,7 @@ def evaluated(pair: str, setting: Setting) -> Evaluation:
     return setting.evaluate(pair)
 
 
-def of_length(evaluation: Evaluation, length_m: float) -> Segments:
+def of_length(evaluation: Evaluation, length_m: float) -> SubTrajectoryErrors:
     assert evaluation.segments is not None
     return next(each for each in evaluation.segments if each.length_m == length_m)
 
@@ -146,23 +141,23 @@ class Row:
         return f"{self.entry['call']}: {self.quantity}"
 
     @property
-    def known(self) -> str | None:
-        """Return why trajeval is known to give another number; None if it isn't."""
-        if self.tool == "kitti" and self.pair != "car_kitti":
-            return COLUMNS
-        if self.tool != "evo" or self.pair not in KNOWN_OF_EVO:
-            return None
-        assert self.setting is not None
-        aligned = self.setting.gauge != "none" and self.setting.align_states != "1"
-        other_pairs = self.relative and self.pair != "repeated_stamps_long_est"
-        if self.pair.startswith("repeated") and self.rotational and not (aligned or other_pairs):
-            return None  # rows of one stamp have the same rotation
-        return KNOWN_OF_EVO[self.pair]
-
-    @property
     def raw(self) -> bool:
         """Whether matrices were used as they are in the file, without making them rotations."""
         return "raw" in (self.entry.get("note"), self.entry.get("rotations"))
+
+    @property
+    def repaired(self) -> bool:
+        """Whether the program used matrices as they are, and trajeval the nearest rotations.
+
+        The scale of sim3 is of positions, which the KITTI tool brings to the first frame.
+        """
+        assert self.setting is not None
+        as_in_file = (
+            self.tool == "kitti"
+            and self.quantity != "ate_position"
+            and self.setting.gauge != "sim3"
+        )
+        return self.raw and not as_in_file
 
     @property
     def rotational(self) -> bool:
@@ -227,7 +222,7 @@ class Row:
         1e-8 of the number is far more than rounding, except in the cases below.
         """
         tolerance = max(1e-8 * abs(value), 1e-10)
-        if self.raw and of_raw:
+        if self.repaired and of_raw:
             # Matrices of 9 decimals are rotations to 1e-9. That is a part of 1e-7 of positions
             # that they turn; of an angle of 1e-4 rad, from its cosine, 1e-5.
             return max((1e-5 if self.rotational else 1e-7) * abs(value), 1e-10)

@@ -39,6 +39,8 @@ UNDETERMINED = {("straight_flat", None), ("straight_flat", "50"), ("five_poses",
         *(f"repeated_stamps_{each}" for each in ("est", "both", "long_est")),
     )
 }
+# The same of evo alone, which takes the last of repeated rows, metres away; rpg takes the first.
+UNDETERMINED_OF_EVO = UNDETERMINED | {("repeated_stamps_gt", "50")}
 
 
 def rows() -> list[Row]:
@@ -103,7 +105,8 @@ def _number(text: str | None) -> float | None:
 def _withheld(row: Row, rotational: bool) -> Row:
     setting = row.setting
     assert setting is not None
-    undetermined = (row.pair, setting.align_states) in UNDETERMINED
+    pairs = UNDETERMINED_OF_EVO if row.tool == "evo" else UNDETERMINED
+    undetermined = (row.pair, setting.align_states) in pairs
     if undetermined and rotational and not row.relative and setting.gauge in ("se3", "sim3"):
         return dataclasses.replace(row, unanswered=WITHHELD)
     return row
@@ -127,7 +130,9 @@ def _rpg(entry: dict[str, Any]) -> list[Row]:
 def _kitti(entry: dict[str, Any]) -> list[Row]:
     if entry["alignment"] not in KITTI_GAUGES:
         return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
-    made = _rows(entry, Setting("kitti", **KITTI_GAUGES[entry["alignment"]]))
+    form = "se3" if entry["rotations"] == "nearest" else None
+    setting = Setting("kitti", re_form=form, **KITTI_GAUGES[entry["alignment"]])
+    made = _rows(entry, setting)
     return [dataclasses.replace(row, unanswered=_why_not_kitti(row)) for row in made]
 
 

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.viewer.live import LiveScene
+from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
-from trajeval_ros.viewer.stream import Stream, give_way
+from trajeval_ros.viewer.stream import DrawingThread, give_way
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 NAME = "vio_odometry"
 TICK_S = 0.05
@@ -61,7 +61,7 @@ def main(
     give_way()
     for sink in sinks_for(value, folder / "run.rrd", "flight"):
         scene = LiveScene("flight", [NAME], Gauge.YAW)
-        streams.append((Stream(sink, scene), scene))
+        streams.append((DrawingThread(sink, scene), scene))
     handed: dict = {"position_error": [], "ate_position": [], "alignment": []}
     pause_at = {round(float(each) / TICK_S): each for each in pauses.split(",") if each}
 

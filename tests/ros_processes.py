@@ -5,7 +5,6 @@ The peer is a ROS node in the test's own process, for what needs an answer at on
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import pickle
@@ -25,10 +24,10 @@ from ros_bags import ODOM, POSE
 from waiting import PATIENCE_S, until
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io.bags import Bag
-from trajeval_ros.io.pacing import play
-from trajeval_ros.io.playback import Playback, allowed_name
-from trajeval_ros.ros.messages import message_class
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.pacing import play
+from trajeval_ros.io.bags.playback import Playback, allowed_name
+from trajeval_ros.ros.message_types import message_class
 
 ROOT = Path(__file__).resolve().parent.parent
 LISTENER = Path(__file__).with_name("ros_listener.py")
@@ -37,9 +36,6 @@ TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 TYPES = {TRUTH: POSE, ODOMETRY: ODOM}
 # What two results of the same run may differ in: where it came from.
 APART = {"source", "name", "inputs", "live"}
-# Messages between two looks at whether all have arrived. The evaluator holds 10 s of groundtruth
-# for late estimates, which at ninety times the speed is a tenth of a second of this machine.
-ARRIVED_EVERY = 200
 
 Received = dict[str, list[bytes]]
 
@@ -251,8 +247,9 @@ class Peer:
     ) -> None:
         """Publish a bag as `trajeval replay` does, when topics have so many subscribers.
 
-        Topics don't overtake each other by more than `ARRIVED_EVERY` messages. The nodes that
-        subscribe are asked something first: a node that answers has started, and takes messages.
+        The nodes that subscribe are asked something first: a node that answers has started, and
+        takes messages. Messages are acknowledged with Fast DDS's heartbeat, every three seconds:
+        waiting for that is for the end.
         """
         from rcl_interfaces.srv import GetParameters
         from rclpy.duration import Duration
@@ -274,16 +271,9 @@ class Peer:
                 )
             for name in nodes:
                 self.ask(f"/{name}/get_parameters", GetParameters)
-            sent = itertools.count(1)
-
-            def wait_until_all_arrived() -> None:
-                for each in publishers.values():
-                    assert each.wait_for_all_acked(Duration(seconds=PATIENCE_S))
 
             def publish(channel: Any, payload: bytes) -> float:
                 publishers[channel].publish(payload)
-                if not next(sent) % ARRIVED_EVERY:
-                    wait_until_all_arrived()
                 return 0.0
 
             play(
@@ -294,7 +284,8 @@ class Peer:
                 tick=lambda _: None,
                 is_stopped=lambda: False,
             )
-            wait_until_all_arrived()
+            for each in publishers.values():
+                assert each.wait_for_all_acked(Duration(seconds=PATIENCE_S))
         for publisher in publishers.values():
             self.node.destroy_publisher(publisher)
 

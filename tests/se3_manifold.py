@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bernoulli
 
-from trajeval_ros import lie, se3
-from trajeval_ros.continuous_time.manifolds import Local
+from trajeval_ros.continuous_time.manifolds import LocalVariable
+from trajeval_ros.geometry import lie, se3
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Poses:
         """Return J_r^-1 and J_l^-1 (N, 6, 6)."""
         return se3.inverse_left_jacobian(-steps), se3.inverse_left_jacobian(steps)
 
-    def local(self, steps: Array, rates: Array) -> Local:
+    def local(self, steps: Array, rates: Array) -> LocalVariable:
         """Return the local variable and its derivatives, up to the second one."""
         given = np.concatenate([steps[:, None], rates], axis=1)
         jacobian = np.zeros((*given.shape, *given.shape[1:]))
@@ -54,7 +54,7 @@ class Poses:
             moved = given.astype(complex)
             moved[:, row, column] += 1j * _STEP
             jacobian[..., row, column] = _derivatives(moved).imag / _STEP
-        return Local(_derivatives(given), jacobian)
+        return LocalVariable(_derivatives(given), jacobian)
 
 
 def _derivatives(given: NDArray[Any]) -> NDArray[Any]:

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import se3
-from trajeval_ros.evaluation import Evaluation
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.statistics import Statistics
 
 Array = NDArray[np.float64]
 START = 1_403_636_580_838_555_574
@@ -57,7 +57,9 @@ def make_groundtruth(seed: int, count: int = 120, *, smooth: bool = True) -> Tra
     return Trajectory(
         stamps=stamps,
         positions=positions + random.normal(scale=5.0, size=3),
-        rotations=Rotation.from_rotvec(turns) * Rotation.random(random_state=seed % 2**31),
+        quaternions=(
+            Rotation.from_rotvec(turns) * Rotation.random(random_state=seed % 2**31)
+        ).as_quat(),
         velocities=velocities,
         gyroscope_biases=random.normal(scale=0.01, size=(count, 3)),
         accelerometer_biases=random.normal(scale=0.1, size=(count, 3)),
@@ -80,7 +82,7 @@ def make_estimate(groundtruth: Trajectory, seed: int, *, error_m: float = 0.1) -
     return Trajectory(
         stamps=truth.stamps + random.integers(-9_000_000, 9_000_000, size=count),
         positions=truth.positions + drift + noise,
-        rotations=Rotation.from_rotvec(turns) * truth.rotations,
+        quaternions=(Rotation.from_rotvec(turns) * truth.rotations).as_quat(),
         velocities=truth.velocities + random.normal(scale=0.05, size=(count, 3)),
         gyroscope_biases=truth.gyroscope_biases + random.normal(scale=1e-3, size=(count, 3)),
         accelerometer_biases=truth.accelerometer_biases
@@ -133,7 +135,7 @@ def along_line(along: Array, direction: list[float], *, noise_m: float = 0.0) ->
     return Trajectory(
         stamps=START + np.arange(count, dtype=np.int64) * 100_000_000,
         positions=np.outer(along, unit) + random.normal(scale=1.0, size=(count, 3)) * noise_m,
-        rotations=Rotation.identity(count),
+        quaternions=Rotation.identity(count).as_quat(),
         velocities=np.outer(10.0 * np.gradient(along), unit),
     )
 

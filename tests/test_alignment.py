@@ -10,11 +10,12 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from strategies import Array, make_element, make_estimate, make_groundtruth, seeds
 
-from trajeval_ros.alignment import align, align_first, position_weights, solve
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.moments import Moments
-from trajeval_ros.similarity import Similarity
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.metrics.alignment import align, align_first, solve
+from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.weighted_alignment import position_weights
 
 UTM = np.array([4.5e5, 5.2e6, 400.0])
 ALIGNING = [Gauge.TRANSLATION, Gauge.YAW, Gauge.PLANAR, Gauge.SE3, Gauge.SIM3]
@@ -111,13 +112,17 @@ def test_a_mirrored_estimate_is_turned_not_mirrored() -> None:
 @given(seed=seeds)
 def test_the_first_state_alone_fixes_se3(seed: int) -> None:
     truth = make_groundtruth(seed, 2)
-    assert truth.rotations is not None
+    assert truth.quaternions is not None
     element = make_element(Gauge.SE3, seed + 1)
     inverse = Similarity(element.rotation.T, -element.rotation.T @ element.translation)
     other = inverse.trajectory(truth)
-    assert other.rotations is not None
+    assert other.quaternions is not None
     found = align_first(
-        Gauge.SE3, truth.positions[0], truth.rotations[0], other.positions[0], other.rotations[0]
+        Gauge.SE3,
+        truth.positions[0],
+        truth.quaternions[0],
+        other.positions[0],
+        other.quaternions[0],
     ).similarity
     np.testing.assert_allclose(found.rotation, element.rotation, atol=1e-13)
     np.testing.assert_allclose(found.translation, element.translation, atol=1e-11)
@@ -126,7 +131,9 @@ def test_the_first_state_alone_fixes_se3(seed: int) -> None:
 @given(a=seeds, b=seeds)
 def test_the_first_states_yaw_brings_the_rotations_closest(a: int, b: int) -> None:
     truth, other = (Rotation.random(random_state=seed % 2**31) for seed in (a, b))
-    found = align_first(Gauge.YAW, np.ones(3), truth, np.zeros(3), other).similarity
+    found = align_first(
+        Gauge.YAW, np.ones(3), truth.as_quat(), np.zeros(3), other.as_quat()
+    ).similarity
 
     def trace(angle: float) -> float:  # eq. (20)
         turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import START, make_estimate, make_groundtruth, seeds
 
-from trajeval_ros.association import AssociationRule, associate
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association import AssociationRule, associate
 
 MILLISECOND = 1_000_000
 
@@ -80,6 +80,48 @@ def test_nearest_is_greedy_one_to_one(
     dropped = pairs.dropped.get("no_groundtruth_within_max_time_difference", 0)
     assert len(pairs) + dropped == len(estimate)
     assert pairs.estimate_coverage == pytest.approx(len(pairs) / len(estimate))
+
+
+def evos_choice(stamp: int, others: list[int]) -> int:
+    """Return the row of the others that evo 1.38 takes for a stamp, whatever the limit."""
+    apart = [abs(other - stamp) for other in others]
+    if others != sorted(others):
+        return apart.index(min(apart))  # a search in file order
+    if others[-1] == stamp:
+        # Its bisection stops at the last two rows.
+        return max(len(others) - 2, 0) if others[-2:] == [stamp] * 2 else len(others) - 1
+    earlier = [row for row, other in enumerate(others) if other <= stamp]
+    later = [row for row, other in enumerate(others) if other > stamp]
+    if not earlier or (later and apart[later[0]] < apart[earlier[-1]]):
+        return later[0]
+    return earlier[-1]
+
+
+@given(truth=coarse_times, estimate=coarse_times)
+@pytest.mark.parametrize("ordered", [True, False])
+def test_evo_takes_the_rows_that_evo_takes(
+    ordered: bool, truth: list[int], estimate: list[int]
+) -> None:
+    if ordered:
+        truth, estimate = sorted(truth), sorted(estimate)
+    rule = AssociationRule("evo", 10 / 512)
+    # 1/512 s is exact in binary as well, so that the very limit and ties are those of floats.
+    groundtruth, other = (at(1000.0 * np.array(each) / 512, start=0) for each in (truth, estimate))
+    by_truth = len(truth) < len(estimate)
+    short, long = (truth, estimate) if by_truth else (estimate, truth)
+    expected = [
+        (row, choice)
+        for row, stamp in enumerate(short)
+        if abs(long[choice := evos_choice(stamp, long)] - stamp) <= 10
+    ]
+    if not expected:
+        with pytest.raises(NoMatchError):
+            associate(groundtruth, other, rule)
+        return
+    pairs = associate(groundtruth, other, rule)
+    chosen = rows(pairs.groundtruth), rows(pairs.estimate)
+    ours = list(zip(*(chosen if by_truth else chosen[::-1]), strict=True))
+    assert ours == expected
 
 
 def test_rpg_leaves_out_the_limit_itself_and_nearest_does_not() -> None:
@@ -373,10 +415,12 @@ def test_rotations_a_half_turn_apart_do_not_become_nan() -> None:
     groundtruth = Trajectory(
         np.array([0, 100 * MILLISECOND], dtype=np.int64),
         np.zeros((2, 3)),
-        Rotation.from_quat([[0, 0, 0, 1], [0, 0, 1, 0]]),
+        np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]),
     )
     middle = Trajectory(
-        np.array([50 * MILLISECOND], dtype=np.int64), np.zeros((1, 3)), Rotation.identity(1)
+        np.array([50 * MILLISECOND], dtype=np.int64),
+        np.zeros((1, 3)),
+        Rotation.identity(1).as_quat(),
     )
     truth = associate(groundtruth, middle, AssociationRule()).groundtruth
     assert truth.rotations is not None

@@ -22,19 +22,19 @@ from strategies import (
     seeds,
 )
 
-from trajeval_ros.alignment import align
-from trajeval_ros.association import AssociationRule
 from trajeval_ros.cli.app import main
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.protocol_file import read_protocol
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.protocol import PROTOCOLS, Protocol, metres
-from trajeval_ros.score import PointTable
-from trajeval_ros.span_alignment import align_spans
-from trajeval_ros.sub_trajectories import Length, Selection
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
+from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.span_alignment import align_spans
+from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.pipeline import evaluate
 
 HILTI = PROTOCOLS["hilti-2023"]
 UZH = PROTOCOLS["uzh-fpv"]
@@ -101,13 +101,13 @@ def surveyed(seed: int = 0, count: int = 8) -> tuple[Trajectory, Trajectory, np.
     start = 1_675_087_000_000_000_000
     stamps = start + np.arange(count, dtype=np.int64) * 60_000_000_000
     points = random.uniform(-20.0, 20.0, (count, 3))
-    control = Trajectory(stamps, points, Rotation.identity(count))
+    control = Trajectory(stamps, points, Rotation.identity(count).as_quat())
     dense = start + np.arange((count - 1) * 600 + 1, dtype=np.int64) * 100_000_000
     rotations = Rotation.random(len(dense), random_state=seed)
     world = Rotation.random(random_state=seed + 1)
     tips = np.column_stack([np.interp(dense, stamps, points[:, axis]) for axis in range(3)])
     positions = world.apply(tips) - (world * rotations).apply(np.asarray(HILTI.lever_m))
-    return control, Trajectory(dense, positions, world * rotations), points
+    return control, Trajectory(dense, positions, (world * rotations).as_quat()), points
 
 
 def test_hilti_s_lever_arm_and_alignment() -> None:
@@ -205,7 +205,7 @@ def test_tables_that_can_t_be_meant(
 def test_a_lever_arm_needs_orientations() -> None:
     control, estimate, _ = surveyed()
     with pytest.raises(InputError, match="has no orientations, so no lever arm"):
-        evaluate(control, dataclasses.replace(estimate, rotations=None), HILTI)
+        evaluate(control, dataclasses.replace(estimate, quaternions=None), HILTI)
 
 
 @given(seed=seeds, lever=st.tuples(*[st.floats(-2.0, 2.0)] * 3))
@@ -216,7 +216,7 @@ def test_a_lever_arm_on_a_tilting_body_leaves_no_error(
     estimate = make_groundtruth(seed)
     assert estimate.rotations is not None
     tips = estimate.positions + estimate.rotations.apply(lever)
-    truth = dataclasses.replace(estimate, positions=tips, rotations=None, velocities=None)
+    truth = dataclasses.replace(estimate, positions=tips, quaternions=None, velocities=None)
     found = evaluate(truth, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
     assert found.ate["position_m"] is not None
     assert found.ate["position_m"].max < 1e-9

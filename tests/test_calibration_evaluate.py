@@ -13,21 +13,22 @@ import pytest
 from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibrated import Wanted, evaluate_calibrated
-from trajeval_ros.calibration.body import HandEye
+from trajeval_ros.calibration.apply import evaluate_calibrated
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.cli.app import main
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.io.calibration_json import calibration_json
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline import evaluate
 from trajeval_ros.report.calibration_lines import calibration_lines
-from trajeval_ros.trajectory import Trajectory
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
 LEVER_M = np.array(FAULT.lever_m)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
-AUTO = Wanted(offset=True, hand_eye=True)
+AUTO = CalibrationRequest(offset=True, hand_eye=True)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> Path:
@@ -104,7 +105,7 @@ def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -
     # The estimate's first stamps are the groundtruth's last, by its own clock.
     apart_ns = int(truth.stamps[-1] - estimate.stamps[0]) - round((pairs - 1) * 0.05 * 1e9)
     apart = dataclasses.replace(estimate, stamps=estimate.stamps + apart_ns)
-    found = evaluate_calibrated(truth, apart, YAW, Wanted(offset=True))
+    found = evaluate_calibrated(truth, apart, YAW, CalibrationRequest(offset=True))
     assert found.offset_applied
     assert found.calibration is not None
     assert found.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
@@ -153,7 +154,7 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     truth, estimate = fly(1, 90.0, fault=dataclasses.replace(FAULT, offset_s=0.0), scale=2.0)
     if not gauge.has_scale:
         estimate = dataclasses.replace(estimate, positions=2.0 * estimate.positions)
-    truth = dataclasses.replace(truth, rotations=None)
+    truth = dataclasses.replace(truth, quaternions=None)
     protocol = dataclasses.replace(YAW, gauge=gauge)
     found = evaluate_calibrated(truth, estimate, protocol, AUTO)
     assert found.of_marker
@@ -161,7 +162,7 @@ def test_positions_alone_have_the_estimate_moved_to_the_marker(gauge: Gauge) -> 
     assert not found.rotation_applied
     assert found.before is not None
     assert found.after.position_m < 0.8 * found.before.position_m
-    known = Wanted(known=HandEye.of(None, np.array(FAULT.lever_m)), source="x.yaml")
+    known = CalibrationRequest(known=HandEye.of(None, np.array(FAULT.lever_m)), source="x.yaml")
     given = evaluate_calibrated(truth, estimate, protocol, known)
     assert given.after.position_m == pytest.approx(found.after.position_m, rel=0.05)
 
@@ -183,10 +184,10 @@ def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
     drift = np.cumsum(random.normal(0.0, 2e-4, body.shape), axis=0)
     marker = body + turned.apply(FAULT.lever_m) + random.normal(0.0, 1e-3, body.shape)
     found = evaluate_calibrated(
-        Trajectory(stamps, marker, turned * shaken),
-        Trajectory(stamps, body + drift, turned),
+        Trajectory(stamps, marker, (turned * shaken).as_quat()),
+        Trajectory(stamps, body + drift, turned.as_quat()),
         YAW,
-        Wanted(hand_eye=True),
+        CalibrationRequest(hand_eye=True),
     )
     assert found.lever_applied
     assert not found.rotation_applied
@@ -210,7 +211,7 @@ def swinging(extent_m: float, scale: float) -> tuple[Trajectory, Trajectory]:
     turned = Rotation.from_euler("ZYX", angles)
     stamps = np.rint(times * 1e9).astype(np.int64)
     truth = Trajectory(stamps, body + turned.apply(FAULT.lever_m))
-    return truth, Trajectory(stamps, body / scale, turned)
+    return truth, Trajectory(stamps, body / scale, turned.as_quat())
 
 
 SIM3 = dataclasses.replace(YAW, gauge=Gauge.SIM3)
@@ -221,7 +222,9 @@ LEVER = HandEye.of(None, LEVER_M)
 @pytest.mark.parametrize("scale", [1e-3, 0.05, 1.0, 1.3, 10.0, 500.0])
 def test_a_lever_arm_in_metres_fits_an_estimate_of_any_unit(extent_m: float, scale: float) -> None:
     truth, estimate = swinging(extent_m, scale)
-    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    found = evaluate_calibrated(
+        truth, estimate, SIM3, CalibrationRequest(known=LEVER, source="x.yaml")
+    )
     assert found.after.position_m < 1e-9
     assert found.evaluation.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
 
@@ -230,7 +233,9 @@ def test_the_marker_is_moved_by_the_alignment_s_own_scale() -> None:
     truth, estimate = swinging(2.0, 7.0)
     noise = np.random.default_rng(0).normal(0.0, 0.02, (len(estimate), 3))
     estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
-    found = evaluate_calibrated(truth, estimate, SIM3, Wanted(known=LEVER, source="x.yaml"))
+    found = evaluate_calibrated(
+        truth, estimate, SIM3, CalibrationRequest(known=LEVER, source="x.yaml")
+    )
     scale = found.evaluation.alignment.similarity.scale
     again = evaluate(truth, LEVER.of_marker(estimate, scale), SIM3)
     assert again.alignment.similarity.scale == pytest.approx(scale, rel=1e-9)
@@ -244,7 +249,7 @@ def test_a_body_that_hardly_moves_has_no_scale_beside_its_lever_arm() -> None:
     truth = dataclasses.replace(truth, positions=noise)
     about = dataclasses.replace(estimate, positions=-estimate.rotations.apply(FAULT.lever_m))
     with pytest.raises(DegenerateGeometryError, match="no scale of the estimate agrees with"):
-        evaluate_calibrated(truth, about, SIM3, Wanted(known=LEVER, source="x.yaml"))
+        evaluate_calibrated(truth, about, SIM3, CalibrationRequest(known=LEVER, source="x.yaml"))
 
 
 def test_all_estimates_share_the_first_one_s_calibration(
@@ -373,9 +378,9 @@ def test_the_inverse_of_what_is_needed_is_refused(pair: tuple[Trajectory, Trajec
     hand_eye = HandEye.of(None, np.array([0.1, 0.0, 0.0]))
     wrong = dataclasses.replace(hand_eye, body="marker", marker="imu")
     with pytest.raises(Exception, match="its inverse is needed, with frame_id imu"):
-        evaluate_calibrated(truth, estimate, YAW, Wanted(known=wrong, source="x"))
+        evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=wrong, source="x"))
     right = dataclasses.replace(hand_eye, body="imu", marker="marker")
-    found = evaluate_calibrated(truth, estimate, YAW, Wanted(known=right, source="x"))
+    found = evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=right, source="x"))
     assert found.evaluation.groundtruth.child_frame == "imu"
 
 

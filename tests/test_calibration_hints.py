@@ -11,12 +11,13 @@ from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 from test_calibration_recovery import RECORDINGS
 
-from trajeval_ros.association import AssociationRule
 from trajeval_ros.calibration.calibrate import calibrate
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS, Protocol
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.pipeline import evaluate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 CLOCKS, BODIES, ARRIVAL = (
@@ -33,7 +34,7 @@ def hints(evaluation: Evaluation) -> list[str]:
 
 
 def without_rotations(trajectory: Trajectory) -> Trajectory:
-    return dataclasses.replace(trajectory, rotations=None)
+    return dataclasses.replace(trajectory, quaternions=None)
 
 
 @pytest.mark.parametrize("kind", ["drone", "car", "straight", "translating"])
@@ -71,7 +72,7 @@ def test_many_pairs_of_few_stamps_show_no_clock(stamps: int) -> None:
         seconds = times / 1e9
         positions = np.column_stack([np.sin(seconds), np.cos(0.7 * seconds), 0.1 * seconds])
         turns = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
-        return Trajectory(times, positions, Rotation.from_rotvec(turns))
+        return Trajectory(times, positions, Rotation.from_rotvec(turns).as_quat())
 
     protocol = dataclasses.replace(
         YAW, gauge=Gauge.NONE, association=AssociationRule("evo", 0.05), in_order=False

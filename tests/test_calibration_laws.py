@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import make_element, moved, seeds
 
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 
 FAULT = Fault(0.08, 0.0, (0.4, -0.7, 1.1), (0.1, -0.05, 0.2))
-NONE = Systematic(0.0, 0.0)
+NONE = SystematicErrors(0.0, 0.0)
 few = hypothesis_settings(max_examples=3)
 
 
@@ -55,7 +55,7 @@ def test_gauge_elements_change_nothing(seed: int, gauge: Gauge) -> None:
 @given(seed=seeds, gauge=st.sampled_from([Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]))
 def test_gauge_elements_change_nothing_with_positions_alone(seed: int, gauge: Gauge) -> None:
     truth, estimate = fly(seed % 1000, 40.0, fault=FAULT)
-    truth = dataclasses.replace(truth, rotations=None)
+    truth = dataclasses.replace(truth, quaternions=None)
     element = make_element(gauge, seed)
     before = calibrate(truth, estimate, gauge, systematic=NONE)
     after = calibrate(truth, moved(estimate, element), gauge, systematic=NONE)
@@ -90,7 +90,7 @@ def test_another_body_of_the_estimate(seed: int) -> None:
     other = dataclasses.replace(
         estimate,
         positions=estimate.positions + estimate.rotations.apply(lever_m),
-        rotations=estimate.rotations * turn,
+        quaternions=(estimate.rotations * turn).as_quat(),
     )
     _, before, arm = values(calibrate(truth, estimate, systematic=NONE))
     _, after, other_arm = values(calibrate(truth, other, systematic=NONE))

@@ -10,16 +10,17 @@ import pytest
 from calibration_flights import Fault, fly
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibrated import Wanted, evaluate_calibrated
-from trajeval_ros.calibration.body import HandEye
-from trajeval_ros.calibration.calibrate import Calibration, Systematic, calibrate
+from trajeval_ros.calibration.apply import evaluate_calibrated
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.increments import OFFSET, Increments
 from trajeval_ros.calibration.solve import solve
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import Protocol
 
-NONE = Systematic(0.0, 0.0)
+NONE = SystematicErrors(0.0, 0.0)
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 Recording = Callable[[str], Trajectory]
 
@@ -116,7 +117,10 @@ def test_right_calibrations_are_left_alone_in_95_percent_of_flights() -> None:
     for seed in range(runs):
         kind = "car" if seed % 4 == 3 else "drone"
         found = evaluate_calibrated(
-            *fly(seed, 60.0, kind), YAW, Wanted(offset=True, hand_eye=True), systematic=NONE
+            *fly(seed, 60.0, kind),
+            YAW,
+            CalibrationRequest(offset=True, hand_eye=True),
+            systematic=NONE,
         )
         applied += found.offset_applied + (found.hand_eye is not None)
         assert found.before is not None
@@ -132,7 +136,7 @@ def test_right_calibrations_are_left_alone_in_95_percent_of_flights() -> None:
 def test_recordings_with_one_clock_are_left_alone(recording: Recording, name: str) -> None:
     truth, estimate = (recording(each) for each in RECORDINGS[name])
     found = evaluate_calibrated(
-        truth, estimate, protocol_of(name), Wanted(offset=True, hand_eye=True)
+        truth, estimate, protocol_of(name), CalibrationRequest(offset=True, hand_eye=True)
     )
     assert not found.offset_applied
     assert not found.lever_applied
@@ -158,7 +162,7 @@ def test_recordings_show_a_clock_and_a_body_that_are_put_on_them(
     moved = marker.inverse().of_body(truth)
     moved = dataclasses.replace(moved, stamps=moved.stamps + 100_000_000)
     found = evaluate_calibrated(
-        moved, estimate, protocol_of(name), Wanted(offset=True, hand_eye=True)
+        moved, estimate, protocol_of(name), CalibrationRequest(offset=True, hand_eye=True)
     )
     assert found.offset_applied
     assert found.rotation_applied
@@ -169,5 +173,7 @@ def test_recordings_show_a_clock_and_a_body_that_are_put_on_them(
     assert offset.value[0] - before.offset.value[0] == pytest.approx(0.1, abs=1e-3)
     assert found.after.rotation_deg is not None
     assert found.after.rotation_deg < 6.0
-    plain = evaluate_calibrated(truth, estimate, protocol_of(name), Wanted(offset=True))
+    plain = evaluate_calibrated(
+        truth, estimate, protocol_of(name), CalibrationRequest(offset=True)
+    )
     assert found.after.position_m == pytest.approx(plain.after.position_m, rel=0.08, abs=0.01)

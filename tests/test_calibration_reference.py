@@ -11,8 +11,7 @@ from calibration_flights import EPOCH, Fault, marked, stamps_of
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, stdtrit
 
-from trajeval_ros.calibration.clock import guess_offset, masked_correlation, refined_peak
-from trajeval_ros.calibration.fit import fit, sandwich
+from trajeval_ros.calibration.clock_offset import guess_offset, masked_correlation, refined_peak
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm
 from trajeval_ros.calibration.increments import (
     COLUMNS,
@@ -25,7 +24,8 @@ from trajeval_ros.calibration.increments import (
     Unknowns,
 )
 from trajeval_ros.calibration.observability import observability
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.calibration.robust_fit import fit, sandwich
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Reference = Callable[[str], Any]
 
@@ -108,7 +108,7 @@ def flown(true: dict[str, Any], *, disturbed: bool) -> tuple[Trajectory, Traject
         true["R_X_rotvec"] or [0.0, 0.0, 0.0],
         true["lever"] or [0.0, 0.0, 0.0],
     )
-    truth = marked(g, Trajectory(stamps_of(g), positions(g), rotations(g)), 60.0, fault)
+    truth = marked(g, Trajectory(stamps_of(g), positions(g), rotations(g).as_quat()), 60.0, fault)
     wander = np.column_stack(
         [0.05 * np.sin(0.11 * s), 0.04 * np.sin(0.17 * s + 1.0), 0.03 * np.cos(0.13 * s)]
     )
@@ -121,7 +121,7 @@ def flown(true: dict[str, Any], *, disturbed: bool) -> tuple[Trajectory, Traject
     estimate = Trajectory(
         stamps_of(s),
         world.apply(positions(s) + size * wander) / true["scale"] + [3.0, -2.0, 1.0],
-        world * Rotation.from_rotvec(size * turns) * rotations(s),
+        (world * Rotation.from_rotvec(size * turns) * rotations(s)).as_quat(),
     )
     return truth, estimate
 
@@ -181,7 +181,7 @@ def test_noise_on_a_straight_line_is_not_taken_for_an_offset(reference: Referenc
         return Trajectory(
             EPOCH + np.rint(t * 1e9).astype(np.int64),
             line + chirp(of_position),
-            Rotation.from_rotvec(chirp(of_rotation)),
+            Rotation.from_rotvec(chirp(of_rotation)).as_quat(),
         )
 
     estimate = side(np.arange(601) * 0.1, 31.0, 41.0)

@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
-from trajeval_ros.calibration.calibrate import Systematic, calibrate
+from trajeval_ros.calibration.calibrate import SystematicErrors, calibrate
 from trajeval_ros.calibration.observability import Directions
-from trajeval_ros.calibration.verdict import judge
+from trajeval_ros.calibration.significance import judge
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 
 FAULT = Fault(0.3, 0.0, (0.0, 0.0, 0.0), (0.1, 0.05, 0.2))
-NONE = Systematic(0.0, 0.0)
+NONE = SystematicErrors(0.0, 0.0)
 
 
 def without_rotations(trajectory: Trajectory) -> Trajectory:
-    return dataclasses.replace(trajectory, rotations=None)
+    return dataclasses.replace(trajectory, quaternions=None)
 
 
 @pytest.mark.parametrize("kind", ["straight", "static"])

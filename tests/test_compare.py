@@ -17,17 +17,17 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 import pyarrow
 import pyarrow.parquet
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, compare
+from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, run_plan
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.summary import Summary, matrices, summary_of
-from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.results_table import ResultsTable
+from trajeval_ros.batch.summary_tables import ComparisonSummary, matrices, summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 
 
-def run(config: Path, **more: bool) -> tuple[Progress, Summary]:
+def run(config: Path, **more: bool) -> tuple[Progress, ComparisonSummary]:
     out = config.parent / "out"
-    progress = compare(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
+    progress = run_plan(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
     return progress, summary_of(out)
 
 
@@ -91,7 +91,7 @@ def test_other_content_with_the_stamp_and_size_of_the_old_is_seen(tmp_path: Path
 def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     run(config)
-    compare(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
+    run_plan(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
     assert len(records(config)) == 16
     progress, _ = run(config)
     assert progress.done == 0
@@ -163,7 +163,7 @@ def test_a_common_time_span_takes_the_early_end_of_one_from_all(tmp_path: Path) 
     assert [round(trial.coverage, 1) for trial in whole.of("bad")] == [0.5, 1.0]
     progress, cut = run(config, cut=True)
     assert progress.done == 4
-    rows = Rows(tmp_path / "out" / RUNS).select(
+    rows = ResultsTable(tmp_path / "out" / RUNS).select(
         ["algorithm", "span_s", "groundtruth_coverage", "own_groundtruth_coverage"],
         kind="ate", metric="position_m", sequence="hall",
     )  # fmt: skip
@@ -193,8 +193,8 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
 def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)
-    compare(plan_of(config, {"lengths": "20%"}), tmp_path / "out", here)
-    rows = Rows(tmp_path / "out" / RUNS).select(["length", "length_m"], kind="re")
+    run_plan(plan_of(config, {"lengths": "20%"}), tmp_path / "out", here)
+    rows = ResultsTable(tmp_path / "out" / RUNS).select(["length", "length_m"], kind="re")
     assert {row["length"] for row in rows} == {"20%"}
     assert len({row["length_m"] for row in rows}) == 1
     assert rows[0]["length_m"] == pytest.approx(0.2 * 2 * np.pi * 4.0, rel=0.2)
@@ -249,11 +249,11 @@ def test_urls_are_sources_too(tmp_path: Path) -> None:
     far = tmp_path / "far"
     plan = plan_of(remote, {})
     assert all(each.estimate.startswith("memory://") for each in plan.runs)
-    compare(plan, far, here)
+    run_plan(plan, far, here)
     assert [each.rmse for each in summary_of(far).trials] == [each.rmse for each in local.trials]
-    assert compare(plan, far, here).done == 0
+    assert run_plan(plan, far, here).done == 0
     store.put(str(write_run(tmp_path / "x.txt", 1.1)), "/runs/bad/yard_trial0.txt")
-    assert compare(plan_of(remote, {}), far, here).done == 1
+    assert run_plan(plan_of(remote, {}), far, here).done == 1
     remote.write_text(text.replace("bad/{seq", "worse/{seq"))
     with pytest.raises(InputError, match="nothing matches"):
         plan_of(remote, {})
@@ -289,11 +289,11 @@ def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
         if content is not None:
             path.write_bytes(content)
         with pytest.raises(InputError, match=said):
-            Rows(path)
+            ResultsTable(path)
     other = tmp_path / "other.parquet"
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
     with pytest.raises(InputError, match="no table of trajeval compare"):
-        Rows(other)
+        ResultsTable(other)
 
 
 def test_usage_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,8 +17,8 @@ from test_probabilistic_cli import write
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.degradation import Degradation
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.likelihood.degradation import Degradation
 
 DENSE = make_groundtruth(0, 600)
 
@@ -48,7 +48,7 @@ def test_noise_has_the_size_that_was_asked_for() -> None:
     assert DENSE.rotations is not None
     turns = (DENSE.rotations[rows].inv() * poor.rotations).as_rotvec()
     assert np.std(turns) == pytest.approx(0.02, rel=0.1)
-    bare = Degradation().of(dataclasses.replace(DENSE, rotations=None))
+    bare = Degradation().of(dataclasses.replace(DENSE, quaternions=None))
     assert bare.rotations is None
 
 

@@ -22,11 +22,11 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 pytest.importorskip("distributed", reason="dask.distributed is missing, the extra `cluster`")
 
 from trajeval_ros.batch import comparison
-from trajeval_ros.batch.comparison import compare
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.pools import dask_pool
-from trajeval_ros.batch.summary import summary_of
-from trajeval_ros.batch.table import Rows
+from trajeval_ros.batch.executors import dask_pool
+from trajeval_ros.batch.results_table import ResultsTable
+from trajeval_ros.batch.summary_tables import summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 
@@ -121,17 +121,17 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
             cluster.processes[-1].kill()
 
     monkeypatch.setattr(comparison, "write_record", write_and_kill)
-    progress = compare(plan, tmp_path / "far", lambda: dask_pool(cluster.address))
+    progress = run_plan(plan, tmp_path / "far", lambda: dask_pool(cluster.address))
     assert cluster.processes[-1].wait(PATIENCE_S) != 0
     assert (progress.done, progress.failed) == (100, 0)
     assert Counter(kept) == dict.fromkeys(kept, 1)
-    rows = Rows(tmp_path / "far" / "runs.parquet").select(
+    rows = ResultsTable(tmp_path / "far" / "runs.parquet").select(
         ["algorithm", "sequence", "trial", "key"], kind="ate", metric="position_m"
     )
     assert len(rows) == 100
     assert {row["key"] for row in rows} == set(kept)
     # And the numbers are those of this machine.
-    compare(plan, tmp_path / "near", here)
+    run_plan(plan, tmp_path / "near", here)
     assert summary_of(tmp_path / "far").trials == summary_of(tmp_path / "near").trials
 
 
@@ -156,7 +156,7 @@ def test_a_worker_that_dies_when_its_result_was_fetched_takes_nothing_with_it(
         return response
 
     monkeypatch.setattr(Client, "_gather_remote", fetch_and_kill)
-    progress = compare(
+    progress = run_plan(
         plan_of(write_runs(tmp_path, ["hall"], ["good"], 1), {}),
         tmp_path / "out",
         lambda: dask_pool(cluster.address),
@@ -201,7 +201,7 @@ def test_a_lost_scheduler_keeps_what_is_finished(
 
     monkeypatch.setattr(comparison, "write_record", write_and_kill)
     with pytest.raises(InputError, match="the connection to the cluster is lost"):
-        compare(plan, tmp_path / "out", lambda: dask_pool(cluster.address))
-    progress = compare(plan, tmp_path / "out", here)
+        run_plan(plan, tmp_path / "out", lambda: dask_pool(cluster.address))
+    progress = run_plan(plan, tmp_path / "out", here)
     assert progress.kept >= 10
     assert progress.kept + progress.done == 100

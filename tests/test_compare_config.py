@@ -11,7 +11,7 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, natural
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
 
 
 def plan(target: Path, **settings: str) -> Plan:
@@ -56,14 +56,14 @@ def test_settings_are_those_of_evaluate_and_the_command_line_comes_first(tmp_pat
     with config.open("a") as file:
         file.write("modality: mono\nalign_states: 5\nmax_gap: 1\ncommon_time_span: true\n")
     written = plan(config)
-    assert written.protocol.gauge is Gauge.SIM3
-    assert written.protocol.align_states == 5
-    assert written.protocol.association.max_gap_s == 1.0
-    assert [str(length) for length in written.protocol.lengths] == ["4m", "8m"]
+    assert written.request.protocol.gauge is Gauge.SIM3
+    assert written.request.protocol.align_states == 5
+    assert written.request.protocol.association.max_gap_s == 1.0
+    assert [str(length) for length in written.request.protocol.lengths] == ["4m", "8m"]
     assert written.common_time_span
     said = plan_of(config, {"gauge": "yaw", "lengths": "10%"}, common_time_span=False)
-    assert said.protocol.gauge is Gauge.YAW
-    assert str(said.protocol.lengths[0]) == "10%"
+    assert said.request.protocol.gauge is Gauge.YAW
+    assert str(said.request.protocol.lengths[0]) == "10%"
     assert not said.common_time_span
 
 
@@ -72,9 +72,9 @@ def test_a_protocol_can_be_a_file_beside_the_comparison(tmp_path: Path) -> None:
     (tmp_path / "ours.yaml").write_text("base: rpg\ngauge: sim3\n")
     with config.open("a") as file:
         file.write("protocol: ours.yaml\n")
-    protocol = plan(config).protocol
+    protocol = plan(config).request.protocol
     assert (protocol.name, protocol.gauge, protocol.re_form) == ("ours", Gauge.SIM3, "euler")
-    assert plan(config, gauge="yaw").protocol.gauge is Gauge.YAW
+    assert plan(config, gauge="yaw").request.protocol.gauge is Gauge.YAW
 
 
 def test_a_placeholder_takes_as_much_as_it_can_and_a_topic_follows(tmp_path: Path) -> None:

@@ -17,15 +17,16 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, compare
+from trajeval_ros.batch.comparison import RECORDS, RUNS, run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
-from trajeval_ros.batch.plan import Plan, Run
-from trajeval_ros.batch.pools import Outcome, evaluate_all, local_pool
-from trajeval_ros.batch.table import Rows
-from trajeval_ros.batch.work import Task
+from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
+from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.results_table import ResultsTable
+from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.protocol import Protocol, metres
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.pipeline import Request
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -38,9 +39,9 @@ def tasks_of(folder: Path, count: int, deadly: tuple[int, ...] = ()) -> list[Tas
     tasks = []
     for number in range(count):
         estimate = str(write_run(folder / f"{number}.txt", 1.0 + 0.01 * number))
-        kind: type[Run] = DeadlyRun if number in deadly else Run
+        kind: type[PlannedRun] = DeadlyRun if number in deadly else PlannedRun
         run = kind("vio", "hall", str(number), truth, estimate)
-        tasks.append(Task(run, protocol, ("truth", str(number))))
+        tasks.append(Task(run, Request(protocol), ("truth", str(number))))
     return tasks
 
 
@@ -77,10 +78,10 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     plan = plan_of(write_runs(tmp_path), {})
     first = plan.runs[0]
     deadly = DeadlyRun(**{name: getattr(first, name) for name in first.__dataclass_fields__})
-    plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.protocol)
-    progress = compare(plan, tmp_path / "out", lambda: local_pool(2))
+    plan = Plan(plan.title, (deadly, *plan.runs[1:]), plan.request)
+    progress = run_plan(plan, tmp_path / "out", lambda: local_pool(2))
     assert (progress.done, progress.failed) == (7, 1)
-    (lost,) = Rows(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
+    (lost,) = ResultsTable(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
     assert "died" in lost["reason"]
 
 
@@ -156,12 +157,12 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
     assert len(again) == 120
     assert {name: again[name] for name in kept} == kept
-    rows = Rows(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
+    rows = ResultsTable(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
     assert len(rows) == len({row["key"] for row in rows}) == 120
 
 
 def test_records_are_made_by_the_workers_as_here(tmp_path: Path) -> None:
-    from trajeval_ros.batch.work import work
+    from trajeval_ros.batch.worker import work
 
     (task,) = tasks_of(tmp_path, 1)
     finished: list[Outcome] = []

@@ -13,14 +13,14 @@ from rpg_toolbox import METRICS, SLIPPED
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import POOLED, RUNS, compare
+from trajeval_ros.batch.comparison import POOLED, RUNS, run_plan
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.pools import local_pool
-from trajeval_ros.batch.table import STATISTICS, Rows
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.settings import protocol_from
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.batch.results_table import STATISTICS, ResultsTable
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.pipeline import evaluate
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +45,7 @@ def compared(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Com
     def run(**settings: str) -> Path:
         plan = plan_of(config, settings)
         assert len(plan.runs) == 33
-        progress = compare(plan, folder / "out", lambda: local_pool(2))
+        progress = run_plan(plan, folder / "out", lambda: local_pool(2))
         assert progress.failed == 0
         return folder / "out"
 
@@ -56,7 +56,7 @@ def rows_by_run(folder: Path) -> dict[str, list[dict[str, Any]]]:
     found: dict[str, list[dict[str, Any]]] = {}
     columns = ("kind", "metric", "length", "length_m", "mean_length_m", "count", *STATISTICS)
     names = ("algorithm", "sequence", "trial", "groundtruth", "estimate", "pairs", "scale")
-    for row in Rows(folder / RUNS).select((*names, *columns)):
+    for row in ResultsTable(folder / RUNS).select((*names, *columns)):
         name = "/".join(filter(None, (row["algorithm"], row["sequence"], row["trial"])))
         found.setdefault(name, []).append(row)
     return found

@@ -17,14 +17,13 @@ from hypothesis import strategies as st
 from trajeval_ros.report.matrix import (
     Cell,
     Matrix,
-    coverage_text,
     latex_text,
-    number_text,
     to_csv,
     to_latex,
     to_markdown,
     to_terminal,
 )
+from trajeval_ros.report.numbers import coverage_text, number_text
 from trajeval_ros.report.tables import console
 
 VALUES = st.none() | st.just(math.inf) | st.floats(1e-6, 1e6)

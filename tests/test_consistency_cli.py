@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.consistency.joint import JointCovariance
-from trajeval_ros.consistency.verdict import BOUND_STATEMENT, OWN_GAUGE_STATEMENT
-from trajeval_ros.io.joint_covariance import read_joint_covariance, write_joint_covariance
+from trajeval_ros.consistency.joint_covariance import JointCovariance
+from trajeval_ros.consistency.result import BOUND_STATEMENT, OWN_GAUGE_STATEMENT
+from trajeval_ros.io.covariance_file import read_joint_covariance, write_joint_covariance
 from trajeval_ros.io.sources import read_trajectory
 
 SECONDS = "6"

@@ -14,9 +14,8 @@ from consistency_runs import (
 )
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from visual_inertial_scenes import frobenius, scene_of
+from visual_inertial_scenes import frobenius, scene_of, to_left
 
-from trajeval_ros import lie
 from trajeval_ros.consistency.nees import (
     chi_square_band,
     diagonal_blocks,
@@ -25,13 +24,17 @@ from trajeval_ros.consistency.nees import (
     joint_nees,
     joint_nees_by_information,
 )
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
+from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
-from trajeval_ros.visual_inertial.covariance import fixed_covariance, free_covariance, to_left
-from trajeval_ros.visual_inertial.sampler import Run, Sampler
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.gauge_covariance import (
+    fixed_covariance,
+    free_covariance,
+)
+from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler
 from trajeval_ros.visual_inertial.scene import Scene
 
 SUBSETS = [*ALIGNMENTS, (Gauge.YAW, 4), (Gauge.SE3, 5), (Gauge.SIM3, 5)]
@@ -44,16 +47,16 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def run(scene: Scene) -> Run:
+def run(scene: Scene) -> SampledEstimate:
     return Sampler(scene).draw(np.random.default_rng(8))
 
 
 @pytest.fixture(scope="module")
-def sides(scene: Scene, run: Run) -> tuple[Trajectory, Trajectory]:
+def sides(scene: Scene, run: SampledEstimate) -> tuple[Trajectory, Trajectory]:
     return trajectory_of(scene, scene.truth), trajectory_of(scene, run.state)
 
 
-def _dense(transformation: Transformation) -> np.ndarray:
+def _dense(transformation: STransformation) -> np.ndarray:
     orbit = transformation.orbit.reshape(-1, transformation.orbit.shape[2])
     return np.eye(len(orbit)) - orbit @ transformation.coefficients
 
@@ -64,7 +67,7 @@ def test_it_is_an_oblique_projector(
 ) -> None:
     truth, estimate = sides
     moved = alignment_of(gauge, states, truth, estimate).trajectory(estimate)
-    each = Transformation.of_alignment(gauge, states, truth, moved, velocities=True)
+    each = STransformation.of_alignment(gauge, states, truth, moved, velocities=True)
     projector = _dense(each)
     np.testing.assert_allclose(projector @ projector, projector, atol=1e-12)
     open_ = each.orbit.shape[2]
@@ -82,7 +85,7 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
     truth, estimate = sides
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    each = Transformation.of_alignment(gauge, states, truth, moved, velocities=True)
+    each = STransformation.of_alignment(gauge, states, truth, moved, velocities=True)
     generator, step = np.random.default_rng(2), 1e-5
     for _ in range(5):
         direction = generator.normal(size=(len(truth), 9))
@@ -92,7 +95,7 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
             other = Trajectory(
                 estimate.stamps,
                 estimate.positions + part[:, :3],
-                Rotation.from_rotvec(part[:, 3:6]) * estimate.rotations,
+                (Rotation.from_rotvec(part[:, 3:6]) * estimate.rotations).as_quat(),
                 estimate.velocities + part[:, 6:],
             )
             again = alignment_of(gauge, states, truth, other).trajectory(other)
@@ -130,7 +133,7 @@ def test_it_forgets_which_gauge_the_covariance_came_from(
 
 
 def test_first_state_and_all_states_are_one_gauge_for_yaw(
-    sides: tuple[Trajectory, Trajectory], run: Run
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
 ) -> None:
     truth, estimate = sides
     covariance = some_covariance(run.information.toarray())
@@ -170,7 +173,7 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     truth = Trajectory(
         estimate.stamps,
         estimate.positions + shift,
-        Rotation.from_rotvec(shift / 10.0) * estimate.rotations,
+        (Rotation.from_rotvec(shift / 10.0) * estimate.rotations).as_quat(),
     )
     covariance = to_left(free_covariance(problem, state), state)
     from trajeval_ros.visual_inertial.information import information_of
@@ -178,7 +181,7 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     information = information_of(problem, state)
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    each = Transformation.of_alignment(gauge, states, truth, moved)
+    each = STransformation.of_alignment(gauge, states, truth, moved)
     poses = (np.arange(0, len(covariance), 9)[:, None] + np.arange(6)).ravel()
     variances = np.repeat([0.002**2, np.radians(0.1) ** 2], 3) if noisy else None
     turned = carried(covariance[np.ix_(poses, poses)], similarity, 6)
@@ -212,18 +215,18 @@ def test_band_of_chi_square() -> None:
 
 
 def test_refuses_what_has_no_covariance_in_the_gauge(
-    sides: tuple[Trajectory, Trajectory], run: Run
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
 ) -> None:
     truth, estimate = sides
     for gauge in (Gauge.PLANAR, Gauge.TRANSLATION):
         with pytest.raises(SettingsError, match=gauge.value):
-            Transformation.of_alignment(gauge, None, truth, estimate)
+            STransformation.of_alignment(gauge, None, truth, estimate)
     bare = Trajectory(truth.stamps, truth.positions)
     with pytest.raises(InputError, match="no orientations"):
-        Transformation.of_alignment(Gauge.YAW, None, bare, estimate)
-    still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.rotations)
+        STransformation.of_alignment(Gauge.YAW, None, bare, estimate)
+    still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.quaternions)
     with pytest.raises(DegenerateGeometryError, match="don't determine"):
-        Transformation.of_alignment(Gauge.SE3, None, still, still)
+        STransformation.of_alignment(Gauge.SE3, None, still, still)
     each = aligned_run(
         Gauge.YAW, None, truth, estimate, some_covariance(run.information.toarray())
     )
@@ -234,11 +237,13 @@ def test_refuses_what_has_no_covariance_in_the_gauge(
         )
 
 
-def test_large_coordinates_cost_no_digits(sides: tuple[Trajectory, Trajectory], run: Run) -> None:
+def test_large_coordinates_cost_no_digits(
+    sides: tuple[Trajectory, Trajectory], run: SampledEstimate
+) -> None:
     truth, estimate = sides
     covariance = some_covariance(run.information.toarray())
     far = Trajectory(
-        truth.stamps, truth.positions + [6e5, 5e6, 300.0], truth.rotations, truth.velocities
+        truth.stamps, truth.positions + [6e5, 5e6, 300.0], truth.quaternions, truth.velocities
     )
     near, away = (
         aligned_run(Gauge.SE3, None, each, estimate, covariance) for each in (truth, far)

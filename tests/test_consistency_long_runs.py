@@ -10,12 +10,12 @@ from consistency_runs import ALIGNMENTS, alignment_of
 from scipy.spatial.transform import Rotation
 from visual_inertial_scenes import frobenius
 
-from trajeval_ros.consistency import joint
-from trajeval_ros.consistency.joint import JointCovariance
+from trajeval_ros.consistency import joint_covariance
+from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
 from trajeval_ros.consistency.nees import chi_square_band
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.flight import Flight, Odometry, fly
 from trajeval_ros.visual_inertial.scene import PROFILES
 
@@ -41,7 +41,7 @@ def _measured(truth: Trajectory, sigmas: np.ndarray, seed: int) -> Trajectory:
     return Trajectory(
         truth.stamps,
         truth.positions + noise[:, :3],
-        Rotation.from_rotvec(noise[:, 3:]) * truth.rotations,
+        (Rotation.from_rotvec(noise[:, 3:]) * truth.rotations).as_quat(),
     )
 
 
@@ -66,7 +66,7 @@ def test_bands_of_a_long_run_are_those_of_the_dense_covariance(
     variances = np.repeat([0.002, np.radians(0.1)], 3) ** 2 if noisy else None
     aligned = Aligned(truth, estimate, similarity, *alignment, variances)
     dense = judge_joint(aligned, _joint(odometry), "run")
-    monkeypatch.setattr(joint, "MOST_DENSE", 120)
+    monkeypatch.setattr(joint_covariance, "MOST_DENSE", 120)
     assert not _joint(odometry).is_dense
     long = judge_joint(aligned, _joint(odometry), "run")
     assert dense.covariances is not None
@@ -126,7 +126,7 @@ def test_states_without_groundtruth_and_a_late_start_are_handled(
     assert judged.joint.dof == 6 * len(matched) - 4
     low, high = chi_square_band(judged.joint.dof, 0.9999)
     assert low < judged.joint.nees / judged.joint.dof < high
-    monkeypatch.setattr("trajeval_ros.consistency.joint.MOST_DENSE", 0)
+    monkeypatch.setattr("trajeval_ros.consistency.joint_covariance.MOST_DENSE", 0)
     sparse = judge_joint(aligned, _joint(odometry), "run")
     assert sparse.joint is not None
     assert sparse.per_pose is not None

@@ -14,8 +14,7 @@ from strategies import make_groundtruth
 from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros.consistency.judgement import Aligned, judge_marginals
-from trajeval_ros.consistency.marginals import (
-    about_world_axes,
+from trajeval_ros.consistency.marginal_covariances import (
     initial_uncertainty,
     is_covariance,
     unknown_covariances,
@@ -23,11 +22,12 @@ from trajeval_ros.consistency.marginals import (
     without_initial_prior,
 )
 from trajeval_ros.consistency.nees import diagonal_blocks
-from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.visual_inertial.covariance import fixed_covariance
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 
 
@@ -95,7 +95,7 @@ def test_body_axes_are_turned_into_the_worlds(seed: int) -> None:
     rotation = Rotation.random(3, random_state=seed)
     covariance = _good(3)
     matrices = rotation.as_matrix()
-    turned = about_world_axes(covariance, matrices)
+    turned = world_from_body_rotations(covariance, matrices)
     # R exp(d) = exp(R d) R: a body-frame error d is R d in the world.
     error = generator.normal(size=(3, 6))
     world = error.copy()
@@ -106,7 +106,7 @@ def test_body_axes_are_turned_into_the_worlds(seed: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def with_prior() -> tuple[np.ndarray, np.ndarray, Transformation]:
+def with_prior() -> tuple[np.ndarray, np.ndarray, STransformation]:
     """Marginals with a prior of position and yaw, those of fixation, and the gauge."""
     scene = scene_of("sine", "plane")
     fixed = fixed_covariance(scene.noise_free(), scene.truth)
@@ -114,13 +114,13 @@ def with_prior() -> tuple[np.ndarray, np.ndarray, Transformation]:
     oblique = basis @ np.linalg.inv(basis[GAUGE_INDICES])
     prior = oblique @ np.diag([1e-4, 2e-4, 1e-4, 3e-5]) @ oblique.T
     truth = trajectory_of(scene, scene.truth)
-    transformation = Transformation.of_alignment(Gauge.YAW, 1, truth, truth)
+    transformation = STransformation.of_alignment(Gauge.YAW, 1, truth, truth)
     blocks = (diagonal_blocks(each, 9)[:, :6, :6] for each in (fixed + prior, fixed))
     return (*blocks, transformation)
 
 
 def test_a_prior_of_position_and_yaw_comes_off_pose_by_pose(
-    with_prior: tuple[np.ndarray, np.ndarray, Transformation],
+    with_prior: tuple[np.ndarray, np.ndarray, STransformation],
 ) -> None:
     published, fixed, transformation = with_prior
     stripped = without_initial_prior(published, transformation)
@@ -141,13 +141,13 @@ def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() ->
     covariance = some_covariance(information_of(problem, scene.truth).toarray())
     published = aligned_run(Gauge.YAW, 1, truth, truth, covariance).covariance
     marginals = diagonal_blocks(published, 9)[:, :6, :6]
-    own = Transformation.of_alignment(Gauge.YAW, 1, truth, truth)
+    own = STransformation.of_alignment(Gauge.YAW, 1, truth, truth)
     assert frobenius(upper_bounds(marginals, own), marginals) < 1e-6
     for gauge, states in ((Gauge.YAW, None), (Gauge.YAW, 4), (Gauge.SIM3, None)):
-        each = Transformation.of_alignment(gauge, states, truth, truth)
+        each = STransformation.of_alignment(gauge, states, truth, truth)
         exact = aligned_run(gauge, states, truth, truth, covariance).covariance
         slack = upper_bounds(marginals, each) - diagonal_blocks(exact, 9)[:, :6, :6]
         units = np.sqrt(np.diagonal(slack, axis1=1, axis2=2).max(axis=0))
         assert np.linalg.eigvalsh(slack / units / units[:, None]).min() > -1e-9
-    none = Transformation.of_alignment(Gauge.NONE, None, truth, truth)
+    none = STransformation.of_alignment(Gauge.NONE, None, truth, truth)
     np.testing.assert_array_equal(upper_bounds(marginals, none), marginals)

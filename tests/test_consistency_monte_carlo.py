@@ -15,10 +15,9 @@ from consistency_runs import (
     trajectory_of,
 )
 from scipy.spatial.transform import Rotation
-from visual_inertial_scenes import scene_of
+from visual_inertial_scenes import scene_of, to_left
 
-from trajeval_ros import lie
-from trajeval_ros.consistency.marginals import upper_bounds
+from trajeval_ros.consistency.marginal_covariances import upper_bounds
 from trajeval_ros.consistency.nees import (
     chi_square_band,
     diagonal_blocks,
@@ -26,13 +25,14 @@ from trajeval_ros.consistency.nees import (
     joint_nees,
     pose_nees,
 )
-from trajeval_ros.consistency.transformation import Transformation, carried, errors_of
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
-from trajeval_ros.visual_inertial.covariance import free_covariance, to_left
+from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.gauge_covariance import free_covariance
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 RUNS = 500
 PER_POSE_DOF = 6
@@ -71,7 +71,7 @@ def _solved(scene: Scene, count: int) -> Iterator[tuple[Drawn, float]]:
     for seed in range(count):
         problem = scene.measured(np.random.default_rng([77, seed]))
         start = scene.disturbed(np.random.default_rng([78, seed]))
-        solution = solve(problem, start, Handling.FREE, function_tolerance=1e-9)
+        solution = solve(problem, start, GaugeHandling.FREE, function_tolerance=1e-9)
         covariance = to_left(free_covariance(problem, solution.state), solution.state)
         residuals = 2 * len(problem.pixels) + 9 * (problem.keyframes - 1)
         unknowns = 9 * problem.keyframes + 3 * problem.landmarks - 4
@@ -173,12 +173,12 @@ def test_noise_of_the_groundtruth_counts(
             measured = Trajectory(
                 truth.stamps,
                 truth.positions + shift[:, :3],
-                Rotation.from_rotvec(shift[:, 3:]) * truth.rotations,
+                (Rotation.from_rotvec(shift[:, 3:]) * truth.rotations).as_quat(),
                 truth.velocities,
             )
             each = aligned_run(gauge, states, measured, *run)
             moved = each.similarity.trajectory(run.estimate)
-            transformation = Transformation.of_alignment(gauge, states, measured, moved)
+            transformation = STransformation.of_alignment(gauge, states, measured, moved)
             poses = (np.arange(0, 9 * len(truth), 9)[:, None] + np.arange(6)).ravel()
             turned = carried(run.covariance[np.ix_(poses, poses)], each.similarity, 6)
             errors = errors_of(measured, moved)
@@ -218,7 +218,7 @@ def _bounded(
     part, estimate = truth[first:], moved[first:]
     again = aligned_run(gauge, states, part, estimate, np.zeros((9 * len(part),) * 2))
     aligned = again.similarity.trajectory(estimate)
-    transformation = Transformation.of_alignment(gauge, states, part, aligned)
+    transformation = STransformation.of_alignment(gauge, states, part, aligned)
     bound = upper_bounds(carried(marginals, again.similarity, 6), transformation)
     skipped = 1 if states == 1 else 0
     return pose_nees(errors_of(part, aligned)[skipped:], bound[skipped:]) / PER_POSE_DOF

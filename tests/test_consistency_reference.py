@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from consistency_runs import ALIGNMENTS, aligned_run
 from gauge_reference import Case
-from visual_inertial_scenes import relative
+from visual_inertial_scenes import relative, to_left
 
-from trajeval_ros import lie
 from trajeval_ros.consistency.nees import diagonal_blocks, joint_nees, pose_nees
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.visual_inertial.covariance import fixed_covariance, free_covariance, to_left
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.visual_inertial.gauge_covariance import (
+    fixed_covariance,
+    free_covariance,
+)
 
 NAMES = dict(zip(ALIGNMENTS, ("first4", "yaw", "first6", "se3", "sim3"), strict=True))
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from decimated import Decimated, decimated, score
 
+from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.continuous_time.trajectory import fit_trajectory
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
 
 RECORDINGS = {
     "V1_02": "euroc/groundtruth/V1_02_asl.csv",

@@ -15,30 +15,30 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
-from trajeval_ros import se3
-from trajeval_ros.block_tridiagonal import Factor
-from trajeval_ros.chain import Chain
+from trajeval_ros.continuous_time.continuous_trajectory import (
+    ContinuousTrajectory,
+    MarkovPoses,
+    fit_trajectory,
+)
 from trajeval_ros.continuous_time.hyperparameters import (
     Hyperparameters,
     most_likely,
     negative_log_likelihood,
 )
-from trajeval_ros.continuous_time.interpolated import Linear
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL, Kernel
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.continuous_time.trajectory import (
-    ContinuousTrajectory,
-    MarkovPoses,
-    fit_trajectory,
-)
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
+from trajeval_ros.geometry.block_tridiagonal import Factor
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 UNIT_ROUNDOFF = float(np.finfo(np.float64).eps) / 2.0
@@ -55,7 +55,7 @@ def smooth(count: int, seed: int = 0, step_s: float = 0.2) -> Trajectory:
     positions = np.array([3.0, 2.0, 1.0]) * np.sin(times[:, None] * [0.5, 0.7, 0.9] + phase[0])
     turns = np.array([0.2, 0.2, 1.2]) * np.sin(times[:, None] * [0.8, 0.6, 0.4] + phase[1])
     stamps = 1_700_000_000_000_000_000 + np.round(times * 1e9).astype(np.int64)
-    return Trajectory(stamps, positions, Rotation.from_rotvec(turns))
+    return Trajectory(stamps, positions, Rotation.from_rotvec(turns).as_quat())
 
 
 def jump(below: Belief, above: Belief) -> float:
@@ -84,7 +84,7 @@ def test_block_tridiagonal_is_its_dense_matrix(seed: int, count: int, size: int)
     inverse = np.linalg.inv(dense)
     own, beside = factor.inverse_blocks()
     scale = np.abs(inverse).max()
-    links = Chain(csr_matrix(dense)).marginals(size * np.arange(count), size)
+    links = BandedGaussian(csr_matrix(dense)).marginals(size * np.arange(count), size)
     np.testing.assert_allclose(own, links, atol=1e-9 * scale)
     for row in range(count):
         here = slice(row * size, (row + 1) * size)
@@ -155,7 +155,7 @@ def test_few_samples_between_gaps_are_believed(model: str) -> None:
     some = Trajectory(
         (1e9 * seconds).astype(np.int64) + 10**18,
         np.stack([np.sin(turn[:, 2]), np.cos(turn[:, 2]), turn[:, 0]], axis=1),
-        Rotation.from_rotvec(turn),
+        Rotation.from_rotvec(turn).as_quat(),
     )
     assert some.rotations is not None
     fitted = fit_trajectory(some, model, Noise(0.005, 0.01))
@@ -229,7 +229,9 @@ def test_another_world_frame_changes_nothing(model: str, seed: int) -> None:
     shift = random.normal(scale=50.0, size=3)
     assert motion.rotations is not None
     moved = dataclasses.replace(
-        motion, positions=turn.apply(motion.positions) + shift, rotations=turn * motion.rotations
+        motion,
+        positions=turn.apply(motion.positions) + shift,
+        quaternions=(turn * motion.rotations).as_quat(),
     )
     stamps = motion.stamps[:-1] + 70_000_000
     here, there = (fit_trajectory(each, model).at(stamps) for each in (motion, moved))
@@ -259,11 +261,11 @@ def test_no_clock_and_no_sign_of_a_quaternion_matters(model: str) -> None:
     quaternions = motion.quaternions
     assert quaternions is not None
     signs = np.where(np.arange(40) % 3, 1.0, -1.0)[:, None]
-    motion = dataclasses.replace(motion, rotations=Rotation.from_quat(quaternions))
+    motion = dataclasses.replace(motion, quaternions=quaternions)
     other = dataclasses.replace(
         motion,
         stamps=motion.stamps - 1_600_000_000_123_456_789,
-        rotations=Rotation.from_quat(signs * quaternions),
+        quaternions=signs * quaternions,
     )
     here = fit_trajectory(motion, model).at(motion.stamps[:-1] + 70_000_000)
     there = fit_trajectory(other, model).at(other.stamps[:-1] + 70_000_000)
@@ -325,7 +327,7 @@ def test_brownian_motion_is_linear_interpolation() -> None:
     motion = smooth(30)
     samples = Samples.of(motion, Noise(1e-7, 1e-7))
     times = np.linspace(0.01, samples.times[-1] - 0.01, 200)
-    linear = Linear(samples).at(times).poses
+    linear = LinearInterpolation(samples).at(times).poses
     for manifold, measured, axes in (
         (Positions(), samples.poses[:, :3, 3], linear[:, :3, 3]),
         (Rotations(), samples.poses[:, :3, :3], linear[:, :3, :3]),
@@ -360,7 +362,7 @@ def test_joint_posterior_agrees_with_single_poses_and_with_its_draws() -> None:
 
 def test_positions_alone_are_enough() -> None:
     motion = smooth(30)
-    bare = dataclasses.replace(motion, rotations=None)
+    bare = dataclasses.replace(motion, quaternions=None)
     stamps = motion.stamps[:-1] + 90_000_000
     for model in MODELS:
         whole, alone = (fit_trajectory(each, model).at(stamps) for each in (motion, bare))
@@ -388,7 +390,7 @@ def test_nearly_equal_stamps_are_merged_and_said(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_no_motion_is_said_and_gives_no_confident_number(model: str) -> None:
     still = dataclasses.replace(
-        smooth(40), positions=np.ones((40, 3)), rotations=Rotation.identity(40)
+        smooth(40), positions=np.ones((40, 3)), quaternions=Rotation.identity(40).as_quat()
     )
     gap = still[np.r_[np.arange(0, 15), np.arange(30, 40)]]
     fitted = fit_trajectory(gap, model)
@@ -404,7 +406,7 @@ def test_half_turns_in_a_gap_are_said(model: str) -> None:
     motion = smooth(40)
     turns = np.zeros((40, 3))
     turns[20:, 2] = 3.0
-    wild = dataclasses.replace(motion, rotations=Rotation.from_rotvec(turns))
+    wild = dataclasses.replace(motion, quaternions=Rotation.from_rotvec(turns).as_quat())
     fitted = fit_trajectory(wild, model)
     assert any("turns by more than 115 deg at 1 place" in each for each in fitted.statements)
     belief = fitted.at(motion.stamps[:-1] + 100_000_000)

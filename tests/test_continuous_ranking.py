@@ -9,12 +9,16 @@ import pytest
 from flights import DRIFTS_M, Flight, fly, plain_ate_m
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import world_from_body_twists
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
@@ -30,7 +34,7 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
     stamps = flight.truth.stamps
     fitted = fit_trajectory(flight.groundtruth)
     belief = fitted.at(stamps)
-    covariances = se3.world_covariances(belief.covariances, belief.poses[:, :3, :3])[:, :3, :3]
+    covariances = world_from_body_twists(belief.covariances, belief.poses[:, :3, :3])[:, :3, :3]
     process = MarkovPoses.fit(fitted.samples, 2).positions.process
     joint = JointPosterior.of(process, fitted.samples.seconds(stamps))
     nearest = fit_trajectory(flight.groundtruth, "nearest").at(stamps).poses[:, :3, 3]
@@ -86,7 +90,7 @@ def bayes_factors(flight: Flight) -> tuple[float, float]:
     model = MarkovPoses.fit(samples, 2)
     belief = model.at(times)
     tolerance = Noise(0.005, np.radians(0.2))
-    groundtruth = JointGroundtruth.of(model, times, tolerance)
+    groundtruth = CorrelatedGroundtruth.of(model, times, tolerance)
     diagonal = np.square([0.005] * 3 + [tolerance.rotation_rad] * 3)
     belief.covariances[:] += np.diag(diagonal)
     joint, single = [], []

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from se3_manifold import Poses
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, negative_log_likelihood
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.geometry import se3
 
 KERNELS = {"se": SQUARED_EXPONENTIAL, "m52": MATERN_52}
 CLOSE: Any = {"rtol": 1e-11, "atol": 1e-11}

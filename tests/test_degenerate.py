@@ -18,13 +18,14 @@ from strategies import (
     moved,
 )
 
-from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS, Protocol
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.sub_trajectories import Length
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.pipeline import evaluate
 
 BASE = Protocol(lengths=(Length(2.0, "m"), Length(1.0, "s"), Length(20.0, "%")))
 FREE = (Gauge.SE3, Gauge.SIM3)
@@ -243,9 +244,9 @@ def test_positions_alone_have_position_errors_alone(gauge: Gauge, side: str) -> 
     groundtruth = make_groundtruth(14)
     estimate = make_estimate(groundtruth, 15)
     if side == "groundtruth":
-        groundtruth = dataclasses.replace(groundtruth, rotations=None)
+        groundtruth = dataclasses.replace(groundtruth, quaternions=None)
     else:
-        estimate = dataclasses.replace(estimate, rotations=None)
+        estimate = dataclasses.replace(estimate, quaternions=None)
     result = evaluate(groundtruth, estimate, by(gauge))
     assert result.ate["position_m"] is not None
     assert result.ate["velocity_mps"] is not None
@@ -259,7 +260,7 @@ def test_positions_alone_have_position_errors_alone(gauge: Gauge, side: str) -> 
 
 def test_the_tutorials_form_needs_rotations_on_both_sides() -> None:
     groundtruth = make_groundtruth(16)
-    bare = dataclasses.replace(groundtruth, rotations=None)
+    bare = dataclasses.replace(groundtruth, quaternions=None)
     with pytest.raises(InputError, match="plain"):
         evaluate(bare, groundtruth, by(Gauge.SE3, ate_form="tutorial"))
 
@@ -276,7 +277,8 @@ def test_a_yaw_that_two_rotations_leave_open_is_refused() -> None:
     groundtruth = make_groundtruth(17)
     assert groundtruth.rotations is not None
     upside_down = dataclasses.replace(
-        groundtruth, rotations=Rotation.from_rotvec([np.pi, 0.0, 0.0]) * groundtruth.rotations
+        groundtruth,
+        quaternions=(Rotation.from_rotvec([np.pi, 0.0, 0.0]) * groundtruth.rotations).as_quat(),
     )
     with pytest.raises(DegenerateGeometryError, match="z up"):
         evaluate(groundtruth, upside_down, by(Gauge.YAW, align_states=1))
@@ -297,7 +299,7 @@ def test_a_placeholder_first_pose_is_noticed() -> None:
     assert groundtruth.rotations is not None
     quaternions = groundtruth.rotations.as_quat()
     quaternions[0] = (Rotation.from_rotvec([0.0, 1.8, 0.0]) * groundtruth.rotations[0]).as_quat()
-    estimate = dataclasses.replace(groundtruth, rotations=Rotation.from_quat(quaternions))
+    estimate = dataclasses.replace(groundtruth, quaternions=quaternions)
     result = evaluate(groundtruth, estimate, by(Gauge.SE3, align_states=1))
     assert any("placeholder" in warning for warning in result.warnings)
     fine = evaluate(groundtruth, groundtruth, by(Gauge.SE3, align_states=1))

@@ -22,15 +22,16 @@ from strategies import (
     seeds,
 )
 
-from trajeval_ros.association import AssociationRule
-from trajeval_ros.evaluation import ATE_METRICS, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.sub_trajectories import Length
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import ATE_METRICS
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.pipeline import evaluate
 
 LENGTHS = (Length(4.0, "m"), Length(2.0, "s"), Length(25.0, "%"))
 BASE = Protocol(lengths=LENGTHS)
@@ -389,7 +390,8 @@ def test_yaw_and_tilt_are_the_errors_about_gravity_and_level_axes() -> None:
     none = dataclasses.replace(BASE, gauge=Gauge.NONE, lengths=())
     for rotvec, yaw, tilt in (([0, 0, -0.3], 0.3, 0.0), ([0.12, 0.16, 0.0], 0.0, 0.2)):
         estimate = dataclasses.replace(
-            groundtruth, rotations=Rotation.from_rotvec(rotvec) * groundtruth.rotations
+            groundtruth,
+            quaternions=(Rotation.from_rotvec(rotvec) * groundtruth.rotations).as_quat(),
         )
         absolute = evaluate(groundtruth, estimate, none).absolute
         assert absolute.rotation_deg is not None
@@ -473,7 +475,7 @@ def test_many_states_are_evaluated_at_all_lengths() -> None:
     turns = np.zeros((count, 3))
     turns[:, 2] = np.linspace(0.0, 60.0, count)
     positions = np.cumsum(random.normal(scale=0.1, size=(count, 3)), axis=0)
-    groundtruth = Trajectory(stamps, positions, Rotation.from_rotvec(turns))
+    groundtruth = Trajectory(stamps, positions, Rotation.from_rotvec(turns).as_quat())
     estimate = dataclasses.replace(
         groundtruth,
         stamps=stamps + 7_000_000,

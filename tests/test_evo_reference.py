@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.pipeline import evaluate
 
 Recording = Callable[[str], Trajectory]
 Reference = Callable[[str], Any]
@@ -67,3 +67,23 @@ def test_absolute_errors_of_topics_in_a_bag_are_evos(
     )
     command = f"bag ROS_example.bag groundtruth {topic}"
     assert_evos(groundtruth, estimate, command, flags, reference("evo"))
+
+
+def test_of_repeated_stamps_evo_takes_the_last(recording: Recording) -> None:
+    # `evo_ape tum -a`. The first ones are outliers of 10 m, which give 0.57 m.
+    groundtruth, estimate = (
+        recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
+    )
+    ours = evaluate(groundtruth, estimate, PROTOCOLS["evo"]).ate["position_m"]
+    assert ours is not None
+    assert ours.count == 893
+    assert ours.rmse == pytest.approx(0.352249, abs=5e-7)
+
+
+def test_default_warns_of_repeated_stamps_that_conflict(recording: Recording) -> None:
+    groundtruth, estimate = (
+        recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
+    )
+    first = evaluate(groundtruth, estimate).warnings[0]
+    assert first.startswith("uzh_run2_mocap has 2 repeated stamps (of 1787) with positions")
+    assert "by up to 10.1 m" in first

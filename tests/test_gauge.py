@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from strategies import gauges, make_element, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import MODALITIES, Gauge, gauge_for
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.similarity import Similarity
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge, gauge_for
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.metrics.protocol import Protocol
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 from trajeval_ros.visual_inertial.motion import recorded, shape
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
-from trajeval_ros.visual_inertial.solver import Handling
+from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import compare, covariances, paths, sweep
 
 FIGURES = ["cost.png", "covariances_sine_random.png", "prior_paths.png", "prior_weight.png"]
@@ -109,7 +109,7 @@ def test_real_motion(shared_data: Path) -> None:
     assert np.mean(cameras[:, 2, 1]) < -0.9
     scene = make_scene(motion, "random", PROFILES["paper"], 0, keyframes=30, landmarks=150)
     outcome = compare(scene, 2, _nothing)
-    assert 0.001 < outcome[Handling.FREE].position_m.mean() < 0.2
+    assert 0.001 < outcome[GaugeHandling.FREE].position_m.mean() < 0.2
     assert covariances(scene).difference < 2e-3
 
 
@@ -163,7 +163,7 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
     still = dataclasses.replace(flown, positions=flown.positions * [0.0, 0.0, up])
     level = Rotation.identity(len(flown))
     with pytest.raises(InputError, match="doesn't travel"):
-        recorded(dataclasses.replace(still, rotations=level), 5.0, 10.0)
+        recorded(dataclasses.replace(still, quaternions=level.as_quat()), 5.0, 10.0)
 
 
 @pytest.mark.parametrize(

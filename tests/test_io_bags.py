@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD, make_groundtruth
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.write_bag import ODOMETRY, POSE_STAMPED, write_bag
-from trajeval_ros.trajectory import Trajectory
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES: Any = STORE.types
@@ -81,7 +81,7 @@ def trajectory() -> Trajectory:
     return Trajectory(
         truth.stamps,
         truth.positions,
-        truth.rotations,
+        truth.quaternions,
         velocities=truth.velocities,
         covariances=factors @ np.swapaxes(factors, 1, 2),
         frame="odom",
@@ -138,7 +138,7 @@ def test_a_bag_is_never_overwritten(trajectory: Trajectory, tmp_path: Path) -> N
 def test_velocity_without_twist_and_covariance_of_zeros_are_unknown(
     trajectory: Trajectory, tmp_path: Path
 ) -> None:
-    bare = Trajectory(trajectory.stamps, trajectory.positions, trajectory.rotations)
+    bare = Trajectory(trajectory.stamps, trajectory.positions, trajectory.quaternions)
     write_bag(tmp_path / "bag", {"/odom": (bare, ODOMETRY)})
     read = read_trajectory(str(tmp_path / "bag"))
     assert read.velocities is None

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType
 from test_io_damage import COUNT, assert_damaged, mcap_file, payloads, sqlite_file
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io import compression
+from trajeval_ros.io.bags import compression
 from trajeval_ros.io.sources import read_trajectory
 
 MIB = 1 << 20

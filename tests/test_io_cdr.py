@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trajeval_ros.io.bags import Bag, Topic, encoding_of
-from trajeval_ros.io.cdr import Columns, Plan
-from trajeval_ros.io.definitions import (
+from trajeval_ros.io.bags.bag import Bag, Topic, encoding_of
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
     UnplannedError,
     fields_of,
     recorded_fields,
     types_in,
 )
-from trajeval_ros.io.messages import (
+from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
     POSE_TYPES,
     decode_path,
@@ -129,7 +129,7 @@ def test_every_field_of_random_messages(message_type: str) -> None:
     count = 2000 if message_type in TYPES else 100
     messages = [random_message(STORE, message_type, random) for _ in range(count)]
     payloads = [serialised(STORE, each, message_type, random) for each in messages]
-    columns = Plan(fields_of(STORE.fielddefs, message_type)).decode(payloads)
+    columns = CdrPlan(fields_of(STORE.fielddefs, message_type)).decode(payloads)
     assert_holds(columns, messages)
     assert columns.numbers or columns.sequences
 
@@ -144,7 +144,7 @@ def test_every_field_of_random_messages_of_ros1(message_type: str) -> None:
     random = np.random.default_rng(2)
     messages = [random_message(store, message_type, random) for _ in range(300)]
     payloads = [bytes(store.serialize_ros1(each, message_type)) for each in messages]
-    plan = Plan(fields_of(store.fielddefs, message_type), is_ros1=True)
+    plan = CdrPlan(fields_of(store.fielddefs, message_type), is_ros1=True)
     assert_holds(plan.decode(payloads), messages)
     too_long = plan.decode([each + b"\0" for each in payloads])
     assert not len(too_long.rows)
@@ -181,7 +181,7 @@ def test_every_field_of_any_layout(text: str, seed: int, ros1: bool) -> None:
     else:
         payloads = [serialised(store, each, "p/msg/Top", random) for each in messages]
     assert_holds(
-        Plan(fields_of(store.fielddefs, "p/msg/Top"), is_ros1=ros1).decode(payloads), messages
+        CdrPlan(fields_of(store.fielddefs, "p/msg/Top"), is_ros1=ros1).decode(payloads), messages
     )
 
 
@@ -193,7 +193,7 @@ def test_equal_size_is_not_equal_layout() -> None:
         message.header.frame_id, message.child_frame_id = frame, child
         messages += [message, random_message(STORE, "nav_msgs/msg/Odometry", random)]
     payloads = [bytes(STORE.serialize_cdr(each, "nav_msgs/msg/Odometry")) for each in messages]
-    assert_holds(Plan(STANDARD["nav_msgs/msg/Odometry"]).decode(payloads), messages)
+    assert_holds(CdrPlan(STANDARD["nav_msgs/msg/Odometry"]).decode(payloads), messages)
 
 
 def test_plain_xcdr2_aligns_to_four_bytes() -> None:
@@ -227,14 +227,14 @@ def test_only_what_is_wanted_is_decoded() -> None:
     random = np.random.default_rng(4)
     messages = [random_message(STORE, "nav_msgs/msg/Odometry", random) for _ in range(5)]
     payloads = [bytes(STORE.serialize_cdr(each, "nav_msgs/msg/Odometry")) for each in messages]
-    columns = Plan(fields, ["pose.pose", "twist.twist.linear.y"]).decode(payloads)
+    columns = CdrPlan(fields, ["pose.pose", "twist.twist.linear.y"]).decode(payloads)
     assert columns.numbers.keys() == {"pose.pose", "twist.twist.linear.y"}
     assert columns.numbers["pose.pose"].shape == (5, 7)
     assert not columns.texts
     with pytest.raises(UnplannedError, match=r"no field pose\.velocity"):
-        Plan(fields, ["pose.velocity"])
+        CdrPlan(fields, ["pose.velocity"])
     with pytest.raises(UnplannedError, match=r"no field header\.stamp of one kind"):
-        Plan(fields, ["header.stamp"])
+        CdrPlan(fields, ["header.stamp"])
 
 
 # Hostile bytes.
@@ -245,7 +245,7 @@ def test_only_what_is_wanted_is_decoded() -> None:
 )
 def test_damaged_messages_are_judged_as_rosbags_judges_them(message_type: str) -> None:
     random = np.random.default_rng(5)
-    plan = Plan(STANDARD[message_type])
+    plan = CdrPlan(STANDARD[message_type])
     for _ in range(10):
         payloads = []
         for _ in range(40):
@@ -281,7 +281,7 @@ def test_damaged_messages_are_judged_as_rosbags_judges_them(message_type: str) -
 def test_random_bytes_raise_nothing(payloads: list[bytes], kind: str) -> None:
     for beginning in (b"", b"\0\1\0\0", b"\0\0\0\0", b"\0\7\0\0"):
         given_ = [beginning + each for each in payloads]
-        rows = Plan(STANDARD[kind]).decode(given_).rows
+        rows = CdrPlan(STANDARD[kind]).decode(given_).rows
         assert len(rows) <= len(payloads)
 
 
@@ -322,7 +322,7 @@ def test_rows_of_poses_name_their_payloads(message_type: str) -> None:
 
 def test_live_decoding_imports_no_library() -> None:
     code = (
-        "import sys; from trajeval_ros.io.messages import decode_poses, decode_path; "
+        "import sys; from trajeval_ros.io.bags.pose_messages import decode_poses, decode_path; "
         "decode_poses([b''], 'nav_msgs/msg/Odometry'); decode_path(b''); "
         "sys.exit('rosbags' in sys.modules)"
     )
@@ -396,7 +396,7 @@ def test_every_field_of_every_message_of_real_bags(shared_data: Path) -> None:
                 if plain is None or fields is None:
                     continue
                 payloads = [payload for _, _, payload in bag.messages([topic])]
-                plan = Plan(fields, is_ros1=encoding_of(topic.connections[0]) == "ros1")
+                plan = CdrPlan(fields, is_ros1=encoding_of(topic.connections[0]) == "ros1")
                 assert_holds(plan.decode(payloads), [plain(each) for each in payloads])
                 checked += len(payloads)
     assert checked > 30_000

@@ -23,9 +23,9 @@ from test_io_bags import STORE, TYPES, header, pose, pose_stamped, refusal, simp
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.write_bag import POSE_STAMPED
-from trajeval_ros.trajectory import Trajectory
 
 COUNT = 600
 SECOND = 10**9

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.decimal_text import RowError, parse_rows
-from trajeval_ros.io.stamps import to_nanoseconds
+from trajeval_ros.io.text.decimals import RowError, parse_rows
+from trajeval_ros.io.text.stamps import to_nanoseconds
 
 digits = st.text("0123456789", max_size=24)
 plain = st.builds(

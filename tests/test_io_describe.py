@@ -8,8 +8,8 @@ import pytest
 from strategies import make_groundtruth
 
 from trajeval_ros.cli.info import info
+from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 from trajeval_ros.io.describe import describe
-from trajeval_ros.io.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 
 
 def test_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

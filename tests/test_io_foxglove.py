@@ -16,9 +16,9 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io import foxglove
+from trajeval_ros.io.bags import foxglove
+from trajeval_ros.io.bags.foxglove import ENCODINGS, POSE_TYPE, TRANSFORM_TYPES, FoxglovePlan
 from trajeval_ros.io.describe import describe
-from trajeval_ros.io.foxglove import ENCODINGS, POSE_TYPE, TRANSFORM_TYPES, FoxglovePlan
 from trajeval_ros.io.sources import read_trajectory
 
 COUNT = 300

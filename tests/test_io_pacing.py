@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trajeval_ros.io.pacing import TICK_S, Played, play
+from trajeval_ros.io.bags.pacing import TICK_S, PlaybackResult, play
 
 SECOND = 10**9
 BEGIN = 1_700_000_000 * SECOND
@@ -37,7 +37,9 @@ class Clock:
         self.time_s += self.cost_s
         return self.wait_s
 
-    def play(self, times_s: Sequence[float], rate: float, stop_s: float = 1e9) -> Played[str]:
+    def play(
+        self, times_s: Sequence[float], rate: float, stop_s: float = 1e9
+    ) -> PlaybackResult[str]:
         return play(
             [(BEGIN + round(time * SECOND), f"{time}", b"") for time in times_s],
             BEGIN,

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io import pair_file
-from trajeval_ros.io.pair_file import PairWriter, RecordedPairs, read_pairs
+from trajeval_ros.io.live import pair_file
+from trajeval_ros.io.live.pair_file import PairWriter, RecordedPairs, read_pairs
 
 DESCRIPTION = {"groundtruth": "/truth", "estimate": "/vio", "place": 0}
 

@@ -24,8 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.io.bags import Bag
-from trajeval_ros.io.playback import Playback, allowed_name
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.playback import Playback, allowed_name
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io import text
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text import reader
 
 STAMPS = [1403636580838555574, 1403636580843555212, 1403636580848555000]
 POSITIONS = np.array([[1.0, 2.0, 3.0], [1.5, 2.0, -3.25], [2.0, 2.5, 3.125]])
@@ -229,7 +229,7 @@ def test_files_of_many_blocks_are_read_whole(
             comment + " ".join([seconds(stamp), *(f"{value:.{places}f}" for value in values)])
         )
     path.write_text("\n".join(lines))
-    with mock.patch.object(text, "_BLOCK", 4096):
+    with mock.patch.object(reader, "_BLOCK", 4096):
         trajectory = read_trajectory(str(path))
     usable = np.abs(np.round(numbers[:, 3:], places)).sum(axis=1) > 1e-5
     assert trajectory.stamps.tolist() == stamps[usable].tolist()

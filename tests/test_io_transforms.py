@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.transform_tree import Edge, compose_transforms
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.transforms import Edge, chain
 
 Matrices = NDArray[np.float64]
 SECOND = 10**9
@@ -51,7 +51,7 @@ def test_a_chain_is_the_product_of_its_edges(seed: int) -> None:
         ("camera", "base"): random_edge(random, 1, is_static=True),  # points the other way
         ("base", "elsewhere"): random_edge(random, 30),
     }
-    stamps, positions, quaternions = chain(edges, "map", "camera", "t")
+    stamps, positions, quaternions = compose_transforms(edges, "map", "camera", "t")
     first, second = edges["map", "odom"], edges["odom", "base"]
     assert stamps[0] >= max(first.stamps[0], second.stamps[0])
     assert stamps[-1] <= min(first.stamps[-1], second.stamps[-1])
@@ -75,15 +75,15 @@ def test_the_way_back_is_the_inverse(seed: int) -> None:
         ("a", "b"): random_edge(random, 10),
         ("c", "b"): random_edge(random, 1, is_static=True),
     }
-    _, *there = chain(edges, "a", "c", "t")
-    _, *back = chain(edges, "c", "a", "t")
+    _, *there = compose_transforms(edges, "a", "c", "t")
+    _, *back = compose_transforms(edges, "c", "a", "t")
     product = matrices(*there) @ matrices(*back)
     np.testing.assert_allclose(product, np.tile(np.eye(4), (10, 1, 1)), atol=1e-9)
 
 
 def test_a_single_edge_is_given_as_it_is() -> None:
     edge = random_edge(np.random.default_rng(0), 10)
-    stamps, positions, quaternions = chain({("a", "b"): edge}, "a", "b", "t")
+    stamps, positions, quaternions = compose_transforms({("a", "b"): edge}, "a", "b", "t")
     np.testing.assert_array_equal(stamps, edge.stamps)
     np.testing.assert_array_equal(positions, edge.translations)
     np.testing.assert_allclose(quaternions, edge.quaternions, atol=1e-15)
@@ -109,7 +109,7 @@ def test_the_edge_that_is_most_frequent_at_first_leads_to_the_end() -> None:
         )
         for key, stamps in ((("a", "b"), steady), (("b", "c"), slows_down))
     }
-    stamps, _, _ = chain(edges, "a", "c", "t")
+    stamps, _, _ = compose_transforms(edges, "a", "c", "t")
     np.testing.assert_array_equal(stamps, slows_down.astype(np.int64))
 
 
@@ -131,16 +131,16 @@ def test_frames_that_do_not_fit() -> None:
         ("world", "vicon"): random_edge(random, 10),
     }
     with pytest.raises(InputError, match="no frame base_lnk; there are base_link, "):
-        chain(edges, "map", "base_lnk", "t")
+        compose_transforms(edges, "map", "base_lnk", "t")
     with pytest.raises(InputError, match="vicon is not connected to map; connected to map are"):
-        chain(edges, "map", "vicon", "t")
+        compose_transforms(edges, "map", "vicon", "t")
     with pytest.raises(InputError, match="base_link never moves in odom"):
-        chain(edges, "odom", "base_link", "t")
+        compose_transforms(edges, "odom", "base_link", "t")
     with pytest.raises(InputError, match="map never moves in map"):
-        chain(edges, "map", "map", "t")
+        compose_transforms(edges, "map", "map", "t")
     late = Edge.from_columns(np.array([10**15]), np.ones((1, 7)), is_static=False)
     with pytest.raises(InputError, match="never known at the same time"):
-        chain({**edges, ("base_link", "late"): late}, "map", "late", "t")
+        compose_transforms({**edges, ("base_link", "late"): late}, "map", "late", "t")
 
 
 @pytest.mark.parametrize("bag", ["tf_example.bag", "tf_example", "tf_example/tf_example.db3"])

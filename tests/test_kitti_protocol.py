@@ -5,16 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from strategies import Array, make_groundtruth
 
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.metrics.protocol import PROTOCOLS, metres
+from trajeval_ros.pipeline import evaluate
 
 LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)
 
@@ -50,18 +52,31 @@ def devkit(truth: Array, estimate: Array) -> dict[int, list[tuple[float, float]]
     return errors
 
 
+def matrices_of(path: Path) -> Array:
+    rows = np.loadtxt(path).reshape(-1, 3, 4)
+    last = np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))
+    return np.concatenate([rows, last], axis=1)
+
+
+@pytest.fixture
+def devkits_00(shared_data: Path) -> dict[int, list[tuple[float, float]]]:
+    """What the devkit's rule gives for the matrices as they are in the files."""
+    return devkit(
+        *(matrices_of(shared_data / f"kitti/KITTI_00_{name}.txt") for name in ("gt", "ORB"))
+    )
+
+
 def test_relative_errors_are_the_devkits_on_sequence_00(
-    recording: Callable[[str], Trajectory],
+    recording: Callable[[str], Trajectory], devkits_00: dict[int, list[tuple[float, float]]]
 ) -> None:
     groundtruth = recording("kitti/KITTI_00_gt.txt")
     estimate = recording("kitti/KITTI_00_ORB.txt")
     result = evaluate(groundtruth, estimate, PROTOCOLS["kitti"])
-    expected = devkit(poses_of(groundtruth), poses_of(estimate))
     assert result.segments is not None
     assert [each.length_m for each in result.segments] == list(LENGTHS)
     for segments in result.segments:
         assert segments.length_m is not None
-        theirs = np.array(expected[int(segments.length_m)])
+        theirs = np.array(devkits_00[int(segments.length_m)])
         assert len(segments.errors.ends) == len(theirs) > 0
         np.testing.assert_allclose(segments.errors.position_m, theirs[:, 0], rtol=1e-9)
         np.testing.assert_allclose(
@@ -77,7 +92,7 @@ def test_relative_errors_are_the_devkits_on_sequence_00(
 
 
 def test_the_score_is_the_mean_over_all_sequences_of_all_lengths(
-    recording: Callable[[str], Trajectory],
+    recording: Callable[[str], Trajectory], devkits_00: dict[int, list[tuple[float, float]]]
 ) -> None:
     groundtruth = recording("kitti/KITTI_00_gt.txt")
     estimate = recording("kitti/KITTI_00_ORB.txt")
@@ -85,7 +100,7 @@ def test_the_score_is_the_mean_over_all_sequences_of_all_lengths(
     errors = np.array(
         [
             (translation / length, angle / length)
-            for length, each in devkit(poses_of(groundtruth), poses_of(estimate)).items()
+            for length, each in devkits_00.items()
             for translation, angle in each
         ]
     )
@@ -95,31 +110,6 @@ def test_the_score_is_the_mean_over_all_sequences_of_all_lengths(
     assert translation.count == rotation.count == len(errors)
     assert translation.mean == pytest.approx(100.0 * errors[:, 0].mean(), rel=1e-9)
     assert rotation.mean == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
-
-
-def test_relative_errors_are_the_devkits_on_the_unrepaired_matrices(
-    recording: Callable[[str], Trajectory], shared_data: object
-) -> None:
-    # The files have few digits; making their matrices rotations must not change the score.
-    groundtruth = recording("kitti/KITTI_00_gt.txt")
-    estimate = recording("kitti/KITTI_00_ORB.txt")
-    raw = []
-    for name in ("gt", "ORB"):
-        rows = np.loadtxt(f"{shared_data}/kitti/KITTI_00_{name}.txt").reshape(-1, 3, 4)
-        last = np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))
-        raw.append(np.concatenate([rows, last], axis=1))
-    theirs = [error for each in devkit(*raw).items() for error in _per_metre(*each)]
-    result = evaluate(groundtruth, estimate, PROTOCOLS["kitti"])
-    ours = [
-        error
-        for each in result.segments or ()
-        for error in each.errors.position_m / (each.length_m or np.nan)
-    ]
-    assert np.mean(ours) == pytest.approx(np.mean(theirs), rel=1e-5)
-
-
-def _per_metre(length: int, errors: list[tuple[float, float]]) -> list[float]:
-    return [translation / length for translation, _ in errors]
 
 
 def test_frames_pair_by_number_and_nothing_is_aligned() -> None:
@@ -134,5 +124,125 @@ def test_frames_pair_by_number_and_nothing_is_aligned() -> None:
     assert len(result.association) == 60
     assert result.ate["position_m"] is not None
     assert result.ate["position_m"].min == pytest.approx(3.0)
-    with pytest.raises(InputError, match="row by row"):
+    with pytest.raises(InputError, match="first of 13 columns"):
         evaluate(groundtruth, shifted[:59], PROTOCOLS["kitti"])
+
+
+KITTI_ODOM_EVAL = "kitti_odom_eval/09_{}.txt"  # and what that tool says of them, 7dof
+
+
+def test_frames_with_gaps_give_the_tools_numbers(recording: Callable[[str], Trajectory]) -> None:
+    groundtruth, estimate = (
+        recording(KITTI_ODOM_EVAL.format(each)) for each in ("groundtruth", "frame_index")
+    )
+    protocol = dataclasses.replace(PROTOCOLS["kitti"], gauge=Gauge.SIM3)
+    result = evaluate(groundtruth, estimate, protocol)
+    position, rotation = result.pooled["position_percent"], result.pooled["rotation_deg_per_m"]
+    assert position is not None
+    assert rotation is not None
+    assert result.ate["position_m"] is not None
+    assert position.count == rotation.count == 950
+    # Its matrices of 6 digits are no rotations to 1e-6, and it turns all positions by the first.
+    assert result.ate["position_m"].rmse == pytest.approx(8.386619, rel=1e-6)
+    assert position.mean == pytest.approx(2.884113, abs=5e-7)
+    assert 100.0 * rotation.mean == pytest.approx(0.249056, abs=5e-7)
+
+
+def test_trajectories_without_matrices_have_those_of_their_rotations() -> None:
+    groundtruth = dataclasses.replace(make_groundtruth(1, 60), stamped=False)
+    estimate = dataclasses.replace(make_groundtruth(2, 60), stamped=False)
+    errors = []
+    for form in ("matrices", "se3"):
+        protocol = dataclasses.replace(PROTOCOLS["kitti"], lengths=metres(1), re_form=form)
+        result = evaluate(groundtruth, estimate, protocol)
+        assert result.segments is not None
+        errors.append(result.segments[0].errors)
+    assert len(errors[0].starts) > 0
+    np.testing.assert_allclose(errors[0].position_m, errors[1].position_m, rtol=1e-12)
+    # Angles of degrees from their arc cosine: 16 roundings of it, divided by the angle.
+    np.testing.assert_allclose(errors[0].rotation_deg, errors[1].rotation_deg, rtol=1e-9)
+
+
+@pytest.fixture
+def pose_rows() -> list[str]:
+    poses = poses_of(make_groundtruth(1, 60))[:, :3].reshape(60, 12)
+    return [" ".join(f"{number:.17g}" for number in row) for row in poses]
+
+
+@pytest.mark.parametrize("beside", ["neither", "groundtruth", "estimate", "both"])
+def test_frames_pair_by_their_numbers_with_times_beside_them_or_not(
+    beside: str, pose_rows: list[str], tmp_path: Path
+) -> None:
+    groundtruth, estimate = tmp_path / "groundtruth.txt", tmp_path / "estimate.txt"
+    groundtruth.write_text("\n".join(pose_rows), encoding="utf-8")
+    frames = [frame for frame in range(3, 60) if frame % 7]
+    rows = [f"{frame} {pose_rows[frame]}" for frame in frames]
+    estimate.write_text("\n".join(rows), encoding="utf-8")
+    times = "".join(f"{0.1 * frame:.9f}\n" for frame in range(60))
+    for side in ("groundtruth", "estimate"):
+        if beside in (side, "both"):
+            (tmp_path / f"{side}_times.txt").write_text(times, encoding="utf-8")
+    protocol = dataclasses.replace(PROTOCOLS["kitti"], lengths=metres(1))
+    result = evaluate(*(read_trajectory(str(path)) for path in (groundtruth, estimate)), protocol)
+    pairs = result.association
+    assert pairs.groundtruth_rows is not None
+    assert pairs.groundtruth_rows.tolist() == frames
+    assert pairs.estimate_coverage == 1.0
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].max == 0.0
+    assert result.segments is not None
+    starts = pairs.groundtruth_rows[result.segments[0].errors.starts]
+    ends = pairs.groundtruth_rows[result.segments[0].errors.ends]
+    truth = read_trajectory(str(groundtruth))
+    expected = [
+        (start, end)
+        for start in range(0, 60, 10)
+        if (end := next((each for each in range(60) if far(truth, start, each)), 0)) in frames
+        and start in frames
+    ]
+    assert list(zip(starts.tolist(), ends.tolist(), strict=True)) == expected != []
+
+
+def far(truth: Trajectory, start: int, end: int) -> bool:
+    return bool(truth.travelled[end] > truth.travelled[start] + 1.0)
+
+
+def test_frames_without_groundtruth_are_counted(pose_rows: list[str], tmp_path: Path) -> None:
+    groundtruth, estimate = tmp_path / "groundtruth.txt", tmp_path / "estimate.txt"
+    groundtruth.write_text("\n".join(pose_rows[:50]), encoding="utf-8")
+    rows = [f"{frame} {row}" for frame, row in enumerate(pose_rows)]
+    estimate.write_text("\n".join(rows), encoding="utf-8")
+    sides = [read_trajectory(str(path)) for path in (groundtruth, estimate)]
+    result = evaluate(*sides, PROTOCOLS["kitti"])
+    assert result.association.dropped == {"no_groundtruth_of_this_frame": 10}
+    assert any("10 in frames without groundtruth" in each for each in result.warnings)
+
+
+def test_rows_that_are_no_poses_move_no_other_row(pose_rows: list[str], tmp_path: Path) -> None:
+    groundtruth, estimate = tmp_path / "groundtruth.txt", tmp_path / "estimate.txt"
+    groundtruth.write_text("\n".join(pose_rows), encoding="utf-8")
+    nothing = " ".join(["nan"] * 12)
+    rows = [nothing if frame in (20, 21) else row for frame, row in enumerate(pose_rows)]
+    estimate.write_text("\n".join(rows), encoding="utf-8")
+    sides = [read_trajectory(str(path)) for path in (groundtruth, estimate)]
+    ate = evaluate(*sides, PROTOCOLS["kitti"]).ate["position_m"]
+    assert ate is not None
+    assert (ate.count, ate.max) == (58, 0.0)
+
+
+@pytest.mark.parametrize("frames", [[0, 1, 2, 2, 3], [0, 1, 3, 2, 4]])
+def test_frames_that_repeat_or_go_back_are_refused(
+    frames: list[int], pose_rows: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "estimate.txt"
+    rows = [f"{frame} {pose_rows[frame]}" for frame in frames]
+    path.write_text("\n".join(rows), encoding="utf-8")
+    estimate = read_trajectory(str(path))
+    with pytest.raises(InputError, match=r"has frame 2 after frame [23]; sort its rows"):
+        evaluate(make_groundtruth_of_frames(), estimate, PROTOCOLS["kitti"])
+
+
+def make_groundtruth_of_frames() -> Trajectory:
+    return dataclasses.replace(
+        make_groundtruth(1, 60), stamped=False, frames=np.arange(60, dtype=np.int64)
+    )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import SAME_ROTATION_RAD, Array, seeds
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 
 def rotations(seed: int, count: int = 50) -> Rotation:
@@ -201,6 +201,83 @@ def test_a_matrix_is_the_quaternion_of_scipy(seed: int) -> None:
     theirs = rotation.as_quat()
     assert mine[3] >= 0.0
     np.testing.assert_allclose(mine, theirs * np.sign(theirs[3]), atol=1e-15)
+
+
+@given(seed=seeds, size=st.sampled_from([1e-100, 1e-3, 1.0, 1e100]))
+def test_normalising_is_scipys(seed: int, size: float) -> None:
+    raw = np.random.default_rng(seed).normal(scale=size, size=(50, 4))
+    ours = lie.normalized(raw)
+    np.testing.assert_allclose(ours, Rotation.from_quat(raw).as_quat(), rtol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1.0, rtol=3e-16)
+    np.testing.assert_array_equal(lie.normalized(raw[0]), ours[0])
+    np.testing.assert_array_equal(lie.normalized(raw.reshape(5, 10, 4)), ours.reshape(5, 10, 4))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("component", [0.0, 1e-200, np.nan, np.inf])
+def test_a_quaternion_of_no_length_is_not_finite(component: float) -> None:
+    assert not np.isfinite(lie.normalized(np.full(4, component))).any()
+
+
+@given(seed=seeds)
+def test_matrices_are_scipys_both_ways(seed: int) -> None:
+    q = quaternions(seed)
+    matrices = lie.to_matrix(q)
+    np.testing.assert_allclose(matrices, Rotation.from_quat(q).as_matrix(), rtol=0, atol=1e-15)
+    back = lie.from_matrices(matrices)
+    theirs = Rotation.from_matrix(matrices).as_quat()
+    np.testing.assert_allclose(back, theirs, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(lie.to_matrix(back), matrices, rtol=0, atol=2e-15)
+
+
+@given(seed=seeds)
+def test_matrices_turn_vectors_as_quaternions_do(seed: int) -> None:
+    q, vectors = quaternions(seed), np.random.default_rng(seed).normal(size=(50, 3))
+    turned = np.einsum("nij,nj->ni", lie.to_matrix(q), vectors)
+    np.testing.assert_allclose(turned, lie.rotate(q, vectors), rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(lie.to_matrix(q[0]), lie.to_matrix(q)[0])
+    assert lie.to_matrix(q[:0]).shape == (0, 3, 3)
+    assert lie.from_matrices(np.empty((0, 3, 3))).shape == (0, 4)
+
+
+@given(
+    a=seeds, size=st.sampled_from([0.0, 1e-200, 1e-9, 9.99e-4, 1.001e-3, 0.5, 3.0, 3.1415, 6.0])
+)
+def test_rotation_vectors_are_scipys_both_ways(a: int, size: float) -> None:
+    axes = np.random.default_rng(a).normal(size=(20, 3))
+    vectors = size * axes / np.linalg.norm(axes, axis=1)[:, None]
+    ours = lie.from_rotation_vector(vectors)
+    np.testing.assert_allclose(ours, Rotation.from_rotvec(vectors).as_quat(), rtol=0, atol=3e-16)
+    np.testing.assert_array_equal(lie.from_rotation_vector(vectors[0]), ours[0])
+    if size < 3.0:
+        np.testing.assert_allclose(lie.rotation_vector(ours), vectors, rtol=1e-14, atol=1e-300)
+        np.testing.assert_allclose(lie.to_matrix(ours), lie.exp(vectors), rtol=0, atol=2e-15)
+
+
+@given(seed=seeds)
+def test_euler_angles_are_scipys_and_make_the_rotation(seed: int) -> None:
+    q = quaternions(seed)
+    ours = lie.euler_angles(q)
+    np.testing.assert_allclose(ours, rotations(seed).as_euler("ZYX"), rtol=0, atol=4e-15)
+    made = Rotation.from_euler("ZYX", ours)
+    np.testing.assert_allclose((made.inv() * rotations(seed)).magnitude(), 0.0, atol=2e-15)
+    np.testing.assert_array_equal(lie.euler_angles(q[0]), ours[0])
+
+
+@given(yaw=st.floats(-3.1, 3.1), roll=st.floats(-3.1, 3.1), error=st.floats(-4e-8, 4e-8))
+@pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
+@pytest.mark.filterwarnings("ignore:Gimbal lock:UserWarning")
+def test_euler_angles_straight_up_or_down_have_no_roll(
+    pitch: float, yaw: float, roll: float, error: float
+) -> None:
+    rotation = Rotation.from_euler("ZYX", [yaw, pitch + error, roll])
+    ours = lie.euler_angles(rotation.as_quat())
+    assert ours[2] == 0.0
+    assert abs(ours[0]) <= np.pi
+    np.testing.assert_allclose(ours[1], pitch, rtol=0, atol=1e-7)
+    made = Rotation.from_euler("ZYX", ours)
+    # The roll that was left out has no effect but through the pitch's distance from a right angle.
+    assert (made.inv() * rotation).magnitude() < 1e-7
 
 
 @pytest.mark.parametrize("axis", np.eye(3))

@@ -8,13 +8,16 @@ from flights import fly
 from hypothesis import given, settings
 from strategies import as_matrix, make_element, seeds
 
-from trajeval_ros import se3
+from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import MarkovPoses, fit_trajectory
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import act
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import act
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 
@@ -41,7 +44,7 @@ def alignment(estimate: np.ndarray, gauge: Gauge) -> np.ndarray:
 @given(seed=seeds)
 @settings(max_examples=3)
 def test_no_frame_matters(gauge: Gauge, seed: int) -> None:
-    groundtruth = JointGroundtruth.of(MODEL, TIMES, Noise(0.005, 0.003))
+    groundtruth = CorrelatedGroundtruth.of(MODEL, TIMES, Noise(0.005, 0.003))
     estimate = poses_of(1)
     moved = act(as_matrix(make_element(gauge, seed)), estimate)
     here, there = (
@@ -59,13 +62,13 @@ def test_what_hides_the_groundtruths_errors_makes_poses_independent() -> None:
     covariances = np.tile(np.diag([0.25] * 3 + [0.09] * 3), (len(times), 1, 1))
     belief = Belief(MODEL.at(times).poses, covariances)
     single = generalised_absolute_error(Residuals(belief, estimate, Gauge.YAW), "laplace")
-    groundtruth = JointGroundtruth.of(MODEL, times, Noise(0.5, 0.3))
+    groundtruth = CorrelatedGroundtruth.of(MODEL, times, Noise(0.5, 0.3))
     joint = joint_log_likelihood(groundtruth, estimate, Gauge.YAW, single.mode.element)
     assert joint == pytest.approx(single.log_likelihood, abs=0.05)
 
 
 def test_positions_alone_have_a_joint_likelihood() -> None:
-    groundtruth = JointGroundtruth.of(MarkovPoses(MODEL.positions, None), TIMES, Noise())
+    groundtruth = CorrelatedGroundtruth.of(MarkovPoses(MODEL.positions, None), TIMES, Noise())
     assert groundtruth.rotations is None
     scores = [
         joint_log_likelihood(groundtruth, each, Gauge.SE3, alignment(each, Gauge.SE3))
@@ -75,7 +78,7 @@ def test_positions_alone_have_a_joint_likelihood() -> None:
 
 
 def test_rest_has_no_scale() -> None:
-    groundtruth = JointGroundtruth.of(MODEL, TIMES, Noise())
+    groundtruth = CorrelatedGroundtruth.of(MODEL, TIMES, Noise())
     resting = np.tile(np.eye(4), (len(TIMES), 1, 1))
     with pytest.raises(DegenerateGeometryError, match="no scale"):
         joint_log_likelihood(groundtruth, resting, Gauge.SIM3, np.eye(4))

@@ -5,27 +5,29 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import first_order_likelihood as first_order
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from paper_density import DENSITIES, PaperResiduals
+from position_likelihood import position_error
 from scipy.stats import multivariate_normal
 from strategies import as_matrix, make_element, seeds
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood import first_order, relative
-from trajeval_ros.likelihood.alignments import act
-from trajeval_ros.likelihood.chain import gauge_chain
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood import relative_density
+from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.marginal import (
     generalised_absolute_error,
     importance,
     quadrature,
 )
-from trajeval_ros.likelihood.positions import position_error
+from trajeval_ros.likelihood.observable_directions import gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
 
 Array = NDArray[np.float64]
@@ -60,7 +62,7 @@ def drawn(count: int, seed: int, sigma_rad: float, lever_m: float = 1.0) -> tupl
 
 
 def score(belief: Belief, estimate: Array, gauge: Gauge, density: str = "haar") -> float:
-    residuals = Residuals(belief, estimate, gauge, density=density)
+    residuals = DENSITIES[density](belief, estimate, gauge)
     return generalised_absolute_error(residuals, "laplace").log_likelihood
 
 
@@ -70,7 +72,7 @@ def test_both_errors_are_one_to_first_order_eq_29(seed: int, count: int, size: f
     poses = flight(count, seed)
     estimate = poses @ se3.exp(random.normal(scale=size, size=(count, 6)) / np.sqrt(6.0))
     belief = Belief(poses, spread(random, count, 0.02, 0.03))
-    one = relative.generalised_relative_error(belief, estimate)
+    one = relative_density.generalised_relative_error(belief, estimate)
     # What rounds: a sum of squares, and as many logarithms as there are directions.
     size = float(np.sum(one.whitened**2)) + 60.0 * count
     for frame in (None, poses[0], se3.exp(random.normal(size=6))):
@@ -81,9 +83,11 @@ def test_both_errors_are_one_to_first_order_eq_29(seed: int, count: int, size: f
 def test_the_papers_own_transport_breaks_the_identity() -> None:
     belief, estimate = drawn(5, 1, 0.02)
     right = first_order.first_order_absolute_error(belief, estimate).log_likelihood
-    literal = se3.adjoint(relative.relative_poses(belief.poses))  # Ad(T_{i,i+1}), as printed
+    literal = se3.adjoint(
+        relative_density.relative_poses(belief.poses)
+    )  # Ad(T_{i,i+1}), as printed
     diagonal = se3.congruent(literal, belief.covariances[:-1]) + belief.covariances[1:]
-    errors = relative.relative_errors(belief.poses, estimate).ravel()
+    errors = relative_density.relative_errors(belief.poses, estimate).ravel()
     dense = np.zeros((24, 24))
     for row in range(4):
         here, before = slice(6 * row, 6 * row + 6), slice(6 * row - 6, 6 * row)
@@ -97,8 +101,8 @@ def test_the_papers_own_transport_breaks_the_identity() -> None:
 @given(seed=seeds, count=st.integers(3, 8))
 def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     belief, estimate = drawn(count, seed, 0.03)
-    found = relative.generalised_relative_error(belief, estimate)
-    carriers = relative.transports(belief.poses)
+    found = relative_density.generalised_relative_error(belief, estimate)
+    carriers = relative_density.transports(belief.poses)
     step = np.zeros((6 * count - 6, 6 * count))
     for row in range(count - 1):
         here = slice(6 * row, 6 * row + 6)
@@ -108,14 +112,14 @@ def test_edges_add_up_to_the_dense_density_eq_17(seed: int, count: int) -> None:
     for row in range(count):
         here = slice(6 * row, 6 * row + 6)
         blocks[here, here] = belief.covariances[row]
-    errors = relative.relative_errors(belief.poses, estimate)
+    errors = relative_density.relative_errors(belief.poses, estimate)
     dense = multivariate_normal.logpdf(
         errors.ravel(), np.zeros(6 * count - 6), step @ blocks @ step.T
     )
     assert found.log_likelihood == pytest.approx(dense, rel=1e-10, abs=1e-8)
     assert np.sum(found.edges) == pytest.approx(found.log_likelihood, rel=1e-12)
     # Q of eq. (14) is the matrix above.
-    stepwise = relative.stepwise(carriers, errors[[0, *range(count - 1)]])
+    stepwise = relative_density.stepwise(carriers, errors[[0, *range(count - 1)]])
     np.testing.assert_allclose(
         stepwise.ravel(), step @ errors[[0, *range(count - 1)]].ravel(), atol=1e-12
     )
@@ -128,12 +132,14 @@ def test_stochastic_relative_poses_of_eq_10_to_14(seed: int) -> None:
     noise = random.normal(scale=1e-3, size=(6, 6))
     stochastic = poses @ se3.exp(noise)
     np.testing.assert_allclose(
-        relative.perturbed_steps(poses, noise), relative.relative_poses(stochastic), atol=1e-12
+        first_order.perturbed_steps(poses, noise),
+        relative_density.relative_poses(stochastic),
+        atol=1e-12,
     )
-    exact = relative.step_perturbations(poses, noise)
-    linear = relative.stepwise(relative.transports(poses), noise)
+    exact = first_order.step_perturbations(poses, noise)
+    linear = relative_density.stepwise(relative_density.transports(poses), noise)
     np.testing.assert_allclose(linear, exact, atol=1e-3 * np.abs(exact).max() + 3e-5)
-    halved = relative.step_perturbations(poses, noise / 2.0)
+    halved = first_order.step_perturbations(poses, noise / 2.0)
     # What is left out is of second order.
     left_out = np.abs(exact - linear).max(), np.abs(halved - linear / 2.0).max()
     assert left_out[1] == pytest.approx(left_out[0] / 4.0, rel=0.05)
@@ -152,7 +158,7 @@ def test_first_order_residuals_of_eq_20_to_26(seed: int) -> None:
     first = first_order.first_residual(poses[0], twist)
     np.testing.assert_allclose(first, exact[0], atol=1e-14)
     assert first_order.log_volume(poses[0]) == pytest.approx(0.0, abs=1e-12)
-    errors = relative.relative_errors(poses, estimate)
+    errors = relative_density.relative_errors(poses, estimate)
     linear = first_order.first_order_residuals(poses, errors, first)
     np.testing.assert_allclose(linear, exact, atol=1e-9)
     means = first_order.gauge_means(poses, errors, poses[0])
@@ -212,7 +218,7 @@ def test_millimetres_change_a_score_by_a_constant() -> None:
 @settings(max_examples=5)
 def test_gradient_is_exact_and_vanishes_at_the_mode(gauge: Gauge, density: str, seed: int) -> None:
     belief, estimate = drawn(8, seed, 0.3)
-    residuals = Residuals(belief, estimate, gauge, density=density)
+    residuals = DENSITIES[density](belief, estimate, gauge)
     element = as_matrix(make_element(gauge, seed, reach_m=0.3))
     near = residuals.chart.elements(np.full((1, residuals.chart.dimension), 0.03))[0]
     if gauge is not Gauge.TRANSLATION:
@@ -243,14 +249,12 @@ def test_laplace_is_close_to_quadrature_and_sampling(gauge: Gauge) -> None:
 def test_relinearised_edges_add_up_to_the_exact_error() -> None:
     for sigma_deg, count in ((1.0, 1000), (0.1, 1000)):
         belief, estimate = drawn(count, 2, np.radians(sigma_deg))
-        error = generalised_absolute_error(
-            Residuals(belief, estimate, Gauge.SE3, density="log"), "laplace"
-        )
+        error = generalised_absolute_error(PaperResiduals(belief, estimate, Gauge.SE3), "laplace")
         residuals = error.residuals.at(error.mode.element)
-        steps = relative.stepwise(relative.transports(belief.poses), residuals)
-        found = relative.decomposed(belief, steps).log_likelihood
+        steps = relative_density.stepwise(relative_density.transports(belief.poses), residuals)
+        found = relative_density.decomposed(belief, steps).log_likelihood
         assert found == pytest.approx(error.log_likelihood, abs=1e-2)
-        literal = relative.generalised_relative_error(belief, estimate).log_likelihood
+        literal = relative_density.generalised_relative_error(belief, estimate).log_likelihood
         assert abs(literal - error.log_likelihood) > 0.3
 
 
@@ -261,7 +265,7 @@ def test_first_order_is_off_by_the_square_of_the_noise() -> None:
         gaps = []
         for seed in range(8):
             belief, estimate = drawn(30, 100 + seed, float(size))
-            literal = relative.generalised_relative_error(belief, estimate).log_likelihood
+            literal = relative_density.generalised_relative_error(belief, estimate).log_likelihood
             gaps.append(literal - score(belief, estimate, Gauge.SE3))
         missed.append(abs(np.mean(gaps)))
     slope = np.polyfit(np.log(sizes), np.log(missed), 1)[0]
@@ -271,31 +275,31 @@ def test_first_order_is_off_by_the_square_of_the_noise() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_scores_form_a_chain(seed: int) -> None:
     belief, estimate = drawn(40, seed, np.radians(0.5))
-    chain = gauge_chain(Residuals(belief, estimate, Gauge.YAW))
-    assert chain.sim3 is not None
-    assert chain.scale is not None
-    assert chain.se3 == pytest.approx(chain.sim3 + chain.scale.log_density, abs=1e-2)
-    assert chain.yaw == pytest.approx(chain.se3 + chain.tilt.log_density, abs=1e-2)
-    assert max(map(abs, chain.scale.z + chain.tilt.z)) < 5.0
+    scores = gauge_scores(Residuals(belief, estimate, Gauge.YAW))
+    assert scores.sim3 is not None
+    assert scores.scale is not None
+    assert scores.se3 == pytest.approx(scores.sim3 + scores.scale.log_density, abs=1e-2)
+    assert scores.yaw == pytest.approx(scores.se3 + scores.tilt.log_density, abs=1e-2)
+    assert max(map(abs, scores.scale.z + scores.tilt.z)) < 5.0
 
 
 def test_chain_finds_a_wrong_scale() -> None:
     belief, estimate = drawn(40, 3, np.radians(0.1))
     wrong = estimate.copy()
     wrong[:, :3, 3] /= 1.02
-    chain = gauge_chain(Residuals(belief, wrong, Gauge.YAW))
-    assert chain.scale is not None
-    assert np.exp(chain.scale.values[0]) == pytest.approx(1.02, abs=2e-3)
-    assert chain.scale.z[0] > 10.0
+    scores = gauge_scores(Residuals(belief, wrong, Gauge.YAW))
+    assert scores.scale is not None
+    assert np.exp(scores.scale.values[0]) == pytest.approx(1.02, abs=2e-3)
+    assert scores.scale.z[0] > 10.0
 
 
 def test_chain_finds_a_tilt() -> None:
     belief, estimate = drawn(40, 3, np.radians(0.1))
     tilted = act(se3.exp(np.array([0.0, 0.0, 0.0, 0.02, 0.0, 0.0])), estimate)
-    chain = gauge_chain(Residuals(belief, tilted, Gauge.YAW))
-    assert chain.tilt.values == pytest.approx((-0.02, 0.0), abs=2e-3)
-    assert chain.tilt.z[0] < -10.0
-    assert abs(chain.tilt.z[1]) < 4.0
+    scores = gauge_scores(Residuals(belief, tilted, Gauge.YAW))
+    assert scores.tilt.values == pytest.approx((-0.02, 0.0), abs=2e-3)
+    assert scores.tilt.z[0] < -10.0
+    assert abs(scores.tilt.z[1]) < 4.0
 
 
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
@@ -349,14 +353,12 @@ def test_refuses_what_has_no_likelihood() -> None:
     with pytest.raises(DegenerateGeometryError, match="exactly known"):
         generalised_absolute_error(Residuals(sure, estimate, Gauge.SE3))
     with pytest.raises(DegenerateGeometryError, match="relative poses is singular"):
-        relative.generalised_relative_error(sure, estimate)
+        relative_density.generalised_relative_error(sure, estimate)
     wrong: Any = {"method": "simpson"}
     with pytest.raises(SettingsError, match="no method 'simpson'"):
         generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3), **wrong)
     with pytest.raises(SettingsError, match="planar"):
         generalised_absolute_error(Residuals(belief, estimate, Gauge.PLANAR))
-    with pytest.raises(SettingsError, match="no density 'lebesgue'"):
-        Residuals(belief, estimate, Gauge.SE3, density="lebesgue")
     with pytest.raises(SettingsError, match="no closed form for gauge sim3"):
         position_error(np.eye(3), np.eye(3), 1.0, Gauge.SIM3)
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+import first_order_likelihood as first_order
 import numpy as np
 import pytest
+from paper_density import DENSITIES
+from position_likelihood import position_error
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood import first_order, relative
-from trajeval_ros.likelihood.alignments import scales
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood import relative_density
+from trajeval_ros.likelihood.alignment_chart import scales
 from trajeval_ros.likelihood.marginal import generalised_absolute_error, laplace, quadrature
-from trajeval_ros.likelihood.positions import position_error
 from trajeval_ros.likelihood.residuals import Residuals
 
 GAUGES = {"se3": Gauge.SE3, "yaw4": Gauge.YAW, "sim3": Gauge.SIM3}
@@ -35,14 +37,14 @@ def metric_case(numbers: Any, name: str) -> tuple[Belief, Any, Any]:
 
 def test_relative_error_of_eq_10_to_17(numbers: Any) -> None:
     belief, estimate, case = metric_case(numbers, "se3")
-    carriers = relative.transports(belief.poses)
+    carriers = relative_density.transports(belief.poses)
     np.testing.assert_allclose(carriers, case["B"], **TIGHT)
-    errors = relative.relative_errors(belief.poses, estimate)
+    errors = relative_density.relative_errors(belief.poses, estimate)
     np.testing.assert_allclose(errors, case["e_r"], **TIGHT)
-    diagonal, lower = relative.relative_covariance(carriers, belief.covariances)
+    diagonal, lower = relative_density.relative_covariance(carriers, belief.covariances)
     np.testing.assert_allclose(diagonal, case["Vr_diag"], **TIGHT)
     np.testing.assert_allclose(se3.transposed(lower), case["Vr_upper"], **TIGHT)
-    found = relative.generalised_relative_error(belief, estimate)
+    found = relative_density.generalised_relative_error(belief, estimate)
     np.testing.assert_allclose(found.whitened, case["whitened"], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.edges, case["per_edge_prequential_logp"], rtol=1e-9)
     assert found.log_likelihood == pytest.approx(case["log_P_RE_mp"], rel=1e-11)
@@ -63,7 +65,7 @@ def test_first_order_absolute_error_of_eq_28(numbers: Any) -> None:
 def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
     belief, estimate, case = metric_case(numbers, name)
     expected = case[density]
-    residuals = Residuals(belief, estimate, GAUGES[name], density=density)
+    residuals = DENSITIES[density](belief, estimate, GAUGES[name])
     found = generalised_absolute_error(residuals, "laplace")
     mode, scale = found.mode.element, scales(found.mode.element)
     assert scale == pytest.approx(expected["mode_scale"], abs=1e-9)
@@ -90,7 +92,7 @@ def test_absolute_error_of_eq_19(numbers: Any, name: str, density: str) -> None:
 @pytest.mark.parametrize("density", ["log", "haar"])
 def test_quadrature_of_eq_19(numbers: Any, name: str, density: str) -> None:
     belief, estimate, case = metric_case(numbers, name)
-    residuals = Residuals(belief, estimate, GAUGES[name], density=density)
+    residuals = DENSITIES[density](belief, estimate, GAUGES[name])
     found = generalised_absolute_error(residuals, "laplace")
     value = quadrature(found, NODES[name])
     assert value == pytest.approx(case[density]["log_L_quadrature"], abs=1e-9)

@@ -15,11 +15,11 @@ from strategies import make_pair
 from test_live_run import ESTIMATE, TRUTH, Live, path_messages
 
 from trajeval_ros.calibration.calibrate import calibrate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.clock import ClockReport, OnlineClock
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.pairing import Limits, states
-from trajeval_ros.ros.held import Held
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.ros.held_messages import HeldMessages
 
 
 def fed(clock: OnlineClock, truth: Trajectory, estimate: Trajectory, batch_s: float = 1.0) -> None:
@@ -104,7 +104,7 @@ def test_an_estimate_gone_wild_has_no_clock(gauge: Gauge, factor: float) -> None
 def test_positions_alone_have_a_clock_too() -> None:
     truth, estimate = fly(1, 40.0, fault=Fault(0.1))
     clock = OnlineClock(Gauge.YAW)
-    fed(clock, dataclasses.replace(truth, rotations=None), estimate)
+    fed(clock, dataclasses.replace(truth, quaternions=None), estimate)
     assert clock.report.is_significant
     assert clock.report.offset_s == pytest.approx(0.1, abs=3e-3)
 
@@ -276,7 +276,7 @@ def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path)
 
 
 def test_stamps_that_stand_still_are_not_held_for_ever() -> None:
-    held = Held()
+    held = HeldMessages()
     for _ in range(300):
         held.add("estimate", np.full(1000, 10**18), lambda: None)
     assert held.span_s == np.inf

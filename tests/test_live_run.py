@@ -21,17 +21,17 @@ from strategies import make_pair, seeds
 from waiting import until
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io import pair_file
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.live import pair_file
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.ros.folder import Finisher
-from trajeval_ros.ros.inputs import Taken
 from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.settings import protocol_from
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.ros.subscriptions import ReceivedMessages
 
 TRUTH, ESTIMATE = "/truth", "/vio"
 COUNT = 160
@@ -51,11 +51,11 @@ class QueueSide:
         self.stream = PoseStream(topic)
         self.queue: list[bytes] = []
 
-    def take(self, now_ns: int | None) -> list[tuple[str, Taken, NDArray[np.int64]]]:
+    def take(self, now_ns: int | None) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         assert now_ns is not None
         taken, self.queue = self.queue, []
         stamps = np.full(len(taken), now_ns)
-        return [(self.kind, Taken(taken, stamps.tolist()), stamps)] if taken else []
+        return [(self.kind, ReceivedMessages(taken, stamps.tolist()), stamps)] if taken else []
 
 
 class Live:

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from strategies import gauges, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros import Evaluation, Gauge, Protocol, Trajectory, evaluate
-from trajeval_ros.alignment import Alignment
-from trajeval_ros.errors import absolute_errors
-from trajeval_ros.evaluation import evaluate_pairs
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.errors import absolute_errors
+from trajeval_ros.metrics.evaluation import evaluate_pairs
+from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Limits, PairingBuffer, Pairs, states
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import Window
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.sub_trajectories import Length
 
 SECOND = 10**9
 
@@ -294,7 +294,7 @@ def numbers_held(thing: object, seen: set[int]) -> int:
 
 @pytest.mark.parametrize("speed", [0.0, 3.0], ids=["at rest", "moving"])
 def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("trajeval_ros.online.relative.MOST_OPEN_STARTS", 1000)
+    monkeypatch.setattr("trajeval_ros.online.relative_errors.MOST_OPEN_STARTS", 1000)
     evaluator = OnlineEvaluator(
         OnlineSettings(
             Protocol(lengths=(Length(2, "m"), Length(1, "s"))),
@@ -558,7 +558,7 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     velocities = estimate.velocities.copy()
     velocities[20, 1] = value
     evaluator = OnlineEvaluator()
-    wild = Trajectory(estimate.stamps, estimate.positions, estimate.rotations, velocities)
+    wild = Trajectory(estimate.stamps, estimate.positions, estimate.quaternions, velocities)
     feed(evaluator, groundtruth, wild)
     ate = evaluator.snapshot().ate
     assert ate["velocity_mps"] is None

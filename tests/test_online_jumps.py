@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import make_element, make_groundtruth, seeds
 
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.jumps import Jump, JumpDetector
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.pairing import Pairs, states
-from trajeval_ros.trajectory import Trajectory
 
 
 def pairs_of(truth: Trajectory, estimate: Trajectory) -> Pairs:

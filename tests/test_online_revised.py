@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import make_pair, seeds
 
-from trajeval_ros.association import associate
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.pairing import Pairs, states
 from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.pipeline import evaluate
 
 
 @given(

@@ -18,51 +18,29 @@ import trajeval_ros
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "trajeval_ros"
 
-# A file imports only from floors below its own, or from its own folder.
+# A file imports only from floors below its own, or from its own folder. Folders of one floor know
+# nothing of each other.
 FLOORS = {
     "exceptions": 0,
-    "lie": 0,
-    "block_tridiagonal": 1,
-    "chain": 1,
-    "se3": 1,
-    "trajectory": 1,
-    "statistics": 1,
-    "gauge": 2,
-    "similarity": 2,
+    "geometry": 1,
     "continuous_time": 2,
-    "coverage": 2,
-    "no_match": 2,
-    "degradation": 3,
-    "association": 3,
-    "span_alignment": 3,
-    "score": 2,
-    "moments": 3,
-    "alignment": 4,
-    "errors": 4,
-    "sub_trajectories": 4,
-    "likelihood": 5,
-    "consistency": 5,
-    "calibration": 5,
-    "protocol": 5,
+    "metrics": 3,
+    "calibration": 4,
+    "consistency": 4,
+    "likelihood": 4,
+    "visual_inertial": 4,
     "diagnosis": 5,
-    "jumps": 4,
-    "evaluation": 6,
-    "calibrated": 7,
-    "requirement": 6,
-    "settings": 6,
-    "simulation": 5,
-    "visual_inertial": 6,
-    "association_study": 7,
+    "pipeline": 6,
+    "online": 6,
     "io": 7,
-    "online": 7,
-    "report": 7,
-    "viewer": 7,
-    "batch": 8,
-    "ros": 8,
-    "cli": 9,
-    "__main__": 10,
+    "report": 8,
+    "viewer": 8,
+    "batch": 9,
+    "ros": 9,
+    "cli": 10,
+    "__main__": 11,
 }
-LAST_FLOOR_OF_CORE = 6
+MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "pipeline"}
 
 # Packages that only some rooms may open.
 ROOMS = {
@@ -81,7 +59,8 @@ ROOMS = {
     "google": {"io"},
     "distributed": {"batch"},
     "fsspec": {"batch"},
-    "pyarrow": {"batch"},
+    "pandas": {"metrics"},
+    "pyarrow": {"batch", "metrics"},
     "jinja2": {"report"},
 }
 HEAVY = {
@@ -110,30 +89,22 @@ def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def imports_at_run_time(tree: ast.AST) -> Iterator[str]:
-    """Yield the full names that a file imports, those in `if TYPE_CHECKING` left out."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
+def imported_names(tree: ast.AST) -> Iterator[str]:
+    """Yield the full names that a file imports, those in `if TYPE_CHECKING` as well."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             assert node.module is not None
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        else:
-            yield from imports_at_run_time(node)
 
 
 def rooms_used_by(path: Path) -> set[str]:
     """Return the modules and folders of this package that a file imports."""
-    names = imports_at_run_time(ast.parse(path.read_text(encoding="utf-8")))
-    split = [name.split(".") for name in names]
-    return {
-        parts[1]
-        for parts in split
-        if parts[0] == PACKAGE.name and len(parts) > 1 and parts[1] in FLOORS
-    }
+    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+    split = [name.split(".") for name in names if name.startswith(f"{PACKAGE.name}.")]
+    return {parts[1] for parts in split} - {"__version__"}
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
@@ -142,23 +113,51 @@ def test_imports_come_from_floors_below(path: Path) -> None:
     if room == "__init__":
         return
     assert room in FLOORS, f"give {room} a floor in {Path(__file__).name}"
-    too_high = {
-        used for used in rooms_used_by(path) if used != room and FLOORS[used] >= FLOORS[room]
-    }
-    assert not too_high
+    others = rooms_used_by(path) - {room}
+    assert others <= FLOORS.keys(), "import from where a name is defined"
+    assert not {used for used in others if FLOORS[used] >= FLOORS[room]}
+
+
+def test_modules_at_the_top_are_few() -> None:
+    assert {path.stem for path in PACKAGE.glob("*.py")} <= MODULES_AT_THE_TOP
+
+
+def test_no_two_modules_have_one_name() -> None:
+    places: dict[str, list[Path]] = {}
+    for path in sources():
+        if path.stem != "__init__":
+            places.setdefault(path.stem, []).append(path.relative_to(PACKAGE))
+    assert not {name: paths for name, paths in places.items() if len(paths) > 1}
+
+
+def test_no_two_public_classes_have_one_name() -> None:
+    places: dict[str, list[Path]] = {}
+    for path in sources():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(path.relative_to(PACKAGE))
+    assert not {name: paths for name, paths in places.items() if len(paths) > 1}
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_outside_packages_are_imported_in_their_rooms_only(path: Path) -> None:
     room = room_of(path)
-    names = imports_at_run_time(ast.parse(path.read_text(encoding="utf-8")))
+    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
     outside = {name.split(".")[0] for name in names} & ROOMS.keys()
     assert not {package for package in outside if room not in ROOMS[package]}
 
 
-def test_core_is_what_the_package_itself_offers() -> None:
-    used = rooms_used_by(PACKAGE / "__init__.py")
-    assert {room for room in used if FLOORS[room] > LAST_FLOOR_OF_CORE} == set()
+def test_package_itself_imports_nothing_until_it_is_asked() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import trajeval_ros; "
+        "new = {name for name in set(sys.modules) - before if name != 'trajeval_ros'}; "
+        "new = {name for name in new if name.split('.')[0] not in sys.stdlib_module_names}; "
+        "sys.exit(', '.join(sorted(new)) or 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
@@ -212,3 +211,17 @@ def test_package_xml_has_the_same_version() -> None:
 def test_changelog_has_an_entry_for_the_version() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(rf"^## {re.escape(trajeval_ros.__version__)}\b", changelog, re.MULTILINE)
+
+
+def test_docs_name_files_that_exist() -> None:
+    known = [
+        path.as_posix()
+        for path in (*PACKAGE.rglob("*.py"), *ROOT.glob("*.py"), *ROOT.glob("*/*.py"))
+    ]
+    gone = {
+        f"{page.name}: {name}"
+        for page in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md")
+        for name in re.findall(r"`([\w/]+\.py)`", page.read_text(encoding="utf-8"))
+        if not any(path.endswith(f"/{name}") for path in known)
+    }
+    assert not gone

@@ -34,15 +34,14 @@ def by(rows: list[parity.Row], *attributes: str) -> Groups:
 
 
 COMPARED = [row for row in ROWS if row.unanswered is None]
-AGREEING = by([row for row in COMPARED if row.known is None], "pair", "tool")
-KNOWN = by([row for row in COMPARED if row.known is not None], "pair", "tool", "known")
-RAW = by([row for row in COMPARED if row.raw and row.known is None], "tool")
+BY_PAIR = by(COMPARED, "pair", "tool")
+REPAIRED = by([row for row in COMPARED if row.repaired], "tool")
 
 UNANSWERED = {
     ("evo", parity_calls.OTHER_ERROR): 48,
     ("evo", parity_calls.OTHER_ALIGNMENT): 48,
     ("evo", parity_calls.OTHER_SUB_TRAJECTORIES): 286,
-    ("evo", parity_calls.WITHHELD): 16,
+    ("evo", parity_calls.WITHHELD): 18,
     ("evo", parity_calls.REFUSED): 3,
     ("rpg", parity_calls.DEFECT): 48,
     ("rpg", parity_calls.TOO_FEW): 24,
@@ -54,15 +53,7 @@ UNANSWERED = {
 
 
 def test_every_number_is_compared_or_counted_here() -> None:
-    compared = Counter((row.tool, row.known) for row in COMPARED)
-    assert compared == {
-        ("evo", None): 289,
-        ("evo", parity.REPEATED): 31,
-        ("evo", parity.TIES): 12,
-        ("rpg", None): 1334,
-        ("kitti", None): 150,
-        ("kitti", parity.COLUMNS): 192,
-    }
+    assert Counter(row.tool for row in COMPARED) == {"evo": 330, "rpg": 1334, "kitti": 342}
     assert Counter((row.tool, row.unanswered) for row in ROWS if row.unanswered) == UNANSWERED
 
 
@@ -95,34 +86,16 @@ def test_files_are_what_the_generator_writes(tmp_path: Path) -> None:
         np.testing.assert_allclose(again, kept, rtol=2.0**-52, atol=1.001 * last_decimal)
 
 
-@pytest.mark.parametrize("group", AGREEING, ids="-".join)
+@pytest.mark.parametrize("group", BY_PAIR, ids="-".join)
 def test_numbers_are_the_programs(group: tuple[str, str]) -> None:
-    different = [text for row in AGREEING[group] if (text := row.disagreement())]
+    different = [text for row in BY_PAIR[group] if (text := row.disagreement())]
     assert different == []
-
-
-@pytest.mark.parametrize(
-    "group",
-    [
-        pytest.param(
-            group,
-            id="-".join(group[:2]),
-            marks=pytest.mark.xfail(strict=True, raises=DisagreementError, reason=group[2]),
-        )
-        for group in KNOWN
-    ],
-)
-def test_known_disagreements(group: tuple[str, str, str]) -> None:
-    different = [text for row in KNOWN[group] if (text := row.disagreement())]
-    if len(different) == len(KNOWN[group]):
-        raise DisagreementError(*different)
-    assert different == [], "some of the rows agree now: `Row.known` is out of date"
 
 
 @pytest.mark.xfail(strict=True, raises=DisagreementError, reason=parity.REPAIRED)
 @pytest.mark.parametrize("tool", ["evo", "kitti"])
 def test_matrices_are_used_as_they_are_in_the_file(tool: str) -> None:
-    different = [text for row in RAW[(tool,)] if (text := row.disagreement(of_raw=False))]
+    different = [text for row in REPAIRED[(tool,)] if (text := row.disagreement(of_raw=False))]
     if different:
         raise DisagreementError(*different)
 

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trajeval_ros.evaluation import Evaluation, evaluate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import Protocol, metres
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.pipeline import evaluate
 from trajeval_ros.report import canvas
-from trajeval_ros.report.plots import write_figures
-from trajeval_ros.simulation import simulate
-from trajeval_ros.sub_trajectories import Length
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.report.figures import write_figures
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 
@@ -125,7 +126,7 @@ def test_titles_state_the_definitions() -> None:
 
 
 def test_withheld_rotation_says_why(tmp_path: Path) -> None:
-    without = _evaluation(rotations=None)
+    without = _evaluation(quaternions=None)
     assert len(write_figures([without], tmp_path)) == 4
     assert "the groundtruth has positions only" in _texts([without], "absolute_error")
     assert "the groundtruth has positions only" in _texts([without], "relative_error")

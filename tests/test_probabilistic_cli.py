@@ -15,7 +15,7 @@ from flights import Flight, fly
 from trajeval_ros.cli.app import main
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 NAMES = ("best", "middling", "worst")
 CONTINUOUS = ["--association", "continuous", "--gauge", "se3", "--lengths", "none"]
@@ -146,7 +146,7 @@ def test_folder_has_figures_and_columns(
 def test_estimates_without_common_stamps_have_no_bayes_factor(files: Path, flight: Flight) -> None:
     shifted = flight.estimates[1]
     write(files / "elsewhere.txt", Trajectory(
-        shifted.stamps + 1_000_000, shifted.positions, shifted.rotations
+        shifted.stamps + 1_000_000, shifted.positions, shifted.quaternions
     ))  # fmt: skip
     runs = evaluated(files, *CONTINUOUS, estimates=("best", "elsewhere"))
     for run in runs:
@@ -190,7 +190,7 @@ def test_bad_groundtruth_is_said(
     still = Trajectory(
         flight.groundtruth.stamps,
         np.ones_like(flight.groundtruth.positions),
-        flight.groundtruth.rotations,
+        flight.groundtruth.quaternions,
     )
     write(tmp_path / "still.txt", still)
     assert main(["evaluate", "-g", str(tmp_path / "still.txt"), "-e", estimate, *CONTINUOUS]) == 2

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 from strategies import Array, make_element, make_groundtruth, seeds
 
-from trajeval_ros.errors import absolute_errors, relative_errors
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.errors import absolute_errors, relative_errors
 
 PRECISE = 1e-10
 
@@ -27,7 +27,9 @@ def noisy_pair(seed: int, count: int = 40) -> tuple[Trajectory, Trajectory]:
     estimate = dataclasses.replace(
         truth,
         positions=truth.positions + random.normal(scale=0.3, size=(count, 3)),
-        rotations=Rotation.from_rotvec(sizes * random.normal(size=(count, 3))) * truth.rotations,
+        quaternions=(
+            Rotation.from_rotvec(sizes * random.normal(size=(count, 3))) * truth.rotations
+        ).as_quat(),
         velocities=truth.velocities + random.normal(scale=0.1, size=(count, 3)),
     )
     return truth, make_element(Gauge.SIM3, seed + 1, reach_m=10.0).trajectory(estimate)
@@ -167,10 +169,8 @@ def test_absolute_errors_are_those_of_matrices(form: str, seed: int) -> None:
 
 def test_errors_do_not_depend_on_the_signs_of_quaternions() -> None:
     truth, aligned = noisy_pair(3)
-    assert aligned.rotations is not None
-    flipped = dataclasses.replace(
-        aligned, rotations=Rotation.from_quat(-aligned.rotations.as_quat())
-    )
+    assert aligned.quaternions is not None
+    flipped = dataclasses.replace(aligned, quaternions=-aligned.quaternions)
     ours, theirs = absolute_errors(truth, aligned), absolute_errors(truth, flipped)
     for field in ("rotation_deg", "yaw_deg", "tilt_deg"):
         np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-12)

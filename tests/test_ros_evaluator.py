@@ -29,8 +29,8 @@ from ros_processes import (
     play_without_loss,
 )
 
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

@@ -28,12 +28,12 @@ from ros_processes import (
 from strategies import assert_same_numbers
 from waiting import PATIENCE_S, until
 
-from trajeval_ros.evaluation import evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.io.live_folder import evaluate_folder
-from trajeval_ros.io.pair_file import read_pairs
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.live.live_folder import evaluate_folder
+from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline import evaluate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -213,7 +213,7 @@ def test_a_defect_is_told_and_what_was_paired_is_written(
 ) -> None:
     # In every tick from some time on, and so in the last one too.
     (tmp_path / "sitecustomize.py").write_text(
-        "from trajeval_ros.online.clock import OnlineClock\n"
+        "from trajeval_ros.online.live_clock import OnlineClock\n"
         "def update(clock, *, at_end=False):\n"
         "    return clock.span_s > 5.0 and 1 // 0\n"
         "OnlineClock.update = update\n"

@@ -13,8 +13,8 @@ from ros_bags import ODOM, POSE, Message, messages_of, odometry_message, write_m
 from ros_processes import Evaluator, Peer, assert_same, offline, play_without_loss
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -57,7 +57,7 @@ def restarted(source: Trajectory) -> Trajectory:
     return Trajectory(
         np.concatenate([before.stamps, after.stamps]),
         np.concatenate([before.positions, positions]),
-        Rotation.concatenate([before.rotations, turn * after.rotations]),
+        Rotation.concatenate([before.rotations, turn * after.rotations]).as_quat(),
     )
 
 
@@ -101,7 +101,7 @@ def groundtruths(source: Trajectory) -> list[Message]:
 
 
 def moved(source: Trajectory, by_m: float) -> Trajectory:
-    return Trajectory(source.stamps, source.positions + by_m, source.rotations)
+    return Trajectory(source.stamps, source.positions + by_m, source.quaternions)
 
 
 @pytest.fixture(scope="module")

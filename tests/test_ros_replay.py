@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io.bags import Bag
+from trajeval_ros.io.bags.bag import Bag
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

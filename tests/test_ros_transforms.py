@@ -19,9 +19,9 @@ from ros_processes import (
     run_evaluator,
 )
 
-from trajeval_ros.ros.messages import is_installed
-from trajeval_ros.simulation import simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.ros.message_types import is_installed
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from rpg_toolbox import METRICS, SLIPPED
 
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.protocol import PROTOCOLS
-from trajeval_ros.statistics import Statistics
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.protocol import PROTOCOLS
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.pipeline import evaluate
 
 PAIRS = [f"vio_mono/{sequence}" for sequence in ("MH_01", "MH_05", "V2_03")] + [
     f"vislam_ba/{sequence}/{trial}"

@@ -9,13 +9,13 @@ import pytest
 
 from trajeval_ros.cli.simulate import Storage
 from trajeval_ros.cli.simulate import simulate as simulate_command
-from trajeval_ros.evaluation import evaluate
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.protocol import Protocol, metres
-from trajeval_ros.simulation import Drift, Simulation, simulate
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.pipeline import evaluate
+from trajeval_ros.visual_inertial.drifting_odometry import DriftModel, Simulation, simulate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=metres(40))
 
@@ -78,12 +78,12 @@ def test_drifts_as_a_vio_does(seed: int) -> None:
     assert 0.05 < evaluation.ate["position_m"].rmse < 1.5
     assert 0.05 < evaluation.ate["yaw_deg"].rmse < 3.0
     # Gravity is observed: two axes, each never beyond twice its standard deviation.
-    assert evaluation.ate["tilt_deg"].max < 2.0 * np.sqrt(2.0) * Drift().tilt_deg
+    assert evaluation.ate["tilt_deg"].max < 2.0 * np.sqrt(2.0) * DriftModel().tilt_deg
     assert evaluation.ate["velocity_mps"].rmse < 0.15
 
 
 def test_without_drift_only_the_frame_and_the_stamps_differ() -> None:
-    simulation = simulate(0, 60.0, drift=Drift(0.0, 0.0, 0.0, 0.0))
+    simulation = simulate(0, 60.0, drift=DriftModel(0.0, 0.0, 0.0, 0.0))
     evaluation = evaluate(*_sides(simulation), YAW)
     assert evaluation.ate["position_m"].max < 5e-3
     assert evaluation.ate["rotation_deg"].max < 0.2

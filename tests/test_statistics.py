@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import Array
 
-from trajeval_ros.statistics import statistics_of
+from trajeval_ros.metrics.statistics import statistics_of
 
 errors = arrays(
     np.float64, st.integers(1, 60), elements=st.floats(0.0, 1e9, allow_subnormal=False)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from strategies import Array, seeds
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.sub_trajectories import Length, Selection, select
+from trajeval_ros.metrics.sub_trajectories import Length, Selection, select
 
 RULES = ("nearest", "toolbox", "first-past")
 

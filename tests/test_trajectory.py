@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
-from trajeval_ros.association import AssociationRule, associate
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.transforms import Edge
+from trajeval_ros.geometry.trajectory import Trajectory, add_counts, travelled_distance
+from trajeval_ros.io.bags.transform_tree import Edge
+from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.online.pairing import POSITION, PairingBuffer, states
-from trajeval_ros.trajectory import Trajectory, add_counts, travelled_distance
 
 # A position and a factor of a quaternion that no robot has, finite or not.
 WILD = [(1e13, 1.0), (-1e100, 1.0), (1e200, 1.0), (1.0, 1e160), (1.0, 1e300)]
@@ -120,8 +121,8 @@ def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
     [
         ({"positions": np.zeros((3, 2))}, "positions"),
         ({"positions": np.zeros((4, 3))}, "positions"),
-        ({"rotations": Rotation.identity(2)}, "rotations"),
-        ({"rotations": Rotation.identity()}, "rotations"),
+        ({"quaternions": np.eye(4)[:2]}, "quaternions"),
+        ({"quaternions": np.eye(4)[3]}, "quaternions"),
         ({"velocities": np.zeros((3, 4))}, "velocities"),
         ({"covariances": np.zeros((3, 6))}, "covariances"),
     ],
@@ -129,6 +130,58 @@ def test_nothing_left_is_an_empty_trajectory_that_says_why() -> None:
 def test_columns_of_a_wrong_shape_are_refused(columns: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Trajectory(**({"stamps": stamps(3), "positions": np.zeros((3, 3))} | columns))
+
+
+def test_a_column_must_be_an_array() -> None:
+    with pytest.raises(TypeError, match="quaternions must be a numpy array, not Rotation"):
+        Trajectory(stamps(3), np.zeros((3, 3)), Rotation.identity(3))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="positions must be a numpy array, not list"):
+        Trajectory(stamps(1), [[0.0, 0.0, 0.0]])  # type: ignore[arg-type]
+
+
+@given(seed=seeds, count=st.integers(1, 300), row=st.integers(0, 299))
+@pytest.mark.parametrize("factor", [0.0, 0.9999, 2.0, np.nan, np.inf])
+def test_one_quaternion_that_is_not_unit_is_refused(
+    factor: float, seed: int, count: int, row: int
+) -> None:
+    quaternions = Rotation.random(count, random_state=seed % 2**31).as_quat()
+    assert len(Trajectory(stamps(count), np.zeros((count, 3)), quaternions)) == count
+    with np.errstate(invalid="ignore"):
+        quaternions[row % count] *= factor
+    with pytest.raises(ValueError, match="length 1"):
+        Trajectory(stamps(count), np.zeros((count, 3)), quaternions)
+
+
+@given(seed=seeds, size=st.sampled_from([1e-5, 0.1, 1.0, 7.0, 1e150]))
+def test_quaternions_are_normalised_once(seed: int, size: float) -> None:
+    raw = np.random.default_rng(seed).normal(scale=size, size=(200, 4))
+    read = Trajectory.from_columns(stamps(200), np.zeros((200, 3)), raw)
+    assert read.quaternions is not None
+    assert read.rotations is not None
+    expected = Rotation.from_quat(raw).as_quat()
+    np.testing.assert_allclose(read.quaternions, expected, rtol=1e-15)
+    np.testing.assert_array_equal(read.rotations.as_quat(), read.quaternions)
+
+
+def test_rotations_are_none_without_quaternions_and_as_many_as_there_are() -> None:
+    positions = np.zeros((3, 3))
+    assert Trajectory(stamps(3), positions).rotations is None
+    for count in (0, 1, 3):
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        rotations = Trajectory(stamps(count), positions[:count], quaternions).rotations
+        assert rotations is not None
+        assert not rotations.single
+        assert len(rotations) == count
+
+
+def test_its_repr_is_a_line_without_arrays() -> None:
+    positions = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 1.25]])
+    named = Trajectory(stamps(3), positions, name="vio", frame="odom", child_frame="base_link")
+    assert repr(named) == "<Trajectory vio, 3 poses, 2.0 s, 6.2 m, base_link in odom>"
+    assert repr(named[:1]) == "<Trajectory vio, 1 pose, 0.0 s, 0.0 m, base_link in odom>"
+    assert (
+        repr(Trajectory(stamps(0), positions[:0])) == "<Trajectory unnamed, 0 poses, 0.0 s, 0.0 m>"
+    )
 
 
 def test_stamps_must_be_whole_nanoseconds() -> None:
@@ -156,6 +209,32 @@ def test_of_equal_stamps_the_first_stays_and_the_others_are_counted() -> None:
     np.testing.assert_array_equal(ordered.positions, positions[[1, 3, 0]])
     assert ordered.dropped == {"duplicate_stamp": 3}
     assert "odometry steps back in time at 1 place" in ordered.notes[0]
+
+
+@given(seed=seeds, coarse=st.integers(2, 3))
+def test_rounded_stamps_dont_conflict(seed: int, coarse: int) -> None:
+    # Poses on a line, never turning back, several of them with one stamp.
+    moved_m = np.random.default_rng(seed).uniform(0.01, 0.02, 60)
+    positions = np.outer(np.cumsum(moved_m), [0.6, 0.8, 0.0])
+    rounded = stamps(60) // (coarse * 10**9) * coarse * 10**9
+    ordered = Trajectory(rounded, positions).in_order()
+    assert ordered.dropped["duplicate_stamp"] == 60 - len(set(rounded.tolist()))
+    assert ordered.conflicts == ()
+
+
+@given(seed=seeds, place=st.integers(1, 57), offset_m=st.floats(1.0, 1e3), early=st.booleans())
+def test_repeats_that_are_elsewhere_are_told_with_their_distance(
+    seed: int, place: int, offset_m: float, early: bool
+) -> None:
+    moved_m = np.random.default_rng(seed).uniform(0.01, 0.02, 60)
+    positions = np.outer(np.cumsum(moved_m), [0.6, 0.8, 0.0])
+    times = stamps(60)
+    times[place + 1] = times[place]
+    positions[place + 1] = positions[place]
+    positions[place if early else place + 1, 2] += offset_m
+    (said,) = Trajectory(times, positions, name="mocap").in_order().conflicts
+    assert said.startswith("mocap has 1 repeated stamp (of 1) with positions")
+    assert f"by up to {offset_m:.3g} m" in said
 
 
 def test_what_is_in_order_already_is_left_alone() -> None:

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ros_bags import Transform, transforms_message
 from strategies import START, seeds
 
-from trajeval_ros.io.bags import Bag
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, compose_transforms
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.transforms import Edge, EdgeKey, chain
 from trajeval_ros.online.pairing import POSITION, QUATERNION, states
-from trajeval_ros.ros.poses import States
+from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.transform_stream import TransformStream
 
 SECOND = 10**9
@@ -65,7 +65,7 @@ def a_run(
     return sorted(found, key=lambda each: each.arrives)
 
 
-def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[States]:
+def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[StateColumns]:
     """Let batches arrive as the node hands them over: what is static before what moves."""
     found = []
     for batch in batches:
@@ -91,7 +91,7 @@ def offline(run: Iterable[Arriving]) -> tuple[NDArray[np.int64], NDArray[np.floa
         )
         for key, several in by_key.items()
     }
-    stamps, positions, quaternions = chain(edges, "map", "camera", "t")
+    stamps, positions, quaternions = compose_transforms(edges, "map", "camera", "t")
     return stamps, states(positions, quaternions)
 
 
@@ -122,10 +122,10 @@ def test_any_batches_give_the_offline_chain(
     live = np.concatenate([each.states for each in found])
     np.testing.assert_allclose(live, expected, rtol=1e-12, atol=1e-12)
     assert stream.trouble == ""
-    assert stream.told.poses == len(stamps)
-    assert (stream.told.first, stream.told.last) == (stamps[0], stamps[-1])
-    assert (stream.told.frame, stream.told.child_frame) == ("map", "camera")
-    assert stream.told.notes == ["format: TF"]
+    assert stream.status.poses == len(stamps)
+    assert (stream.status.first, stream.status.last) == (stamps[0], stamps[-1])
+    assert (stream.status.frame, stream.status.child_frame) == ("map", "camera")
+    assert stream.status.notes == ["format: TF"]
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_an_edge_waits_for_the_others_as_far_back_as_it_may(
     monkeypatch.setattr("trajeval_ros.ros.transform_stream._MOST_TRANSFORMS", 100)
     stream = TransformStream(SOURCE, "map", "camera")
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 0, 5)])
-    assert stream.told.poses == 50
+    assert stream.status.poses == 50
     assert not any(len(each.stamps) for each in feed(stream, seconds_of((MAP,), 5, 60)))
     [found] = feed(stream, [[moving(ODOM, START + 60 * SECOND)]])
     # Of 55 s without its fellow, what is held has a pose; never anything beyond the newest.
@@ -214,7 +214,7 @@ def test_what_has_no_poses_yet_says_why() -> None:
     assert "camera is not connected to map; connected to map are" in stream.trouble
     feed(stream, [[STATIC], *seconds_of((ODOM, MAP), 3, 4)])
     assert stream.trouble == ""
-    assert stream.told.poses == 30
+    assert stream.status.poses == 30
 
 
 def test_poses_begin_when_the_leading_edge_is_known() -> None:
@@ -224,7 +224,7 @@ def test_poses_begin_when_the_leading_edge_is_known() -> None:
     assert stream.heard_at is None
     feed(stream, seconds_of((MAP, ODOM), 2, 3))
     assert stream.trouble == ""
-    assert stream.told.poses == 30
+    assert stream.status.poses == 30
     assert stream.heard_at is not None
 
 
@@ -234,7 +234,7 @@ def test_frames_that_never_move_are_named() -> None:
     assert "all transforms between base and camera are static so far" in stream.trouble
     # What moves is no static frame, whichever comes first.
     feed(stream, [*seconds_of((CAMERA,), 1, 4), [STATIC]])
-    assert stream.told.poses == 30
+    assert stream.status.poses == 30
 
 
 def test_a_user_is_warned_once_of_what_does_not_pass(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,11 +253,11 @@ def test_time_that_begins_anew_is_told() -> None:
     feed(stream, seconds_of((MAP, ODOM), 0, 3))
     [said] = stream.news
     assert "/tf:map.camera: stamps step back by " in said
-    assert stream.told.poses == 100
+    assert stream.status.poses == 100
 
 
 def test_damaged_messages_are_counted() -> None:
     stream = TransformStream(SOURCE, "map", "camera")
     stream.hold([b"\0\1\0\0", transforms_message(STATIC.transform)])
     stream.poses("", [transforms_message(STATIC.transform)[:40]], np.array([START]))
-    assert stream.told.dropped == {"undecodable": 2}
+    assert stream.status.dropped == {"undecodable": 2}

@@ -18,12 +18,12 @@ from waiting import PATIENCE_S, until
 
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
-from trajeval_ros.evaluation import Evaluation
-from trajeval_ros.simulation import simulate
-from trajeval_ros.viewer import colours, live_path, scene
-from trajeval_ros.viewer.geometry import gaps, pieces
-from trajeval_ros.viewer.live_path import LivePath, Memory, Thinning
-from trajeval_ros.viewer.stream import Stream
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.viewer import colours, live_path, scene_entities
+from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
+from trajeval_ros.viewer.paths import gaps, pieces
+from trajeval_ros.viewer.stream import DrawingThread
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = "vio"
@@ -100,9 +100,11 @@ def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], s
 
 
 def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene, "lines", lambda strips: [np.asarray(each) for each in strips])
+    monkeypatch.setattr(
+        scene_entities, "lines", lambda strips: [np.asarray(each) for each in strips]
+    )
     rows: list[tuple[int, str, list[np.ndarray]]] = []
-    entities = scene.PathEntities.below("world/x")
+    entities = scene_entities.PathEntities.below("world/x")
     path = LivePath(entities, lambda stamp, entity, strips: rows.append((stamp, entity, strips)))
     points = np.random.default_rng(0).normal(size=(1000, 3))
     stamps = np.arange(1000) * 100_000_000
@@ -131,7 +133,7 @@ def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_memory_keeps_the_run_and_its_bounds() -> None:
-    memory = Memory(1, most=100)
+    memory = RowHistory(1, most=100)
     for each in range(12_345):
         memory.add(each, np.array([float(each)]))
     stamps, rows = memory.columns()
@@ -179,7 +181,7 @@ class Slow:
 
 def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
     sink, drawn = Slow(), []
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
     for each in range(5000):
         stream.put(lambda each=each: drawn.append(each))
@@ -194,7 +196,7 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
 
 def test_drops_are_told_while_it_goes_on() -> None:
     sink = Slow()
-    stream = Stream(sink, sink)
+    stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
     for _ in range(3000):
         stream.put(lambda: None)
@@ -213,7 +215,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory):
     pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
     from rrd import Rrd
 
-    from trajeval_ros.viewer.recorded import write_recording
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     evaluation = evaluated(Gauge.SIM3, offset=(432_100.0, 5_012_345.0, 410.0), scale=0.4)
     path = tmp_path_factory.mktemp("picture") / "run.rrd"
@@ -271,7 +273,7 @@ def test_gap_is_told_and_not_drawn_across(drawn) -> None:
 def test_two_hours_stay_few_rows(tmp_path: Path) -> None:
     from rrd import Rrd
 
-    from trajeval_ros.viewer.recorded import write_recording
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     evaluation = evaluated(duration_s=7200.0)
     assert len(evaluation.estimate) > 143_000
@@ -288,7 +290,7 @@ def test_two_hours_stay_few_rows(tmp_path: Path) -> None:
 def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
     from rrd import Rrd
 
-    from trajeval_ros.viewer.recorded import write_recording
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     one = evaluated(duration_s=10.0)
     write_recording(tmp_path / "run.rrd", [one, one], names=["/a b/c", "x#2"])
@@ -319,7 +321,7 @@ def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) ->
         )
     picture = Rrd(tmp_path / "out" / "run.rrd")
     units = np.repeat([1.0, 180.0 / np.pi], 3)
-    for axis, quantity in enumerate(scene.ERRORS_WITHIN):
+    for axis, quantity in enumerate(scene_entities.ERRORS_WITHIN):
         _, rows = picture.rows(f"metrics/{quantity}/vio\\/odometry", "Scalars:scalars")
         error, upper, lower = np.array(rows).T
         assert error == pytest.approx(units[axis] * errors[:, axis], rel=1e-12)

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.simulation import simulate
 from trajeval_ros.viewer.sinks import sinks_for
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 

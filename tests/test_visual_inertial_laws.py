@@ -18,9 +18,9 @@ from visual_inertial_scenes import (
     stacked_residuals,
 )
 
-from trajeval_ros import lie
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
     transform,
@@ -29,7 +29,7 @@ from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.reduction import reduce_landmarks
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene, profile_named
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 E_Z = np.array([0.0, 0.0, 1.0])
@@ -132,7 +132,9 @@ def test_transformed_free_covariance_is_that_of_fixation(name: str, layout: str)
     # Without the transformation they have nothing to do with each other.
     assert frobenius(free, fixed) > 1e-2
     # Between two solves, only what they lack in convergence.
-    separate = solve(problem, _start(problem, state), Handling.FIXATION, function_tolerance=1e-9)
+    separate = solve(
+        problem, _start(problem, state), GaugeHandling.FIXATION, function_tolerance=1e-9
+    )
     assert frobenius(moved_covariance, fixed_covariance(problem, separate.state)) < 1e-4
 
 

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from gauge_reference import Case
-from visual_inertial_scenes import gradient, relative
+from visual_inertial_scenes import gradient, relative, to_left
 
-from trajeval_ros import lie
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
-    to_left,
     transform,
 )
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 NUMBERS, COVARIANCES = 1e-9, 1e-10
 
@@ -92,9 +91,13 @@ def test_transformation_of_covariance(case: Case) -> None:
 
 @pytest.mark.parametrize(
     ("handling", "name"),
-    [(Handling.FIXATION, "fix"), (Handling.PRIOR, "prior"), (Handling.FREE, "free")],
+    [
+        (GaugeHandling.FIXATION, "fix"),
+        (GaugeHandling.PRIOR, "prior"),
+        (GaugeHandling.FREE, "free"),
+    ],
 )
-def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: str) -> None:
+def test_solver_takes_the_steps_of_ceres(case: Case, handling: GaugeHandling, name: str) -> None:
     expected = case.numbers["solver"][name]
     solution = solve(case.problem, case.state, handling, keep_last_step=False)
     assert solution.iterations == expected["ceres_iterations"]
@@ -105,7 +108,7 @@ def test_solver_takes_the_steps_of_ceres(case: Case, handling: Handling, name: s
     again = solve(case.problem, converged.state, handling, function_tolerance=1e-14)
     # A cost that is within 1e-14 of the least one is of an estimate that is within
     # sqrt(2 * 1e-14 * cost) standard deviations of the most likely one.
-    fixed = handling is Handling.FIXATION
+    fixed = handling is GaugeHandling.FIXATION
     covariance = (fixed_covariance if fixed else free_covariance)(case.problem, converged.state)
     sigmas = np.sqrt(np.diagonal(covariance)).reshape(-1, 9)
     short = np.sqrt(2e-14 * converged.cost)

@@ -8,7 +8,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 from strategies import Array, seeds
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 
 def _vectors(seed: int, longest: float = 3.1, count: int = 20) -> Array:

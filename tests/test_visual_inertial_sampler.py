@@ -7,10 +7,10 @@ import pytest
 import scipy.sparse
 from visual_inertial_scenes import frobenius, scene_of
 
-from trajeval_ros import lie
-from trajeval_ros.chain import Chain
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.visual_inertial.covariance import fixed_covariance
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
@@ -23,28 +23,28 @@ def long() -> Scene:
 
 
 @pytest.mark.parametrize(("size", "width"), [(1, 0), (7, 6), (50, 3), (50, 20), (51, 50)])
-def test_chain_is_the_dense_gaussian(size: int, width: int) -> None:
+def test_banded_gaussian_is_the_dense_one(size: int, width: int) -> None:
     generator = np.random.default_rng(size + width)
     root = np.triu(np.tril(generator.normal(size=(size, size))), -width) + 5.0 * np.eye(size)
     information = root @ root.T
-    chain = Chain(scipy.sparse.csr_matrix(information))
+    gaussian = BandedGaussian(scipy.sparse.csr_matrix(information))
     covariance = np.linalg.inv(information)
     # The samples of all unit vectors are a square root of the covariance.
-    root = chain.sampled(np.eye(size))
+    root = gaussian.sampled(np.eye(size))
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
     columns = generator.normal(size=(size, 2))
-    np.testing.assert_allclose(chain.solved(columns), covariance @ columns, atol=1e-12)
+    np.testing.assert_allclose(gaussian.solved(columns), covariance @ columns, atol=1e-12)
     block = min(size, 3)
     starts = np.arange(size - block + 1)
-    blocks = chain.marginals(starts, block)
+    blocks = gaussian.marginals(starts, block)
     for start, computed in zip(starts, blocks, strict=True):
         rows = slice(start, start + block)
         np.testing.assert_allclose(computed, covariance[rows, rows], atol=1e-12)
 
 
-def test_chain_refuses_what_is_no_information() -> None:
+def test_banded_gaussian_refuses_what_is_no_information() -> None:
     with pytest.raises(DegenerateGeometryError, match="leave directions open"):
-        Chain(scipy.sparse.csr_matrix(np.diag([1.0, 0.0, 1.0])))
+        BandedGaussian(scipy.sparse.csr_matrix(np.diag([1.0, 0.0, 1.0])))
 
 
 @pytest.mark.parametrize("of_a_track", [False, True])

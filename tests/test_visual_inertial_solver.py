@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from visual_inertial_scenes import CONFIGURATIONS, scene_of
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, Solution, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, SolverResult, solve
 
 
-def _solve(scene: Scene, seed: int, handling: Handling, **settings: float) -> Solution:
+def _solve(scene: Scene, seed: int, handling: GaugeHandling, **settings: float) -> SolverResult:
     problem = scene.measured(np.random.default_rng([1, seed]))
     start = scene.disturbed(np.random.default_rng([2, seed]))
     return solve(problem, start, handling, **settings)
 
 
-def _position_rmse(scene: Scene, solution: Solution) -> float:
+def _position_rmse(scene: Scene, solution: SolverResult) -> float:
     truth, state = scene.truth, solution.state
     angle = lie.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
     turn = lie.exp(angle * np.array([0.0, 0.0, 1.0]))
@@ -30,7 +30,7 @@ def test_all_three_reach_the_same_minimum(seed: int) -> None:
     scene = scene_of(*CONFIGURATIONS[seed])
     errors = [
         _position_rmse(scene, _solve(scene, seed, handling, function_tolerance=1e-14))
-        for handling in Handling
+        for handling in GaugeHandling
     ]
     np.testing.assert_allclose(errors, errors[0], rtol=1e-6)
 
@@ -38,18 +38,18 @@ def test_all_three_reach_the_same_minimum(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_an_infinite_prior_is_fixation(seed: int) -> None:
     scene = scene_of(*CONFIGURATIONS[seed + 3])
-    fixed = _solve(scene, seed, Handling.FIXATION)
-    prior = _solve(scene, seed, Handling.PRIOR, prior_weight=1e12)
+    fixed = _solve(scene, seed, GaugeHandling.FIXATION)
+    prior = _solve(scene, seed, GaugeHandling.PRIOR, prior_weight=1e12)
     assert prior.iterations == fixed.iterations
     assert _position_rmse(scene, prior) == pytest.approx(_position_rmse(scene, fixed), rel=1e-8)
 
 
 def test_fixation_holds_its_gauge_and_free_does_not() -> None:
     scene = scene_of("rec", "plane")
-    fixed = _solve(scene, 0, Handling.FIXATION)
+    fixed = _solve(scene, 0, GaugeHandling.FIXATION)
     np.testing.assert_array_equal(fixed.trace.position_m, 0.0)
     np.testing.assert_array_equal(fixed.trace.yaw_deg, 0.0)
-    free = _solve(scene, 0, Handling.FREE)
+    free = _solve(scene, 0, GaugeHandling.FREE)
     assert free.trace.position_m[-1] > 1e-3
     assert (np.diff(free.trace.cost) < 0.0).all()
 
@@ -60,9 +60,9 @@ def test_free_gauge_takes_fewer_iterations(name: str, layout: str) -> None:
     scene = scene_of(name, layout)
     count = {
         handling: np.mean([_solve(scene, seed, handling).iterations for seed in range(20)])
-        for handling in (Handling.FREE, Handling.FIXATION)
+        for handling in (GaugeHandling.FREE, GaugeHandling.FIXATION)
     }
-    assert count[Handling.FREE] < count[Handling.FIXATION]
+    assert count[GaugeHandling.FREE] < count[GaugeHandling.FIXATION]
 
 
 @pytest.mark.slow
@@ -71,7 +71,9 @@ def test_iterations_peak_between_no_prior_and_a_strong_one(name: str, layout: st
     scene = scene_of(name, layout)
     weights = [0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 500.0, 1e4, 1e8]
     iterations = [
-        np.mean([_solve(scene, s, Handling.PRIOR, prior_weight=w).iterations for s in range(8)])
+        np.mean(
+            [_solve(scene, s, GaugeHandling.PRIOR, prior_weight=w).iterations for s in range(8)]
+        )
         for w in weights
     ]
     peak = int(np.argmax(iterations))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
-from trajeval_ros.visual_inertial.solver import Handling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 CONFIGURATIONS = [
@@ -25,7 +26,7 @@ def solved(scene: Scene, seed: int, tolerance: float = 1e-9) -> tuple[Problem, S
     """Return the problem and free-gauge estimate of a noise draw."""
     problem = scene.measured(np.random.default_rng([77, seed]))
     start = scene.disturbed(np.random.default_rng([78, seed]))
-    return problem, solve(problem, start, Handling.FREE, function_tolerance=tolerance).state
+    return problem, solve(problem, start, GaugeHandling.FREE, function_tolerance=tolerance).state
 
 
 def dense_hessian(normal: NormalEquations) -> np.ndarray:
@@ -69,3 +70,10 @@ def relative(value: np.ndarray, expected: np.ndarray) -> float:
 def frobenius(value: np.ndarray, expected: np.ndarray) -> float:
     """Return the difference's Frobenius norm as a share of what is expected."""
     return float(np.linalg.norm(value - expected) / np.linalg.norm(expected))
+
+
+def to_left(covariance: np.ndarray, state: State) -> np.ndarray:
+    """Return the covariance with the first rotation perturbed on the left as all others."""
+    turn = np.eye(len(covariance))
+    turn[3:6, 3:6] = lie.left_jacobian(state.first_turn)
+    return turn @ covariance @ turn.T

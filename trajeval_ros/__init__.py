@@ -1,31 +1,151 @@
 """Evaluate VIO and SLAM trajectories, live and recorded, with one set of definitions.
 
-from trajeval_ros import Gauge, Protocol, evaluate
-from trajeval_ros.io.sources import read_trajectory
+Lengths are in metres, times in seconds, stamps in int64 nanoseconds, angles in radians unless a
+name ends in `_deg`; quaternions are xyzw. What a user can mend is a `TrajevalError`. Everything
+is imported when it is first used. docs/api has a script for each feature.
 
-evaluation = evaluate(
-    read_trajectory("groundtruth.txt"),
-    read_trajectory("run.mcap:/vio/odometry"),
-    Protocol(gauge=Gauge.YAW),
-)
-print(evaluation.ate["position_m"].rmse)
+Example:
+    >>> from trajeval_ros import Protocol, evaluate, simulate
+    >>> flight = simulate(seed=1, duration_s=30.0)
+    >>> protocol = Protocol(modality="stereo-inertial")
+    >>> evaluation = evaluate(flight.groundtruth, flight.estimate, protocol)
+    >>> evaluation.ate["position_m"].rmse < 1.0
+    True
 """
 
-__version__ = "0.1.0"
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from trajeval_ros.evaluation import Evaluation, evaluate
-from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import MODALITIES, Gauge
-from trajeval_ros.protocol import PROTOCOLS, Protocol
-from trajeval_ros.trajectory import Trajectory
+if TYPE_CHECKING:
+    from trajeval_ros.batch.compare_runs import compare
+    from trajeval_ros.calibration.calibrate import Calibration, calibrate
+    from trajeval_ros.calibration.calibration_request import CalibrationRequest
+    from trajeval_ros.consistency.covariance_request import CovarianceRequest
+    from trajeval_ros.consistency.joint_covariance import JointCovariance
+    from trajeval_ros.consistency.judge import judge
+    from trajeval_ros.consistency.result import Consistency
+    from trajeval_ros.continuous_time.continuous_trajectory import (
+        ContinuousTrajectory,
+        fit_trajectory,
+    )
+    from trajeval_ros.continuous_time.samples import Noise
+    from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError, TrajevalError
+    from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+    from trajeval_ros.geometry.marker import HandEye
+    from trajeval_ros.geometry.similarity import Similarity
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.io.results.result_folder import write_result
+    from trajeval_ros.io.sources import read_many, read_trajectory
+    from trajeval_ros.likelihood.assessment import assess
+    from trajeval_ros.metrics.alignment import align
+    from trajeval_ros.metrics.association import AssociationRule
+    from trajeval_ros.metrics.evaluation import Evaluation
+    from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+    from trajeval_ros.metrics.statistics import Statistics
+    from trajeval_ros.metrics.sub_trajectories import Length
+    from trajeval_ros.online.evaluator import OnlineEvaluator
+    from trajeval_ros.online.live_settings import OnlineSettings
+    from trajeval_ros.pipeline import Outcome, Request, RunOutcome, evaluate, run
+    from trajeval_ros.report.figures import draw
+    from trajeval_ros.visual_inertial.drifting_odometry import simulate
+
+__version__ = "0.1.0"
 
 __all__ = [
     "MODALITIES",
     "PROTOCOLS",
+    "AssociationRule",
+    "Calibration",
+    "CalibrationRequest",
+    "Consistency",
+    "ContinuousTrajectory",
+    "CovarianceRequest",
     "Evaluation",
     "Gauge",
+    "HandEye",
+    "InputError",
+    "JointCovariance",
+    "Length",
+    "NoMatchError",
+    "Noise",
+    "OnlineEvaluator",
+    "OnlineSettings",
+    "Outcome",
     "Protocol",
+    "Request",
+    "RunOutcome",
+    "SettingsError",
+    "Similarity",
+    "Statistics",
     "Trajectory",
     "TrajevalError",
+    "align",
+    "assess",
+    "calibrate",
+    "compare",
+    "draw",
     "evaluate",
+    "fit_trajectory",
+    "judge",
+    "read_many",
+    "read_trajectory",
+    "run",
+    "simulate",
+    "write_result",
 ]
+
+# The module of each name.
+_HOMES = {
+    "AssociationRule": "metrics.association",
+    "Calibration": "calibration.calibrate",
+    "CalibrationRequest": "calibration.calibration_request",
+    "Consistency": "consistency.result",
+    "ContinuousTrajectory": "continuous_time.continuous_trajectory",
+    "CovarianceRequest": "consistency.covariance_request",
+    "Evaluation": "metrics.evaluation",
+    "Gauge": "geometry.gauge",
+    "HandEye": "geometry.marker",
+    "InputError": "exceptions",
+    "JointCovariance": "consistency.joint_covariance",
+    "Length": "metrics.sub_trajectories",
+    "MODALITIES": "geometry.gauge",
+    "NoMatchError": "exceptions",
+    "Noise": "continuous_time.samples",
+    "OnlineEvaluator": "online.evaluator",
+    "OnlineSettings": "online.live_settings",
+    "Outcome": "pipeline",
+    "PROTOCOLS": "metrics.protocol",
+    "Protocol": "metrics.protocol",
+    "Request": "pipeline",
+    "RunOutcome": "pipeline",
+    "SettingsError": "exceptions",
+    "Similarity": "geometry.similarity",
+    "Statistics": "metrics.statistics",
+    "Trajectory": "geometry.trajectory",
+    "TrajevalError": "exceptions",
+    "align": "metrics.alignment",
+    "assess": "likelihood.assessment",
+    "calibrate": "calibration.calibrate",
+    "compare": "batch.compare_runs",
+    "draw": "report.figures",
+    "evaluate": "pipeline",
+    "fit_trajectory": "continuous_time.continuous_trajectory",
+    "judge": "consistency.judge",
+    "read_many": "io.sources",
+    "read_trajectory": "io.sources",
+    "run": "pipeline",
+    "simulate": "visual_inertial.drifting_odometry",
+    "write_result": "io.results.result_folder",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a name of the API when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

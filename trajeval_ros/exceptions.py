@@ -4,17 +4,46 @@ Every message is one sentence that says what is wrong, where, and how to mend it
 line prints it alone and exits with status 2; a traceback always means a defect of ours.
 """
 
+from collections.abc import Iterable
+
 
 class TrajevalError(Exception):
-    """Base of all errors that this package raises on purpose."""
+    """Base of all errors that this package raises on purpose.
+
+    Example:
+        >>> from trajeval_ros import Protocol, TrajevalError
+        >>> try:
+        ...     Protocol(gauge="ywa")
+        ... except TrajevalError as error:
+        ...     print(str(error).split(";")[0])
+        there is no gauge 'ywa' (did you mean yaw?)
+    """
 
 
 class InputError(TrajevalError):
-    """A file, bag, topic or trajectory that can't be used as it is."""
+    """A file, bag, topic or trajectory that can't be used as it is.
+
+    Example:
+        >>> from trajeval_ros import InputError, read_trajectory
+        >>> try:
+        ...     read_trajectory("/no/such/file.txt")
+        ... except InputError as error:
+        ...     print(str(error).split(",")[0])
+        /no/such/file.txt does not exist
+    """
 
 
 class SettingsError(TrajevalError):
-    """Settings that contradict each other, or a value outside of what is possible."""
+    """Settings that contradict each other, or a value outside of what is possible.
+
+    Example:
+        >>> from trajeval_ros import Protocol, SettingsError
+        >>> try:
+        ...     Protocol(gauge="yaw", modality="mono")
+        ... except SettingsError as error:
+        ...     print(error)
+        modality mono means gauge sim3, not yaw; give only one
+    """
 
 
 class DegenerateGeometryError(TrajevalError):
@@ -22,4 +51,37 @@ class DegenerateGeometryError(TrajevalError):
 
 
 class NoMatchError(InputError):
-    """No pose of the estimate has a groundtruth to be compared with."""
+    """No pose of the estimate has a groundtruth to be compared with.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import NoMatchError, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> later = replace(flight.estimate, stamps=flight.estimate.stamps + 10**12)
+        >>> try:
+        ...     evaluate(flight.groundtruth, later)
+        ... except NoMatchError as error:
+        ...     print(len(str(error)) > 20)
+        True
+    """
+
+
+def require_one_of(value: object, known: Iterable[str], what: str) -> None:
+    """Check that a name is a known one.
+
+    Args:
+        value: What was given.
+        known: All names that there are.
+        what: What they name, for the message.
+
+    Raises:
+        SettingsError: It isn't; says which name might be meant.
+    """
+    known = list(known)
+    if isinstance(value, str) and value in known:
+        return
+    from difflib import get_close_matches
+
+    near = get_close_matches(value, known, n=1) if isinstance(value, str) else []
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    raise SettingsError(f"there is no {what} {value!r}{hint}; use one of {', '.join(known)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections import defaultdict
@@ -12,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.inputs import Fingerprints
-from trajeval_ros.batch.plan import Plan, Run
+from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
+from trajeval_ros.batch.fingerprints import Fingerprints
+from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
-from trajeval_ros.batch.pools import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.records import Record, has_record, read_record, write_record
-from trajeval_ros.batch.table import (
+from trajeval_ros.batch.results_table import (
     load_pyarrow,
     row_of_failure,
     rows_of_run,
@@ -25,9 +26,9 @@ from trajeval_ros.batch.table import (
     state_of,
     write_table,
 )
-from trajeval_ros.batch.work import Span, Task, work
+from trajeval_ros.batch.worker import Task, work
 from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.io.results import write_text
+from trajeval_ros.io.writing import write_text
 
 RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
 _INPUTS, _ABOUT = "inputs.json", "README.txt"
@@ -61,7 +62,7 @@ class Progress:
     running: list[str] = field(default_factory=list)
 
 
-def compare(
+def run_plan(
     plan: Plan,
     folder: Path,
     start_pool: Callable[[], Pool],
@@ -86,7 +87,7 @@ def compare(
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{records} can't be made: {reason}") from error
-    batch = _Batch(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
+    batch = _RunningComparison(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
     if (folder / RUNS).is_file() and (folder / POOLED).is_file():
         tasks = list(batch.planned())
         state = batch.state
@@ -103,7 +104,7 @@ def compare(
     return batch.progress
 
 
-class _Batch:
+class _RunningComparison:
     """The runs of one comparison: what is to be done, and why what failed did."""
 
     def __init__(
@@ -117,10 +118,10 @@ class _Batch:
         self.plan = plan
         self.records = records
         self.progress = Progress(total=sum(not run.missing for run in plan.runs))
-        self.failures: dict[Run, str] = {}
-        self.tasks: dict[Run, Task] = {}
-        self.own_coverage: dict[Run, float] = {}
-        self._evaluated: set[Run] = set()
+        self.failures: dict[PlannedRun, str] = {}
+        self.tasks: dict[PlannedRun, Task] = {}
+        self.own_coverage: dict[PlannedRun, float] = {}
+        self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
         self._start_pool = start_pool
         self._tell = tell
@@ -137,7 +138,7 @@ class _Batch:
                 try:
                     of = self._fingerprints.of
                     inputs = (of(run.groundtruth), of(run.estimate))
-                    self.tasks[run] = Task(run, self.plan.protocol, inputs)
+                    self.tasks[run] = Task(run, self.plan.request, inputs)
                 except TrajevalError as error:
                     self._fail(run, str(error))
             if run in self.tasks:
@@ -176,7 +177,7 @@ class _Batch:
 
     def cut_to_common_spans(self) -> None:
         """Evaluate the runs of each sequence again, over the time that all of them have."""
-        spans: dict[str, list[Span]] = defaultdict(list)
+        spans: dict[str, list[tuple[int, int]]] = defaultdict(list)
         for run, task in self.tasks.items():
             record = self.record(task)
             if record is not None:
@@ -191,7 +192,8 @@ class _Batch:
             if span[0] >= span[1]:
                 self._fail(run, f"the runs of {run.sequence} have no time in common")
             else:
-                cut[run] = Task(run, task.protocol, task.inputs, span)
+                request = dataclasses.replace(task.request, span_ns=span)
+                cut[run] = Task(run, request, task.inputs)
         self.tasks = cut
         self.progress.total += len(cut)
         self.evaluate(cut.values())
@@ -216,7 +218,7 @@ class _Batch:
             self.progress.new = len(self._evaluated)
         self._tell(self.progress)
 
-    def _fail(self, run: Run, reason: str) -> None:
+    def _fail(self, run: PlannedRun, reason: str) -> None:
         self.failures[run] = reason
         self.progress.failed += 1
 
@@ -225,7 +227,7 @@ class _Batch:
         self._tell(self.progress)
 
 
-def _write_tables(folder: Path, batch: _Batch, state: str) -> None:
+def _write_tables(folder: Path, batch: _RunningComparison, state: str) -> None:
     pooled: list[dict[str, Any]] = []
 
     def rows() -> Iterator[dict[str, Any]]:

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.conventions import runs_in_folder
 from trajeval_ros.batch.patterns import Pattern
-from trajeval_ros.batch.plan import Name, Plan, Run, all_runs
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
+from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.io.protocol_file import is_protocol_file
+from trajeval_ros.io.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.settings import protocol_from
+from trajeval_ros.pipeline import Request
 
-# The words of `trajeval evaluate`, with _ for -, and what their values are.
-_SETTINGS: dict[str, type] = {
-    "gauge": str,
-    "modality": str,
-    "align_states": str,
-    "association": str,
-    "max_time_difference": float,
-    "max_gap": float,
-    "time_offset": float,
-    "lengths": str,
-    "ate_form": str,
-    "re_form": str,
-}
+# Words whose value may be a number, or a list of values, in YAML.
+_NUMBERS = ("align_states", "time_offset")
+_LISTS = ("lengths", "groundtruth_noise")
 _KEYS = (
-    "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span",
-    "protocol", *_SETTINGS,
+    "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span", *WORDS,
 )  # fmt: skip
 
 
@@ -41,7 +31,7 @@ def plan_of(
 
     Args:
         target: The file or folder.
-        settings: Of the protocol, by the words of the command line; they override the file's.
+        settings: Of the request, by the words of the command line; they override the file's.
         common_time_span: Likewise.
 
     Raises:
@@ -50,8 +40,8 @@ def plan_of(
     """
     if target.is_dir():
         runs = runs_in_folder(target)
-        protocol = _protocol({}, settings)
-        return Plan(target.resolve().name, runs, protocol, bool(common_time_span))
+        request = _request({}, settings)
+        return Plan(target.resolve().name, runs, request, bool(common_time_span))
     if not target.exists():
         raise InputError(
             f"{target} does not exist; name a YAML file that says what to compare, or a folder of "
@@ -67,12 +57,12 @@ def plan_of(
     return Plan(
         title=_typed(config, "title", str, target, default=target.stem),
         runs=_runs(config, target),
-        protocol=_protocol(_settings(config, target), settings),
+        request=_request(_settings(config, target), settings),
         common_time_span=bool(common_time_span),
     )
 
 
-def _runs(config: Mapping[str, Any], target: Path) -> tuple[Run, ...]:
+def _runs(config: Mapping[str, Any], target: Path) -> tuple[PlannedRun, ...]:
     folder = target.parent / _typed(config, "folder", str, target, default=".")
     patterns = config["runs"]
     if not isinstance(patterns, dict) or not patterns:
@@ -108,31 +98,38 @@ def _runs(config: Mapping[str, Any], target: Path) -> tuple[Run, ...]:
 
 
 def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
-    """Return the settings of a protocol as the command line would have them."""
+    """Return the words of a request as the command line would have them."""
     settings: dict[str, Any] = {}
-    for key, kind in {"protocol": str, **_SETTINGS}.items():
+    for key, kind in WORDS.items():
         if key not in config:
             continue
         value = config[key]
-        if key in ("lengths", "align_states") and isinstance(value, (list, int, float)):
-            value = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-            value = value or "none"
+        if key in _LISTS and isinstance(value, list):
+            value = ",".join(map(str, value)) or "none"
+        if key in (*_NUMBERS, *_LISTS) and type(value) in (int, float):
+            value = str(value)
         if key == "gauge" and value is None:  # YAML's null; `none` is a string to it
             value = "none"
         settings[key] = _typed({key: value}, key, kind, target)
     if is_protocol_file(settings.get("protocol", "")):
         settings["protocol"] = str(target.parent / settings["protocol"])
+    if settings.get("hand_eye", NONE) not in (NONE, AUTO):
+        settings["hand_eye"] = str(target.parent / settings["hand_eye"])
     return settings
 
 
-def _protocol(written: Mapping[str, Any], said: Mapping[str, Any]) -> Protocol:
-    """Return the protocol of a file's settings, and of what the command line says instead."""
+def _request(written: Mapping[str, Any], said: Mapping[str, Any]) -> Request:
+    """Return the request of a file's settings, and of what the command line says instead."""
     said = {key: value for key, value in said.items() if value is not None}
     if "gauge" in said or "modality" in said:
         written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}
-    given = {**dict.fromkeys(_SETTINGS), **written, **said}
-    name = given.pop("protocol", "default")
-    return protocol_from(read_protocol(Path(name)) if is_protocol_file(name) else name, **given)
+    words = {**written, **said}
+    if words.get("covariance", NONE) not in (NONE, MESSAGE):
+        raise SettingsError(
+            f"a comparison judges covariances in messages, and {words['covariance']!r} is of one "
+            "run; use covariance message, or trajeval evaluate for that run"
+        )
+    return dataclasses.replace(request_from(words), lengths_of_groundtruth=True)
 
 
 def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:

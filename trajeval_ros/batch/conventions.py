@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from trajeval_ros.batch.plan import Name, Run, all_runs
+from trajeval_ros.batch.plan import Name, PlannedRun, all_runs
 from trajeval_ros.exceptions import InputError
 
 _ESTIMATE = re.compile(r"stamped_(\w+?)_estimate(\d*)\.txt")
@@ -15,7 +15,7 @@ _TRUTH = "stamped_groundtruth.txt"
 _ENDINGS = (".txt", ".csv")
 
 
-def runs_in_folder(folder: Path) -> tuple[Run, ...]:
+def runs_in_folder(folder: Path) -> tuple[PlannedRun, ...]:
     """Return the runs in a folder of a known convention.
 
     ov_eval: `truths/SEQUENCE.txt`, `algorithms/ALGORITHM/SEQUENCE/TRIAL.txt`.
@@ -39,7 +39,7 @@ def runs_in_folder(folder: Path) -> tuple[Run, ...]:
     )
 
 
-def _ov_eval(folder: Path) -> tuple[Run, ...]:
+def _ov_eval(folder: Path) -> tuple[PlannedRun, ...]:
     truths: dict[str, str] = {}
     for path in _texts(folder / "truths"):
         _add(truths, path.stem, path)
@@ -65,7 +65,7 @@ def _ov_eval(folder: Path) -> tuple[Run, ...]:
     )
 
 
-def _rpg(experiments: list[Path]) -> tuple[Run, ...]:
+def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
     truths: dict[tuple[str, str], str] = {}
     estimates: dict[Name, str] = {}
     places = [_place(path) for path in experiments]

@@ -7,7 +7,7 @@ from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.executors import Pool
 from trajeval_ros.exceptions import InputError
 
 Draw = Callable[[], str]
@@ -17,7 +17,7 @@ _FEW = 12
 
 
 @dataclass(frozen=True)
-class Draft:
+class FigureDraft:
     """A figure that is yet to be drawn.
 
     Attributes:

@@ -1,397 +1,186 @@
-"""Regression gates: is today's table worse than yesterday's, beyond what trials vary anyway?"""
+"""Regression gates: is this comparison worse than an older one, beyond what trials vary anyway?"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from difflib import get_close_matches
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros.batch.table import ATE, OK, POOLED, RE, STATISTICS, Rows
-from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.report.matrix import markdown_table, markdown_text, number_text
-
-Array = NDArray[np.float64]
-Group = tuple[str, str]
-Row = Mapping[str, Any]
-
-WORSE, BETTER, NOISE, SAME, LOST, NEW = "worse", "better", "noise", "same", "lost", "new"
-FAILED = "failed"
-_FAILS = (WORSE, LOST)
-_GATE = re.compile(r"\s*([\w.%]+)\s+worse\s+than\s+(.+?)\s*")
-_TERM = re.compile(r"(\d+\.?\d*|\.\d+)\s*(%|MAD)")
-# Columns by names: a run's coverage is its own, whatever others cut from it.
-_COVERAGES = {
-    "estimate_coverage": "estimate_coverage",
-    "groundtruth_coverage": "own_groundtruth_coverage",
-}
-_EXAMPLE = "ate.position_m.rmse worse than 5 % + 2 MAD"
-_RESAMPLES = 4000
-_CHANCE = 0.05  # that noise alone makes any of a gate's numbers worse or better
-_FEWEST_TO_RESAMPLE = 10
-_EQUAL = 1e-9  # relative: the digits that are promised
-_MOST_ROWS = 20  # of a table that isn't folded
+from trajeval_ros.batch.common_change import common_change, shifted
+from trajeval_ros.batch.gate import Gate
+from trajeval_ros.batch.gate_tests import FALSE_ALARMS, GateOutcome, compare, more_failures
+from trajeval_ros.batch.gate_values import GateTrials, GateValues, Group
+from trajeval_ros.batch.gate_verdicts import (
+    ADVISED,
+    FAILED,
+    LOST,
+    NEW,
+    NO_WORSE,
+    NOT_ALONE,
+    UNDECIDED,
+    WORSE,
+    Failures,
+    GateVerdict,
+    Judgement,
+    NumberVerdict,
+    PooledVerdict,
+)
+from trajeval_ros.batch.known_spread import KnownSpread
+from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
+from trajeval_ros.batch.relabelling import Array, Size
 
 
-@dataclass(frozen=True)
-class Gate:
-    """How much worse a number may be than in the baseline.
-
-    Attributes:
-        path: As in a requirement: `ate.position_m.rmse`, `re.8m.position_percent.mean`,
-            `association.groundtruth_coverage`.
-        percent: Of the baseline's median over trials.
-        deviations: Median absolute deviations of the baseline's trials.
-    """
-
-    path: str
-    percent: float
-    deviations: float
-
-    @classmethod
-    def parse(cls, text: str) -> Gate:
-        """Read `ate.position_m.rmse worse than 5 % + 2 MAD`.
-
-        Raises:
-            SettingsError: It is written otherwise.
-        """
-        match = _GATE.fullmatch(text)
-        terms = [_TERM.fullmatch(each.strip()) for each in match[2].split("+")] if match else []
-        sizes: dict[str, float] = {}
-        for term in terms:
-            if term is None or term[2] in sizes:
-                break
-            sizes[term[2]] = float(term[1])
-        if match is None or len(sizes) != len(terms):
-            raise SettingsError(f"can't read the gate {text!r}; write it as {_EXAMPLE!r}")
-        return cls(match[1], sizes.get("%", 0.0), sizes.get("MAD", 0.0))
-
-    def __str__(self) -> str:
-        """Write it as `parse` reads it."""
-        terms = []
-        if self.percent or not self.deviations:
-            terms.append(f"{self.percent:g} %")
-        if self.deviations:
-            terms.append(f"{self.deviations:g} MAD")
-        return f"{self.path} worse than {' + '.join(terms)}"
-
-    @property
-    def larger_is_worse(self) -> bool:
-        """Whether it is an error, and not a coverage."""
-        return not self.path.startswith("association.")
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What became of a number of one algorithm on one sequence.
-
-    Attributes:
-        gate: Which number, and how much worse it may be.
-        algorithm, sequence: Whose.
-        before, now: Medians over the trials that both have; None without numbers.
-        interval: Of their difference, 95 % for all numbers of the gate together; None of less
-            than two trials.
-        trials: Number of trials that both have.
-        verdict: `worse`, `better`, `same`; `noise`: beyond the limit, but within what trials
-            vary; `lost`: a run that had a number has none; `new`: without one in the baseline;
-            `failed`: without one in either.
-        reason: What was lost.
-    """
-
-    gate: Gate
-    algorithm: str
-    sequence: str
-    before: float | None
-    now: float | None
-    interval: tuple[float, float] | None
-    trials: int
-    verdict: str
-    reason: str = ""
-
-    @property
-    def fails(self) -> bool:
-        """Whether it is a regression."""
-        return self.verdict in _FAILS
-
-
-class Values:
-    """The numbers of a table, run by run, that gates ask for."""
-
-    def __init__(self, rows: Rows) -> None:
-        self.settings = rows.settings
-        names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256")
-        columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())
-        self._rows = rows.select((*names, *columns))
-        self.reasons = {_run(row): row["reason"] for row in self._rows if row["status"] != OK}
-        self.groundtruths = {
-            (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
-            for row in self._rows
-            if row["groundtruth_sha256"]
-        }
-
-    @property
-    def groups(self) -> list[Group]:
-        """All algorithms on all sequences, also those without numbers."""
-        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._rows))
-
-    @property
-    def runs(self) -> set[tuple[str, ...]]:
-        """All algorithms, sequences and trials."""
-        return {_run(row) for row in self._rows}
-
-    def of(self, matches: Callable[[Row], bool], column: str) -> dict[Group, dict[str, float]]:
-        """Return a number, as `find` has it, by algorithm and sequence, and trial."""
-        found: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
-        for row in self._rows:
-            if row["status"] == OK and matches(row) and row[column] is not None:
-                found[row["algorithm"], row["sequence"]][row["trial"]] = row[column]
-        return found
-
-    def find(self, path: str) -> tuple[Callable[[Row], bool], str]:
-        """Return which rows a path means, and which of their columns.
-
-        Raises:
-            SettingsError: The table has no such number.
-        """
-        kind, *rest = path.split(".")
-        if kind == "association":
-            (column,) = rest if len(rest) == 1 else ("",)
-            self._require(column, list(_COVERAGES), path)
-            column = _COVERAGES[column]
-            return lambda row: row["kind"] == ATE and row["metric"] == "position_m", column
-        self._require(kind, [ATE, "re"], path)
-        length: str | None = None
-        if kind == "re":
-            lengths = [key for row in self._rows if row["length"] and (key := _key(row))]
-            length, *rest = rest or [""]
-            self._require(length, [*dict.fromkeys(lengths), "pooled"], path)
-            kind, length = (POOLED, None) if length == "pooled" else (RE, length)
-        metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
-        own = [row for row in self._rows if row["kind"] == kind and _key(row) == length]
-        self._require(metric, list(dict.fromkeys(row["metric"] for row in own)), path)
-        self._require(column, list(STATISTICS), path)
-        return (
-            lambda row: (row["kind"], _key(row), row["metric"]) == (kind, length, metric),
-            column,
-        )
-
-    @staticmethod
-    def _require(name: str, known: list[str], path: str) -> None:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(known) or 'none'}"
-            raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
-
-
-def require_same_settings(baseline: Values, now: Mapping[str, Any], gates: Sequence[Gate]) -> None:
-    """Check that two tables can be compared, in what the gates ask for.
-
-    Raises:
-        InputError: They were made by other definitions.
-    """
-    pooled = any(gate.path.startswith("re.pooled") for gate in gates)
-    for name, value in now.items():
-        if name == "lengths" and not pooled:  # one that is lacking is told by itself
-            continue
-        before = baseline.settings.get(name)
-        if before != value:
-            was, now_is = (
-                f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
-            )
-            raise InputError(
-                f"the baseline was made with {was} and this comparison with {now_is}, so their "
-                "numbers don't compare; make one of them anew"
-            )
-
-
-def judge(gates: Sequence[Gate], baseline: Values, now: Values) -> list[Verdict]:
+def judge(
+    gates: Sequence[Gate],
+    baseline: GateValues,
+    now: GateValues,
+    false_alarms: float = FALSE_ALARMS,
+) -> Judgement:
     """Judge every algorithm on every sequence by every gate.
+
+    Args:
+        gates: Which share the chance of a false alarm, without the untested ones.
+        baseline: The older table.
+        now: The newer one.
+        false_alarms: Chance that any gate calls anything worse without a change.
 
     Raises:
         SettingsError: A gate asks for a number that the baseline has not.
     """
-    verdicts = []
-    for gate in gates:
-        number = baseline.find(gate.path)
-        before, after = baseline.of(*number), now.of(*number)
-        groups = dict.fromkeys([*before, *after])
-        verdicts += [
-            _verdict(gate, group, before.get(group, {}), after.get(group, {}), now, len(groups))
-            for group in groups
-        ]
-    return verdicts
+    share = false_alarms / max(1, sum(gate.tested for gate in gates))
+    verdicts = tuple(_judge_gate(gate, baseline, now, share) for gate in gates)
+    return Judgement(verdicts, _failures(baseline, now, false_alarms), false_alarms)
 
 
-def _verdict(
-    gate: Gate,
-    group: Group,
-    before: dict[str, float],
-    now: dict[str, float],
-    table: Values,
-    numbers: int,
-) -> Verdict:
-    both = [trial for trial in before if trial in now]
-    lost = [trial for trial in before if trial not in now]
-    paired = both or list(before)
-    middle = _median([before[trial] for trial in paired])
-    if not before:
-        verdict = NEW if now else FAILED
-        return Verdict(gate, *group, None, _median(list(now.values())), None, 0, verdict)
-    if lost:
-        reason = _why_lost(group, lost, table)
-        after = _median([now[trial] for trial in both])
-        return Verdict(gate, *group, middle, after, None, len(both), LOST, reason)
-    x = np.array([before[trial] for trial in both])
-    y = np.array([now[trial] for trial in both])
-    verdict, interval = _compare(gate, x, y, numbers)
-    return Verdict(gate, *group, middle, _median(y.tolist()), interval, len(both), verdict)
+def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
+    before, after = baseline.failed, now.failed
+    both = [group for group in before if group in after]
+    old, new = ([np.array(side[each]) for each in both] for side in (before, after))
+    sums = [(int(sum(map(np.sum, side))), sum(map(len, side))) for side in (old, new)]
+    return Failures(sums[0], sums[1], more_failures(old, new) if both else 1.0, level)
 
 
-def _why_lost(group: Group, lost: Sequence[str], table: Values) -> str:
-    run = (*group, lost[0])
-    why = "it is not in this comparison"
-    if run in table.runs:
-        why = table.reasons.get(run) or "it has no such number"
-    more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
-    return f"{f'trial {lost[0]}' if lost[0] else 'the run'}{more}: {why}"
+def _judge_gate(gate: Gate, baseline: GateValues, now: GateValues, level: float) -> GateVerdict:
+    before, after = baseline.trials(gate.path), now.trials_like(gate.path, baseline)
+    verdicts: dict[Group, NumberVerdict] = {}
+    judged: list[Group] = []
+    for group in dict.fromkeys([*before, *after]):
+        old, new = (side.get(group, GateTrials([])) for side in (before, after))
+        reason = ""
+        if not np.isfinite(old.values).any():
+            verdict = NEW if np.isfinite(new.values).any() else FAILED
+        elif not np.isfinite(new.values).any():
+            verdict = LOST
+            reason = now.why_failed(group) if new.values else "it is not in this comparison"
+        else:
+            verdict = UNDECIDED
+            judged.append(group)
+        medians = (_median(old.values), _median(new.values))
+        trials = (len(old.values), len(new.values))
+        verdicts[group] = NumberVerdict(*group, *medians, trials, None, verdict, reason)
+    copies = sum(side[group].copies for side in (before, after) for group in judged)
+    if not gate.tested:
+        for group in judged:
+            beyond = _is_beyond(gate, before[group].values, after[group].values)
+            verdicts[group] = replace(verdicts[group], verdict=WORSE if beyond else NO_WORSE)
+        return GateVerdict(gate, None, tuple(verdicts.values()), copies)
+    if not judged:
+        return GateVerdict(gate, None, tuple(verdicts.values()), copies)
+    sides = [(before[group].values, after[group].values) for group in judged]
+    logarithms = [np.array([[*map(gate.logarithm, [*old, *new])]]) for old, new in sides]
+    sizes = [(len(old), len(new)) for old, new in sides]
+    tested = _Tested(gate, logarithms, sizes, level)
+    for place, group in enumerate(judged):
+        verdict, reason = tested.verdict_of(place), ""
+        asks_for_more = gate.deviations > 0.0 and len(judged) > 1
+        if verdict == WORSE and asks_for_more and not _is_beyond(gate, *sides[place]):
+            verdict, reason = UNDECIDED, f"within {gate.deviations:g} MAD"
+        alone = _finite(gate, tested.alone[place])
+        verdicts[group] = replace(
+            verdicts[group], verdict=verdict, reason=reason, noticeable=alone
+        )
+    return GateVerdict(gate, tested.pooled, tuple(verdicts.values()), copies, tested.advised())
+
+
+class _Tested:
+    """The tests of a gate on numbers that both comparisons have."""
+
+    def __init__(
+        self, gate: Gate, numbers: Sequence[Array], sizes: Sequence[Size], level: float
+    ) -> None:
+        self._gate, self._numbers, self._sizes, self._level = gate, numbers, sizes, level
+        moved = shifted(numbers, sizes, gate.margin)
+        self._worse: GateOutcome
+        self._better: GateOutcome
+        if gate.spread_percent is None:
+            self._worse = compare(moved, sizes, total=level)
+            self._better = compare(moved, sizes, direction=-1.0, total=level)
+            change = common_change(numbers, sizes, level)
+            spreads = spreads_within(numbers, sizes)
+            together = float(noticeable(spreads, sizes, gate.margin, level)[0])
+            self.alone = noticeable_alone(spreads, sizes, gate.margin, level)[0]
+        else:
+            known = KnownSpread(gate.spread_percent / 100.0, sizes, level)
+            self._worse, self._better = known.compare(moved), known.compare(moved, -1.0)
+            change = known.common_change(numbers)
+            together, self.alone = known.noticeable(gate.margin)
+        self.pooled = PooledVerdict(
+            count=len(sizes),
+            verdict=_word(self._worse.pooled[0], self._better.pooled[0]),
+            change=gate.change(change[0]),
+            bounds=(gate.change(change[1]), gate.change(change[2])),
+            noticeable=_finite(gate, together),
+            p=float(self._worse.p_pooled[0]),
+            level=self._worse.levels.pooled,
+        )
+
+    def verdict_of(self, place: int) -> str:
+        """Return the verdict of a single number."""
+        if len(self._sizes) == 1:
+            return self.pooled.verdict
+        word = _word(self._worse.numbers[0, place], self._better.numbers[0, place])
+        return NOT_ALONE if word == UNDECIDED and np.isinf(self.alone[place]) else word
+
+    def advised(self) -> tuple[float, float, float] | None:
+        """Return what would be noticed with the advised trials, if single numbers have too few."""
+        if np.isfinite(self.alone).any() or len(self._sizes) == 1:
+            return None
+        margin, sizes = self._gate.margin, [ADVISED] * len(self._sizes)
+        spreads = spreads_within(self._numbers, self._sizes)
+        together = noticeable(spreads, sizes, margin, self._level)
+        alone = noticeable_alone(spreads, sizes, margin, self._level)[0]
+        if np.isinf(alone).any():
+            return None
+        three = (float(together[0]), float(alone.min()), float(alone.max()))
+        first, second, third = (abs(self._gate.change(each)) for each in three)
+        return first, second, third
+
+
+def _word(is_worse: Any, is_better: Any) -> str:
+    return WORSE if is_worse else NO_WORSE if is_better else UNDECIDED
+
+
+def _finite(gate: Gate, logarithm: float) -> float | None:
+    return abs(gate.change(logarithm)) if np.isfinite(logarithm) else None
 
 
 def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if values else None
-
-
-def _compare(
-    gate: Gate, before: Array, now: Array, numbers: int
-) -> tuple[str, tuple[float, float] | None]:
-    """Compare medians over the same trials: beyond the limit, and beyond chance?
-
-    A gate looks at so many numbers that one of them is always far off. So each has a share of the
-    chance that is allowed for all (Bonferroni).
-    """
-    sign = 1.0 if gate.larger_is_worse else -1.0
-    middle = float(np.median(before))
-    deviation = float(np.median(np.abs(before - middle)))
-    limit = abs(middle) * (gate.percent / 100.0 + _EQUAL) + gate.deviations * deviation
-    difference = float(np.median(now)) - middle
-    interval = paired_interval(before, now, _CHANCE / numbers)
-    for direction, verdict in ((sign, WORSE), (-sign, BETTER)):
-        if direction * difference > limit:
-            if interval is None or min(direction * interval[0], direction * interval[1]) > 0.0:
-                return verdict, interval
-            return NOISE, interval
-    return SAME, interval
-
-
-def paired_interval(before: Array, now: Array, chance: float) -> tuple[float, float] | None:
-    """Return an interval of the difference over paired trials (N,), missed with that chance.
-
-    From ten trials on it is a percentile bootstrap's of the difference of medians; each is drawn
-    with both its numbers, so that what both have in common cancels, and the draw is seeded, so
-    that the same numbers give the same interval. Of fewer, resampling sees too little of what they
-    might have been (of two trials its 95 % are 50 %), so it is Student's of the mean difference.
-
-    Args:
-        before: (N,).
-        now: (N,), of the same trials.
-        chance: That it misses the difference, on either side.
-
-    Returns:
-        Its ends; None of less than two trials.
-    """
-    count = len(before)
-    if count < 2:
+    """Return the median, with failed trials as the worst; None without trials."""
+    if not values:
         return None
-    if count < _FEWEST_TO_RESAMPLE:
-        from scipy.special import stdtrit
-
-        each = now - before
-        reach = float(-stdtrit(count - 1, chance / 2.0) * each.std(ddof=1) / np.sqrt(count))
-        return float(each.mean()) - reach, float(each.mean()) + reach
-    rows = np.random.default_rng(0).integers(count, size=(_RESAMPLES, count))
-    differences = np.median(now[rows], axis=1) - np.median(before[rows], axis=1)
-    low, high = np.percentile(differences, (50.0 * chance, 100.0 - 50.0 * chance))
-    return float(low), float(high)
+    ordered = sorted(values)
+    return 0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])
 
 
-def to_markdown(verdicts: Sequence[Verdict], title: str, remarks: Sequence[str]) -> str:
-    """Return a summary for a pull request: what is worse first, the rest folded if long."""
-    bad = [each for each in verdicts if each.fails]
-    head = f"### {markdown_text(title)}: " + (
-        f"{len(bad)} regression{'s' if len(bad) > 1 else ''} in {len(verdicts)} numbers"
-        if bad
-        else f"no regression in {len(verdicts)} numbers"
-    )
-    gates = "; ".join(dict.fromkeys(f"`{each.gate}`" for each in verdicts))
-    lines = [head, "", f"Fails if {gates}.", *(f"**Note:** {each}." for each in remarks), ""]
-    order = (LOST, WORSE, BETTER, NOISE, NEW, FAILED, SAME)
-    ranked = sorted(verdicts, key=lambda each: order.index(each.verdict))
-    shown = ranked if len(ranked) <= _MOST_ROWS else [each for each in ranked if each.fails]
-    folded = ranked[len(shown) :]
-    if shown:
-        lines += [*_table(shown), ""]
-    if folded:
-        summary = f"<details><summary>{len(folded)} others</summary>"
-        lines += [summary, "", *_table(folded), "", "</details>", ""]
-    lines += [
-        "Medians over trials; the interval is of their paired difference, 95 % for all numbers of "
-        "a gate together. *noise*: beyond the limit, but the interval has zero in it.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _table(verdicts: Sequence[Verdict]) -> list[str]:
-    headings = [
-        "algorithm, sequence", "number", "baseline", "now", "change", "interval", "trials",
-        "verdict",
-    ]  # fmt: skip
-    rows = []
-    for each in verdicts:
-        change = interval = "-"
-        if each.before is not None and each.now is not None and each.before != 0.0:
-            change = f"{100.0 * (each.now - each.before) / abs(each.before):+.1f} %"
-        if each.interval is not None:
-            interval = " … ".join(f"{value:+.3g}" for value in each.interval)
-        mark = f"**{each.verdict}**" if each.fails else each.verdict
-        rows.append(
-            [
-                markdown_text(f"{each.algorithm}, {each.sequence}"),
-                f"`{each.gate.path}`",
-                "-" if each.before is None else number_text(each.before),
-                "-" if each.now is None else number_text(each.now),
-                change,
-                interval,
-                str(each.trials),
-                f"{mark} {markdown_text(each.reason)}".strip(),
-            ]
-        )
-    return markdown_table(headings, rows)
-
-
-def remarks_on(baseline: Values, now: Values) -> list[str]:
-    """Return what else is different."""
-    changed = dict.fromkeys(
-        sequence
-        for (algorithm, sequence), before in baseline.groundtruths.items()
-        if now.groundtruths.get((algorithm, sequence), before) != before
-    )
-    if not changed:
-        return []
-    return [
-        f"the groundtruth of {', '.join(changed)} is not that of the baseline, so numbers there "
-        "don't compare"
-    ]
-
-
-def _run(row: Row) -> tuple[str, ...]:
-    return row["algorithm"], row["sequence"], row["trial"]
-
-
-def _key(row: Row) -> str | None:
-    """Return a length as paths have it: 8m, 8_5m."""
-    length: str | None = row["length"]
-    return None if length is None else length.replace(".", "_")
+def _is_beyond(gate: Gate, before: Sequence[float], now: Sequence[float]) -> bool:
+    """Whether the medians differ by more than the margin and the deviations of the baseline."""
+    finite = np.array([each for each in before if np.isfinite(each)])
+    middle, after = float(np.median(finite)), _median(now)
+    if after is None or np.isinf(after):
+        return True
+    deviation = gate.deviations * float(np.median(np.abs(finite - middle)))
+    if gate.larger_is_worse:
+        return after > middle * float(np.exp(gate.margin)) + deviation
+    return after < middle * float(np.exp(-gate.margin)) - deviation

@@ -11,15 +11,15 @@ from typing import Any
 from trajeval_ros import __version__
 from trajeval_ros.batch.comparison import RECORDS, RUNS
 from trajeval_ros.batch.drawing import Advance, draw_all
-from trajeval_ros.batch.plots import MOST_SEQUENCES, drafts_of
-from trajeval_ros.batch.pools import Pool
+from trajeval_ros.batch.executors import Pool
+from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.summary import Summary, definition, matrices
-from trajeval_ros.batch.table import ATE, OK, POOLED, RE, STATISTICS, Rows
-from trajeval_ros.io.results import write_text
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
+from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, matrices
+from trajeval_ros.io.writing import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
-from trajeval_ros.report.matrix import coverage_text, number_text
+from trajeval_ros.report.numbers import coverage_text, number_text
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 REPORT = "report.html"
@@ -29,7 +29,7 @@ _MOST_FIGURES = 200
 
 def write_report(
     folder: Path,
-    summary: Summary,
+    summary: ComparisonSummary,
     pool: Pool,
     advance: Advance = lambda done, total: None,
 ) -> Path:
@@ -66,7 +66,7 @@ def write_report(
     return folder / REPORT
 
 
-def _findings(summary: Summary) -> list[str]:
+def _findings(summary: ComparisonSummary) -> list[str]:
     """Return what one wants to know first."""
     trials = summary.trials
     lost = [trial for trial in trials if trial.status != OK]
@@ -109,7 +109,9 @@ def _counted(names: list[str], what: str) -> str:
     return f"{len(names)} {what}{'' if len(names) == 1 else 's'}"
 
 
-def _runs(folder: Path, summary: Summary, figures: Mapping[str, tuple[str, ...]]) -> list[RunPage]:
+def _runs(
+    folder: Path, summary: ComparisonSummary, figures: Mapping[str, tuple[str, ...]]
+) -> list[RunPage]:
     statistics: dict[str, list[tuple[str, ...]]] = defaultdict(list)
     facts: dict[str, tuple[tuple[str, str], ...]] = {}
     names = ("key", "kind", "metric", "length", "count", *STATISTICS)
@@ -117,11 +119,14 @@ def _runs(folder: Path, summary: Summary, figures: Mapping[str, tuple[str, ...]]
         "groundtruth", "estimate", "pairs", "estimate_coverage", "span_s", "scale",
         "estimate_sha256", "groundtruth_sha256",
     )  # fmt: skip
-    for row in Rows(folder / RUNS).select((*names, *more), status=OK):
+    for row in ResultsTable(folder / RUNS).select((*names, *more), status=OK):
         key = row["key"]
-        statistics[key].append(_statistics(row))
         if key not in facts:
             facts[key] = _facts(row)
+        if row["kind"] in (ATE, RE, POOLED):
+            statistics[key].append(_statistics(row))
+        else:
+            facts[key] += ((f"{row['kind']}, {row['metric']}", number_text(row["mean"])),)
     return [
         RunPage(
             algorithm=trial.algorithm,

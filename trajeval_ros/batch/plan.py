@@ -6,13 +6,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from trajeval_ros.protocol import Protocol
+from trajeval_ros.pipeline import Request
 
 Name = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One run of an algorithm, which may be missing.
 
     Attributes:
@@ -44,13 +44,13 @@ class Plan:
     Attributes:
         title: What a report calls it.
         runs: By algorithm, sequence and trial, the missing ones included.
-        protocol: How each is evaluated.
+        request: What is computed of each.
         common_time_span: Evaluate only the time that all runs of a sequence have.
     """
 
     title: str
-    runs: tuple[Run, ...]
-    protocol: Protocol
+    runs: tuple[PlannedRun, ...]
+    request: Request
     common_time_span: bool = False
 
 
@@ -62,7 +62,7 @@ def all_runs(
     *,
     sequences: Iterable[str] = (),
     trials: Iterable[str] = (),
-) -> tuple[Run, ...]:
+) -> tuple[PlannedRun, ...]:
     """Return the runs that were found, and those that are missing beside them.
 
     An algorithm is expected to have run on each sequence that any other one ran on, as often as
@@ -92,7 +92,7 @@ def all_runs(
                     missing = f"there is no {where(name)}"
                 elif not groundtruth:
                     missing = f"there is no groundtruth of {sequence}"
-                runs.append(Run(*name, groundtruth, estimate, missing))
+                runs.append(PlannedRun(*name, groundtruth, estimate, missing))
     return tuple(runs)
 
 

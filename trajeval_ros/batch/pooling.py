@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.table import ATE, RE, STATISTICS, load_pyarrow, settings_of
-from trajeval_ros.io.results import write_whole
-from trajeval_ros.statistics import quantile, statistics_of
+from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, settings_of
+from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.drift import PER_LENGTH
+from trajeval_ros.metrics.statistics import quantile, statistics_of
 
 Array = NDArray[np.float64]
 
@@ -64,10 +65,7 @@ def _relative(
     sizes = [segment.get("length_m") for segment in segments]
     row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
     # Shares of a length need each trial's own one, which are the same but for odd groundtruths.
-    for metric, share, unit in (
-        ("position_m", "position_percent", 100.0),
-        ("rotation_deg", "rotation_deg_per_m", 1.0),
-    ):
+    for metric, (share, unit) in PER_LENGTH.items():
         errors = [record.columns[f"{length}.{metric}"] for record in having]
         absolute = list(_rows(np.concatenate(errors), {**row, "metric": metric}))
         yield from absolute

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.results import write_whole
+from trajeval_ros.io.writing import write_whole
 
 Array = NDArray[np.float64]
 

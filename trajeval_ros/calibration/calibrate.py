@@ -10,33 +10,30 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.calibration.clock import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
-from trajeval_ros.calibration.fit import Fit, fit
+from trajeval_ros.calibration.clock_offset import OVERLAP_S, SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.increments import (
-    HORIZON_S,
     MOST_INCREMENTS,
     POSITION,
     ROTATION,
     Increments,
 )
 from trajeval_ros.calibration.observability import observability
-from trajeval_ros.calibration.solve import COLUMNS_OF, Solution, basis_of, solve
-from trajeval_ros.calibration.track import nanoseconds
-from trajeval_ros.calibration.verdict import (
+from trajeval_ros.calibration.pose_interpolator import nanoseconds
+from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.calibration.row_gains import supported_by_both
+from trajeval_ros.calibration.significance import (
     CHANCE,
     CHANCE_OF_SKEW,
     Parameter,
     judge,
     unobservable,
 )
+from trajeval_ros.calibration.solve import COLUMNS_OF, CalibrationFit, basis_of, solve
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 # What an interval of 95 % must lie within to be of use: s, s/s, rad, m.
 WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
@@ -45,7 +42,7 @@ _SHORT_FOR_SKEW_S = 120.0
 
 
 @dataclass(frozen=True)
-class Systematic:
+class SystematicErrors:
     """What parts of one real run differ by, beyond what any of them can know; 0 when simulated.
 
     Attributes:
@@ -79,6 +76,12 @@ class Calibration:
         pairs: Number of increments.
         horizon_s: Their length.
         warnings: One sentence each.
+
+    Example:
+        >>> from trajeval_ros import calibrate, simulate
+        >>> flight = simulate(seed=1, duration_s=60.0)
+        >>> calibrate(flight.groundtruth, flight.estimate).skew is None
+        True
     """
 
     offset: Parameter
@@ -98,13 +101,11 @@ class Calibration:
 def calibrate(
     groundtruth: Trajectory,
     estimate: Trajectory,
-    gauge: Gauge = Gauge.SE3,
+    gauge: Gauge | str = Gauge.SE3,
     *,
     around_s: float = 0.0,
-    search_s: float | None = SEARCH_S,
     with_skew: bool = False,
-    systematic: Systematic | None = None,
-    horizon_s: float = HORIZON_S,
+    systematic: SystematicErrors | None = None,
     most_increments: int = MOST_INCREMENTS,
 ) -> Calibration:
     """Estimate clock offset, body rotation and lever arm from increments.
@@ -117,17 +118,26 @@ def calibrate(
         estimate: T_W_B, poses or positions of the body.
         gauge: Whether there is a scale between the two, and whether their worlds share gravity;
             it changes nothing else.
-        around_s: Where to search the offset, seconds to be added to the estimate's stamps.
-        search_s: How far from there; None for everywhere. Where the two can't meet for long
-            enough within the range it is everywhere, too: clocks of different epochs.
+        around_s: Where to search the offset, seconds to be added to the estimate's stamps: up to
+            `SEARCH_S` from there. Where the two can't meet for long enough within that range it
+            is everywhere: clocks of different epochs.
         with_skew: Fit the clocks' skew, too.
         systematic: What real runs hide from standard deviations; None for the usual.
-        horizon_s: Length of the increments.
         most_increments: How many of them to use.
 
     Raises:
         InputError: States without stamps, or too few of them.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import calibrate, simulate
+        >>> flight = simulate(seed=1, duration_s=60.0)
+        >>> late = replace(flight.estimate, stamps=flight.estimate.stamps + 100_000_000)
+        >>> found = calibrate(flight.groundtruth, late, "yaw")
+        >>> found.offset.status, round(float(found.offset.value[0]), 1)
+        ('significant', -0.1)
     """
+    gauge = Gauge.of(gauge)
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.stamped:
             raise InputError(
@@ -135,18 +145,17 @@ def calibrate(
             )
         if len(side.in_order()) < 2:
             raise InputError(f"the {side.name or name} has fewer than two poses")
-    reach = np.inf if search_s is None else search_s
-    if _apart(groundtruth, estimate, around_s) > reach - OVERLAP_S:
-        search_s = None
+    can_meet = _apart(groundtruth, estimate, around_s) <= SEARCH_S - OVERLAP_S
+    search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
     # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.
     base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
-    increments = Increments(groundtruth, shifted, horizon_s, most_increments)
+    increments = Increments(groundtruth, shifted, most_increments)
     solution = solve(increments, gauge, with_skew)
     if solution is None:
         return _without(guess, increments, with_skew)
-    return _judged(solution, increments, guess, base, systematic or Systematic(), with_skew)
+    return _judged(solution, increments, guess, base, systematic or SystematicErrors(), with_skew)
 
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
@@ -159,11 +168,11 @@ def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> fl
 
 
 def _judged(
-    solution: Solution,
+    solution: CalibrationFit,
     increments: Increments,
     guess: OffsetGuess,
     base: int,
-    systematic: Systematic,
+    systematic: SystematicErrors,
     with_skew: bool,
 ) -> Calibration:
     """Return the verdicts on a solution."""
@@ -211,13 +220,16 @@ def _judged(
             whole=name == "turn",
         )
 
+    turn = unobservable(_NO_TURN)
+    if increments.has_turns:
+        turn = supported_by_both(verdict("turn", "rad"), increments, solution, systematic.turn_rad)
     offset = verdict("offset", "s")
     if not guess.is_usable:
         offset = unobservable(guess.problem, offset.reliability)
     return Calibration(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,
-        turn=verdict("turn", "rad") if increments.has_turns else unobservable(_NO_TURN),
+        turn=turn,
         lever=unobservable(_NO_LEVER) if increments.turned is None else verdict("lever", "m"),
         scale=fitted.unknowns.scale,
         guess=guess,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry import lie
+
 Array = NDArray[np.float64]
 _PASSES = 3
 
@@ -23,9 +25,7 @@ def closest_rotation(
     weighted = targets if weights is None else targets * weights[:, None]
     scatter = weighted.T @ vectors
     if about_z:
-        angle = np.arctan2(scatter[1, 0] - scatter[0, 1], scatter[0, 0] + scatter[1, 1])
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return lie.about_gravity(float(lie.yaw_of_matrix(scatter)))
     left, _, right = np.linalg.svd(scatter)
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation: Array = left @ proper @ right

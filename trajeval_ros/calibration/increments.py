@@ -18,12 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
-from trajeval_ros.calibration.track import Stamps, Track, nanoseconds, nearest_rows
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.calibration.pose_interpolator import Stamps, Track, nanoseconds, nearest_rows
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -88,7 +87,7 @@ class Linearised:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionIncrements:
     """Increments of one side: the body's own axes, or its world's if there are no orientations.
 
     Attributes:
@@ -109,7 +108,6 @@ class Increments:
         self,
         groundtruth: Trajectory,
         estimate: Trajectory,
-        horizon_s: float = HORIZON_S,
         most: int = MOST_INCREMENTS,
     ) -> None:
         """Choose the pairs, no gap within one.
@@ -117,14 +115,13 @@ class Increments:
         Args:
             groundtruth: At least two states.
             estimate: At least two states.
-            horizon_s: Length of an increment; that of sparse keyframes is three steps or more.
             most: How many to use; of more, every n-th.
         """
-        self.has_turns = groundtruth.rotations is not None and estimate.rotations is not None
+        self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
         self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
         # A lever arm turns with the estimate's orientations, also if the marker has none.
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
-        self.horizon_s = max(horizon_s, 3.0 * track.step_s)
+        self.horizon_s = max(HORIZON_S, 3.0 * track.step_s)  # of sparse keyframes
         stamps = track.stamps
         first = np.arange(0, len(stamps), -(-len(stamps) // most))
         last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))
@@ -235,7 +232,7 @@ class Increments:
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
         return jacobian, before.usable & after.usable
 
-    def _marker(self, offset_s: float, skew: float) -> Motion:
+    def _marker(self, offset_s: float, skew: float) -> MotionIncrements:
         """Return the groundtruth's increments by a clock."""
         stamps, truth = self._track.stamps, self._truth
         first_s = offset_s + skew * (self._since - self._mid_s)
@@ -246,18 +243,20 @@ class Increments:
             stamps[self._last] + np.rint(last_s * NANOSECONDS).astype(np.int64),
         )
 
-    def _motion(self, track: Track, first: Stamps, last: Stamps) -> Motion:
+    def _motion(self, track: Track, first: Stamps, last: Stamps) -> MotionIncrements:
         start, end = track.at(first), track.at(last)
         steps = end.positions - start.positions
         usable = start.usable & end.usable
         if not self.has_turns:
-            return Motion(None, steps, usable)
+            return MotionIncrements(None, steps, usable)
         assert start.quaternions is not None
         assert end.quaternions is not None
         back = lie.conjugate(start.quaternions)
-        return Motion(lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable)
+        return MotionIncrements(
+            lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable
+        )
 
-    def _turned(self, body: Motion) -> Array | None:
+    def _turned(self, body: MotionIncrements) -> Array | None:
         """Return dR - I, or R_j - R_i where increments have no orientation, (N, 3, 3)."""
         if body.turns is not None:
             return _matrices(body.turns) - np.eye(3)
@@ -266,7 +265,7 @@ class Increments:
             return None
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
 
-    def _residual(self, at: Unknowns, marker: Motion, rows: NDArray[np.int64]) -> Array:
+    def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Array:
         turned = None if self.turned is None else self.turned[rows]
         carried = at.scale * self._body.steps[rows]
         if turned is not None:
@@ -284,7 +283,7 @@ class Increments:
         return residual
 
     def _turn_columns(
-        self, at: Unknowns, marker: Motion, rows: NDArray[np.int64], jacobian: Array
+        self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Array
     ) -> None:
         if marker.turns is None:
             turned = None if self.turned is None else self.turned[rows] @ at.lever_m
@@ -295,7 +294,7 @@ class Increments:
         in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
         jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
 
-    def _carried(self, at: Unknowns, body: Motion) -> Array:
+    def _carried(self, at: Unknowns, body: MotionIncrements) -> Array:
         """Return the marker's step that goes with a motion of the body, the offset's column."""
         if body.turns is None:
             # The lever arm's part is left out: of what an offset changes it is small.
@@ -309,4 +308,4 @@ class Increments:
 
 
 def _matrices(quaternions: Array) -> Array:
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+    return lie.to_matrix(lie.normalized(quaternions))

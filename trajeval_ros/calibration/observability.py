@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.calibration.fit import Fit
 from trajeval_ros.calibration.increments import LEVER, OFFSET, SKEW, TURN, Increments
+from trajeval_ros.calibration.robust_fit import Fit
 
 Array = NDArray[np.float64]
 

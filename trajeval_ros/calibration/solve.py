@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.calibration.fit import Fit, fit
 from trajeval_ros.calibration.increments import (
     COLUMNS,
     LEVER,
@@ -20,7 +19,8 @@ from trajeval_ros.calibration.increments import (
     Unknowns,
 )
 from trajeval_ros.calibration.observability import Directions, observability
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.geometry.gauge import Gauge
 
 Array = NDArray[np.float64]
 
@@ -34,15 +34,23 @@ _NO_BODY = (
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """A fit, what its directions are worth, and what was left out to have standard deviations."""
+class CalibrationFit:
+    """A fit, what its directions are worth, and what was left out to have standard deviations.
+
+    Attributes:
+        fit: The fit.
+        found: The directions of each parameter, fitted or not.
+        free: Of each fitted parameter, the directions that were free, as rows.
+        left_out: A sentence; empty if nothing was.
+    """
 
     fit: Fit
     found: dict[str, Directions]
+    free: dict[str, Array]
     left_out: str
 
 
-def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> Solution | None:
+def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationFit | None:
     """Fit all that can be seen; None where not even the offset has a standard deviation."""
     if len(increments) < _FEWEST_PAIRS:
         return None
@@ -68,7 +76,9 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> Solution | N
     return None
 
 
-def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> Solution | None:
+def _settle(
+    increments: Increments, begin: Unknowns, free: dict[str, Array]
+) -> CalibrationFit | None:
     """Fit, hold the directions that can't be seen, and fit again from the start."""
     hidden: dict[str, Directions] = {}
     solution = None
@@ -79,7 +89,7 @@ def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> 
         if fitted is None:
             return solution
         found = observability(increments, fitted)
-        solution = Solution(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
         worse = {
             name: each
             for name, each in found.items()
@@ -88,7 +98,7 @@ def _settle(increments: Increments, begin: Unknowns, free: dict[str, Array]) -> 
         if not worse:
             return solution
         hidden |= worse
-        solution = Solution(fitted, {**found, **hidden}, "")
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
         free = {
             name: worse[name].directions[worse[name].seen] if name in worse else axes
             for name, axes in free.items()

@@ -15,11 +15,11 @@ from trajeval_ros.cli.compare import compare
 from trajeval_ros.cli.compare_association import compare_association
 from trajeval_ros.cli.demo import demo
 from trajeval_ros.cli.evaluate import evaluate
-from trajeval_ros.cli.evaluator import HELP as EVALUATOR_HELP
-from trajeval_ros.cli.evaluator import evaluator
 from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.gauge_study import gauge_study
 from trajeval_ros.cli.info import info
+from trajeval_ros.cli.live_evaluator import HELP as EVALUATOR_HELP
+from trajeval_ros.cli.live_evaluator import evaluator
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate

@@ -10,24 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trajeval_ros.cli import gating, options
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.io.results import write_text
-from trajeval_ros.protocol import PROTOCOLS
+from trajeval_ros.io.writing import write_text
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
-    from trajeval_ros.batch.gates import Gate, Values
-    from trajeval_ros.batch.plan import Plan
-    from trajeval_ros.batch.pools import Pool
-    from trajeval_ros.batch.summary import Summary
+    from trajeval_ros.batch.executors import Pool
+    from trajeval_ros.batch.summary_tables import ComparisonSummary
 
-    Baseline = tuple[list[Gate], Values]
-
-SETTINGS, WORK, GATES, OUTPUT = "Settings, before those of the file", "Work", "Gates", "Output"
-GATES_FILE = "gates.md"
+WORK = "Work"
 
 
 def compare(
@@ -40,45 +34,26 @@ def compare(
             show_default=False,
         ),
     ],
-    protocol: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE.yaml",
-            help=f"A bundle of settings: {', '.join(PROTOCOLS)}, or a file of your own.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    modality: Annotated[
-        str | None,
-        typer.Option(
-            help="The sensors, which decide what alignment may change, as in trajeval evaluate.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    gauge: Annotated[
-        str | None,
-        typer.Option(
-            help=f"The same by name: {', '.join(each.value for each in Gauge)}.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
-    align_states: Annotated[
-        str | None,
-        typer.Option(
-            metavar="all|N",
-            help="Align by all matched states or the first N.",
-            rich_help_panel=SETTINGS,
-        ),
-    ] = None,
+    protocol: options.ProtocolOption = None,
+    modality: options.ModalityOption = None,
+    gauge: options.GaugeOption = None,
+    align_states: options.AlignStatesOption = None,
+    association: options.AssociationOption = None,
+    time_offset: options.TimeOffsetOption = None,
+    hand_eye: options.HandEyeOption = None,
+    continuous_model: options.ContinuousModelOption = None,
+    groundtruth_noise: options.GroundtruthNoiseOption = None,
     lengths: Annotated[
         str | None,
         typer.Option(
             metavar="LIST",
-            help="Of sub-trajectories: 8,16,24 (metres), 1s,5s (seconds), 10%,20% (of the "
-            "groundtruth's path, the same for all algorithms) or none.",
-            rich_help_panel=SETTINGS,
+            help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
+            "(seconds), 10%,20% (of the groundtruth's path, the same for all algorithms) or none.",
+            rich_help_panel=options.MEASURE,
         ),
     ] = None,
+    covariance: options.CovarianceOption = None,
+    rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
     common_time_span: Annotated[
         bool | None,
         typer.Option(
@@ -86,7 +61,7 @@ def compare(
             help="Evaluate only the time that all runs of a sequence have: a tracker that died "
             "early can't win.",
             show_default=False,
-            rich_help_panel=SETTINGS,
+            rich_help_panel=options.MEASURE,
         ),
     ] = None,
     workers: Annotated[
@@ -106,36 +81,26 @@ def compare(
             rich_help_panel=WORK,
         ),
     ] = None,
-    baseline: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OLD.parquet",
-            help="The runs.parquet of another comparison, by the same settings.",
-            rich_help_panel=GATES,
-        ),
-    ] = None,
-    fail_if: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GATE",
-            help="Exit with status 1 if a number is worse than in the baseline; repeatable. Such "
-            "as 'ate.position_m.rmse worse than 5 % + 2 MAD'.",
-            rich_help_panel=GATES,
-        ),
-    ] = None,
+    baseline: gating.BaselineOption = None,
+    fail_if: gating.FailIfOption = None,
+    undecided: gating.UndecidedOption = "pass",
+    false_alarms: gating.FalseAlarmsOption = 2.5,
     output: Annotated[
         Path,
         typer.Option(
             metavar="DIR",
             help="Results, kept run by run: what is there and unchanged isn't evaluated again.",
-            rich_help_panel=OUTPUT,
+            rich_help_panel=options.OUTPUT,
         ),
     ] = Path("comparison"),
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=OUTPUT)
+        bool,
+        typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=options.OUTPUT),
     ] = False,
 ) -> None:
     """Compare many runs: algorithms x sequences x trials, in tables and one report.
+
+    Settings given here override those of the file.
 
     What euroc.yaml describes, on all cores:
 
@@ -148,14 +113,14 @@ def compare(
     Today against yesterday; the Markdown in gates.md is for the pull request:
 
         trajeval compare euroc.yaml --baseline main.parquet
-        --fail-if 'ate.position_m.rmse worse than 5 % + 2 MAD'
+        --fail-if 'ate.position_m.rmse worse than 5 %'
     """
-    from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.comparison import compare as compare_runs
+    from trajeval_ros.batch.compare_runs import write_tables
+    from trajeval_ros.batch.comparison import RUNS, run_plan
     from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.executors import local_pool
     from trajeval_ros.batch.page import REPORT, write_report
-    from trajeval_ros.batch.pools import local_pool
-    from trajeval_ros.batch.summary import summary_of
+    from trajeval_ros.batch.summary_tables import summary_of
 
     if workers is not None and cluster is not None:
         raise SettingsError("--workers is of this machine and --cluster of others; give one")
@@ -164,61 +129,31 @@ def compare(
         "modality": modality,
         "gauge": gauge,
         "align_states": align_states,
+        "association": association,
+        "time_offset": time_offset,
+        "hand_eye": hand_eye,
+        "continuous_model": continuous_model,
+        "groundtruth_noise": groundtruth_noise,
         "lengths": lengths,
+        "covariance": covariance,
+        "rotation_covariance_frame": rotation_covariance_frame,
     }
     plan = plan_of(target, said, common_time_span=common_time_span)
     # Read before anything is written: it may be the table of the same folder.
-    before = _read_baseline(baseline, fail_if or [], plan)
+    gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan)
     with _progress_bar() as tell:
-        progress = compare_runs(plan, output, lambda: _pool(workers, cluster), tell)
+        progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
     summary = summary_of(output)
     # It is written last: if it is newer than the results, all is there.
     if not _is_newer(output / REPORT, output / RUNS):
-        _write_tables(output, summary)
+        write_tables(output, summary)
         with drawing("drawing the report") as advance:
             write_report(output, summary, local_pool(workers), advance)
     if not quiet:
         with may_break():
             _print(summary, progress, output)
-    if before is not None:
-        _judge(before, output, summary.title, quiet=quiet)
-
-
-def _read_baseline(path: Path | None, texts: list[str], plan: Plan) -> Baseline | None:
-    """Return gates and what they compare with; refuses what can't be compared before the work."""
-    from trajeval_ros.batch.gates import Gate, Values, require_same_settings
-    from trajeval_ros.batch.table import Rows, settings_of
-
-    if (path is None) != (not texts):
-        raise SettingsError(
-            "--baseline says what to compare with and --fail-if what is worse; give both"
-        )
-    if path is None:
-        return None
-    gates = [Gate.parse(text) for text in texts]
-    values = Values(Rows(path))
-    require_same_settings(values, settings_of(plan), gates)
-    for gate in gates:
-        values.find(gate.path)
-    return gates, values
-
-
-def _judge(before: Baseline, folder: Path, title: str, *, quiet: bool) -> None:
-    """Write and print what became better and worse; exit with status 1 if something is worse."""
-    from trajeval_ros.batch.comparison import RUNS
-    from trajeval_ros.batch.gates import Values, judge, remarks_on, to_markdown
-    from trajeval_ros.batch.table import Rows
-
-    gates, values = before
-    now = Values(Rows(folder / RUNS))
-    verdicts = judge(gates, values, now)
-    text = to_markdown(verdicts, title, remarks_on(values, now))
-    write_text(folder / GATES_FILE, text)
-    if not quiet:
-        with may_break():
-            print(f"\n{text}", end="")
-    if any(verdict.fails for verdict in verdicts):
-        raise typer.Exit(1)
+    if gates is not None:
+        gating.judge(gates, output, summary.title, quiet=quiet)
 
 
 def _is_newer(path: Path, other: Path) -> bool:
@@ -226,28 +161,14 @@ def _is_newer(path: Path, other: Path) -> bool:
 
 
 def _pool(workers: int | None, cluster: str | None) -> Pool:
-    from trajeval_ros.batch.pools import dask_pool, local_pool
+    from trajeval_ros.batch.executors import dask_pool, local_pool
 
     return local_pool(workers) if cluster is None else dask_pool(cluster)
 
 
-def _write_tables(folder: Path, summary: Summary) -> None:
-    from trajeval_ros.batch.summary import failures, matrices
-    from trajeval_ros.report import matrix as tables
-
-    made = matrices(summary)
-    lost = [f"* {tables.markdown_text(line)}" for line in failures(summary)]
-    without = ["### Runs without numbers", "", *lost, ""] if lost else []
-    text = "\n".join([f"# {summary.title}", "", *map(tables.to_markdown, made), *without])
-    write_text(folder / "tables.md", text)
-    write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
-    for each in made:
-        write_text(folder / f"{each.name}.csv", tables.to_csv(each))
-
-
-def _print(summary: Summary, progress: Progress, folder: Path) -> None:
-    from trajeval_ros.batch.summary import failures, matrices
-    from trajeval_ros.batch.table import OK
+def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
+    from trajeval_ros.batch.results_table import OK
+    from trajeval_ros.batch.summary_tables import failures, matrices
     from trajeval_ros.report.matrix import to_terminal
     from trajeval_ros.report.tables import console, show
 

@@ -9,16 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from trajeval_ros.cli.consistency import parse_noise
-from trajeval_ros.cli.names import names_of
-from trajeval_ros.cli.probabilistic import CONTINUOUS, with_model
+from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 
 if TYPE_CHECKING:
-    from trajeval_ros.association_study import Comparison
-    from trajeval_ros.degradation import Degradation
-    from trajeval_ros.trajectory import Trajectory
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.likelihood.association_study import AssociationComparison
+    from trajeval_ros.likelihood.degradation import Degradation
 
 
 def compare_association(
@@ -68,25 +66,21 @@ def compare_association(
 
         trajeval compare-association -g groundtruth.csv -e estimate.txt --rate 2
     """
-    from trajeval_ros.association_study import compare_associations
-    from trajeval_ros.degradation import Degradation
-    from trajeval_ros.settings import protocol_from
+    from trajeval_ros.io.request_words import parse_noise
+    from trajeval_ros.likelihood.association_study import compare_associations
+    from trajeval_ros.likelihood.degradation import Degradation
+    from trajeval_ros.metrics.settings import protocol_from
 
+    shortest, longest = _durations(dropout_length)
     protocol = protocol_from(
         "default",
         gauge=gauge,
         modality=modality,
-        align_states=None,
-        association=CONTINUOUS,
-        max_time_difference=None,
-        max_gap=None,
-        time_offset=None,
+        association="continuous",
+        continuous_model=continuous_model,
+        groundtruth_noise=parse_noise(groundtruth_noise),
         lengths="none",
-        ate_form=None,
-        re_form=None,
     )
-    shortest, longest = _durations(dropout_length)
-    protocol = with_model(protocol, continuous_model, parse_noise(groundtruth_noise))
     noise = protocol.association.noise
     degradation = Degradation(rate, dropouts, shortest, longest, noise, seed)
     truth, *estimates = _read([groundtruth, *estimate])
@@ -121,7 +115,9 @@ def _read(sources: list[str]) -> list[Trajectory]:
     return found
 
 
-def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajectory) -> None:
+def _print(
+    comparisons: list[AssociationComparison], degradation: Degradation, poor: Trajectory
+) -> None:
     from trajeval_ros.report import tables
     from trajeval_ros.report.association_table import association_table
 
@@ -142,9 +138,13 @@ def _print(comparisons: list[Comparison], degradation: Degradation, poor: Trajec
 
 
 def _write(
-    target: str, comparisons: list[Comparison], degradation: Degradation, poor: Trajectory
+    target: str,
+    comparisons: list[AssociationComparison],
+    degradation: Degradation,
+    poor: Trajectory,
 ) -> None:
-    from trajeval_ros.io.results import to_json, write_text
+    from trajeval_ros.io.results.result_json import to_json
+    from trajeval_ros.io.writing import write_text
 
     content: dict[str, Any] = {
         "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},

@@ -7,37 +7,29 @@ from typing import Annotated
 
 import typer
 
-from trajeval_ros.cli.outcome import deliver
-from trajeval_ros.io.live_folder import evaluate_folder
-from trajeval_ros.requirement import Requirement
+from trajeval_ros.cli import options
+from trajeval_ros.cli.deliver import deliver
+from trajeval_ros.io.live.live_folder import evaluate_folder
+from trajeval_ros.io.request_words import request_from
+from trajeval_ros.io.results.requirement import Requirement
 
 
 def finish(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="The live evaluator's output folder.")
     ],
-    json: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|-",
-            help="Write the result as JSON; - prints it alone on stdout.",
-        ),
-    ] = None,
+    hand_eye: options.HandEyeOption = None,
+    json: options.JsonOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
             help="Write result.json, errors.npz and figures there; it may be FOLDER itself.",
+            rich_help_panel=options.OUTPUT,
         ),
     ] = None,
-    require: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="BOUND",
-            help="Exit with status 1 unless it holds for every estimate; repeatable.",
-        ),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    require: options.RequireOption = None,
+    quiet: options.QuietOption = False,
 ) -> None:
     """Evaluate what a live run has recorded so far, also after a crash, and while it goes on.
 
@@ -45,12 +37,15 @@ def finish(
     them and gives what `trajeval evaluate` would give on a bag of the same topics:
 
         trajeval finish trajeval_2026_03_01-10_00_00 --output result
+
+    If the groundtruth was of a marker and not of the body, with the marker's pose in the body:
+
+        trajeval finish trajeval_2026_03_01-10_00_00 --hand-eye marker.yaml
     """
+    request = request_from({"hand_eye": hand_eye})
     requirements = [Requirement.parse(text) for text in require or []]
-    live = evaluate_folder(folder)
     deliver(
-        live.result,
-        live.runs,
+        evaluate_folder(folder, request),
         requirements,
         json=json,
         output=output,

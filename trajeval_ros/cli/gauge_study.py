@@ -14,10 +14,8 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from trajeval_ros.visual_inertial.scene import Profile, Scene
-    from trajeval_ros.visual_inertial.solver import Handling
+    from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
+    from trajeval_ros.visual_inertial.solver import GaugeHandling
     from trajeval_ros.visual_inertial.study import Covariances, Trials
 
 _SEED = 0
@@ -96,11 +94,11 @@ def gauge_study(
 
 
 def _recorded(
-    sources: list[str], start: float, duration: float, sensors: Profile
+    sources: list[str], start: float, duration: float, sensors: SensorProfile
 ) -> dict[str, Scene]:
     import dataclasses
 
-    from trajeval_ros.cli.names import names_of
+    from trajeval_ros.cli.source_names import names_of
     from trajeval_ros.io.sources import read_trajectory
     from trajeval_ros.visual_inertial.motion import recorded
     from trajeval_ros.visual_inertial.scene import make_scene
@@ -119,7 +117,7 @@ def _recorded(
     return scenes
 
 
-def _compared(name: str, scene: Scene, trials: int) -> dict[Handling, Trials]:
+def _compared(name: str, scene: Scene, trials: int) -> dict[GaugeHandling, Trials]:
     from trajeval_ros.visual_inertial.study import compare
 
     with progress(f"{name}, {trials} trials") as advance:
@@ -131,11 +129,11 @@ def _write(
     folder: Path,
     profile: str,
     trials: int,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
-    from trajeval_ros.io.results import write_text
+    from trajeval_ros.io.writing import write_text
     from trajeval_ros.report import gauge_tables
     from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS
 
@@ -180,7 +178,7 @@ def _draw(
     profile: str,
     trials: int,
     swept: Scene,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
@@ -190,7 +188,7 @@ def _draw(
 
     what = f"simulated sensors, profile {profile}, {trials} trials"
     with canvas.house_style():
-        figures: dict[str, Figure] = {
+        figures = {
             "prior_weight.png": gauge_figures.prior_weight(
                 SWEEP_WEIGHTS, sweep, f"sine plane, {what}"
             ),
@@ -208,7 +206,7 @@ def _draw(
 
 def _print(
     folder: Path,
-    outcome: dict[str, dict[Handling, Trials]],
+    outcome: dict[str, dict[GaugeHandling, Trials]],
     matrices: dict[str, Covariances],
 ) -> None:
     from trajeval_ros.report import gauge_tables, tables

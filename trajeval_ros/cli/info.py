@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
-    from trajeval_ros.io.describe import Description, Summary
+    from trajeval_ros.io.describe import Description, TrajectorySummary
 
 Row = tuple[str, ...]
 
@@ -74,7 +74,7 @@ def info(
     _print_next_step(description)
 
 
-def _row(summary: Summary) -> Row:
+def _row(summary: TrajectorySummary) -> Row:
     """Return a trajectory as a row of the table."""
     topic = summary.source.rpartition(":")[2]
     if summary.problem:
@@ -93,7 +93,7 @@ def _row(summary: Summary) -> Row:
     )
 
 
-def _details(summary: Summary) -> list[Row]:
+def _details(summary: TrajectorySummary) -> list[Row]:
     """Return a single trajectory as rows of name and value."""
     if summary.problem:
         return [("problem", summary.problem)]
@@ -112,12 +112,12 @@ def _details(summary: Summary) -> list[Row]:
     return [*rows, *(("note", note) for note in summary.notes)]
 
 
-def _gaps(summary: Summary) -> str:
+def _gaps(summary: TrajectorySummary) -> str:
     """Return how many gaps there are, and the longest."""
     return f"{summary.gaps}, the longest {summary.longest_gap_s:.2f} s" if summary.gaps else "none"
 
 
-def _frames(summary: Summary) -> str:
+def _frames(summary: TrajectorySummary) -> str:
     """Return the frames as parent -> child."""
     return f"{summary.frame} -> {summary.child_frame}" if summary.child_frame else summary.frame
 
@@ -129,7 +129,7 @@ def _seconds(stamp: int) -> str:
     return f"{sign}{whole}.{rest // 1_000_000:03d}"
 
 
-def _print_remarks(summaries: Sequence[Summary]) -> None:
+def _print_remarks(summaries: Sequence[TrajectorySummary]) -> None:
     """Print what the tables of several trajectories have no column for."""
     for summary in summaries:
         topic = summary.source.rpartition(":")[2]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from trajeval_ros.io.results import Run
+from trajeval_ros.pipeline import RunOutcome
 
 PICTURE = "run.rrd"
 HAVE_RERUN = find_spec("rerun") is not None
@@ -39,17 +39,17 @@ class Pictures:
 
             sdk()
 
-    def write(self, runs: Sequence[Run]) -> None:
+    def write(self, runs: Sequence[RunOutcome]) -> None:
         """Write the file that was asked for by name."""
         if self.rrd is not None:
             _write(self.rrd, runs)
 
-    def write_into(self, folder: Path, runs: Sequence[Run]) -> None:
+    def write_into(self, folder: Path, runs: Sequence[RunOutcome]) -> None:
         """Write the file of an output folder."""
         if self.in_output and HAVE_RERUN:
             _write(folder / PICTURE, runs)
 
-    def show(self, runs: Sequence[Run]) -> None:
+    def show(self, runs: Sequence[RunOutcome]) -> None:
         """Show it if that was asked for, and wait until the viewer is closed."""
         if not self.viewer:
             return
@@ -64,7 +64,7 @@ class Pictures:
             show(made)
 
 
-def _write(path: Path, runs: Sequence[Run]) -> None:
-    from trajeval_ros.viewer.recorded import write_recording
+def _write(path: Path, runs: Sequence[RunOutcome]) -> None:
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     write_recording(path, [run.evaluation for run in runs], [run.consistency for run in runs])

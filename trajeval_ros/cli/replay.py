@@ -10,11 +10,11 @@ import typer
 from typer.core import TyperCommand
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
-    from trajeval_ros.io.pacing import Played
-    from trajeval_ros.io.playback import Channel, Playback
+    from trajeval_ros.io.bags.pacing import PlaybackResult
+    from trajeval_ros.io.bags.playback import Channel, Playback
 
 _LATE_S = 0.1
 _ROS_ARGUMENTS = "--ros-args"
@@ -88,11 +88,11 @@ def replay(
         trajeval replay flight --topic /odom --start 10 --end 30 --ros-args -r /odom:=/vio
     """
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.playback import Playback
+    from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.playback import Playback
     from trajeval_ros.io.sources import parse_source
-    from trajeval_ros.ros.messages import is_installed, require_ros
-    from trajeval_ros.ros.replay import replay as play_back
+    from trajeval_ros.ros.bag_publisher import replay as play_back
+    from trajeval_ros.ros.message_types import is_installed, require_ros
 
     source = parse_source(bag)
     if source.topic:
@@ -148,7 +148,7 @@ def _print_notes(notes: Sequence[str]) -> None:
         print(f"note: {note}", flush=True)
 
 
-def _print_summary(playback: Playback, played: Played[Channel], rate: float) -> None:
+def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: float) -> None:
     """Print what was played, in one line."""
     counts = [f"{played.counts[each]} on {each.name}" for each in playback.channels]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS

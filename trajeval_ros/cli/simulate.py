@@ -15,7 +15,7 @@ import typer
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
-    from trajeval_ros.trajectory import Trajectory
+    from trajeval_ros.geometry.trajectory import Trajectory
 
 GROUNDTRUTH_TOPIC = "/groundtruth/pose"
 ESTIMATE_TOPIC = "/vio/odometry"
@@ -124,9 +124,9 @@ def _write_runs(
 ) -> None:
     """Write runs of the estimator: a bag and a joint covariance each."""
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.consistency.joint import JointCovariance
-    from trajeval_ros.io.joint_covariance import write_joint_covariance
-    from trajeval_ros.io.write_bag import write_bag
+    from trajeval_ros.consistency.joint_covariance import JointCovariance
+    from trajeval_ros.io.bags.write_bag import write_bag
+    from trajeval_ros.io.covariance_file import write_joint_covariance
     from trajeval_ros.visual_inertial.flight import fly
     from trajeval_ros.visual_inertial.scene import PROFILES
 
@@ -189,10 +189,10 @@ def _write_drift(
     output: Path, seed: int, duration: float, storage: Storage, *, marker: bool, overwrite: bool
 ) -> None:
     """Write a flight with the kinematic drift model."""
-    from trajeval_ros import simulation
-    from trajeval_ros.io.write_bag import write_bag
+    from trajeval_ros.io.bags.write_bag import write_bag
+    from trajeval_ros.visual_inertial import drifting_odometry
 
-    simulated = simulation.simulate(seed, duration)
+    simulated = drifting_odometry.simulate(seed, duration)
     _make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     groundtruth, more, options = simulated.groundtruth, "", ""
@@ -213,7 +213,7 @@ def _marked(groundtruth: Trajectory) -> Trajectory:
     """Return groundtruth of the body as a motion capture system sees it."""
     import numpy as np
 
-    from trajeval_ros.calibration.body import HandEye
+    from trajeval_ros.geometry.marker import HandEye
 
     of_marker = HandEye.of(np.array(_TURN), np.array(_LEVER_M)).inverse().of_body(groundtruth)
     return dataclasses.replace(of_marker, stamps=of_marker.stamps + round(_AHEAD_S * 1e9))
@@ -256,7 +256,7 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
 
 def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
     """Refuse to replace a file beside a bag, unless asked to and it is a joint covariance."""
-    from trajeval_ros.io.joint_covariance import read_joint_covariance
+    from trajeval_ros.io.covariance_file import read_joint_covariance
 
     if not file.exists() and not file.is_symlink():
         return

@@ -10,8 +10,8 @@ import typer
 
 from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.live_folder import evaluate_folder
-from trajeval_ros.io.pair_file import SUFFIX
+from trajeval_ros.io.live.live_folder import evaluate_folder
+from trajeval_ros.io.live.pair_file import SUFFIX
 
 
 def view(
@@ -51,7 +51,7 @@ def view(
             f"{result} holds no {PICTURE}; trajeval evaluate --output writes one where rerun-sdk "
             "is installed, --rrd FILE another"
         )
-    from trajeval_ros.viewer.recorded import write_recording
+    from trajeval_ros.viewer.recorded_scene import write_recording
 
     live = evaluate_folder(result)
     with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:

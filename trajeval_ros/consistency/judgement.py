@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.chain import Chain
-from trajeval_ros.consistency.joint import JointCovariance
-from trajeval_ros.consistency.marginals import (
+from trajeval_ros.consistency.joint_covariance import JointCovariance
+from trajeval_ros.consistency.marginal_covariances import (
     initial_uncertainty,
     unknown_covariances,
     upper_bounds,
@@ -24,15 +23,7 @@ from trajeval_ros.consistency.nees import (
     joint_nees_by_information,
     pose_nees,
 )
-from trajeval_ros.consistency.transformation import (
-    Transformation,
-    carried,
-    carried_information,
-    errors_of,
-    independent_noise,
-    turning,
-)
-from trajeval_ros.consistency.verdict import (
+from trajeval_ros.consistency.result import (
     BOUND_STATEMENT,
     COMMON_FRAME_STATEMENT,
     JOINT_STATEMENT,
@@ -45,10 +36,19 @@ from trajeval_ros.consistency.verdict import (
     summary_of,
     verdict_of,
 )
+from trajeval_ros.consistency.s_transformation import (
+    STransformation,
+    carried,
+    carried_information,
+    errors_of,
+    independent_noise,
+    turning,
+)
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class Aligned:
     states: int | None
     variances: Array | None = None
 
-    def transformation(self) -> Transformation:
+    def transformation(self) -> STransformation:
         """Return the S-transformation into the alignment's gauge.
 
         Raises:
@@ -90,7 +90,7 @@ class Aligned:
                 "one pair of states says nothing about consistency; there must be two"
             )
         aligned = self.similarity.trajectory(self.estimate)
-        return Transformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
+        return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
     def errors(self) -> Array:
         """Return the errors (N, 6)."""
@@ -143,9 +143,11 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
             aligned.variances,
             covariance.pose_rows(rows),
         )
-        chain = covariance.chain()
-        if chain is not None:
-            blocks = _blocks_of_chain(chain, covariance, rows, aligned.similarity, transformation)
+        banded = covariance.banded()
+        if banded is not None:
+            blocks = _blocks_of_banded(
+                banded, covariance, rows, aligned.similarity, transformation
+            )
             if aligned.variances is not None:
                 blocks = blocks + independent_noise(transformation, aligned.variances)
             nees = _nees_by_pose(errors, blocks, aligned.first_with_nees)
@@ -165,19 +167,19 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
     )
 
 
-def _blocks_of_chain(
-    chain: Chain,
+def _blocks_of_banded(
+    banded: BandedGaussian,
     covariance: JointCovariance,
     rows: NDArray[np.int64],
     similarity: Similarity,
-    transformation: Transformation,
+    transformation: STransformation,
 ) -> Array:
     """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, of a run of any length."""
     turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
     columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
-    solved = chain.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
-    own = chain.marginals(rows * covariance.block, POSE_DOF)
+    solved = banded.solved(columns)[seen].reshape(len(rows), POSE_DOF, -1)
+    own = banded.marginals(rows * covariance.block, POSE_DOF)
     return transformation.blocks(turn @ own @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
 
 
@@ -232,7 +234,7 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
     )
 
 
-def _in_own_gauge(blocks: Array, transformation: Transformation) -> tuple[str, Array]:
+def _in_own_gauge(blocks: Array, transformation: STransformation) -> tuple[str, Array]:
     """Return what may be said in the gauge of the first pose, and the covariances for it."""
     initial = initial_uncertainty(blocks, transformation)
     orbit = transformation.orbit[:, :3]

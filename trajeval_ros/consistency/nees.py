@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trajeval_ros.consistency.transformation import Transformation
+from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def joint_nees(errors: Array, covariance: Array, normals: Array) -> float:
     Args:
         errors: (N, d).
         covariance: (N d, N d), in the gauge of the errors.
-        normals: (N, d, k) of the `Transformation`.
+        normals: (N, d, k) of the `STransformation`.
 
     Raises:
         InputError: The covariance has a lower rank than N d - k.
@@ -150,7 +150,7 @@ def chi_square_band(dof: float, probability: float = 0.95, runs: int = 1) -> tup
     return float(low), float(high)
 
 
-def extra_directions(transformation: Transformation) -> Array:
+def extra_directions(transformation: STransformation) -> Array:
     """Return the directions (N, 6, j) that an alignment removes beyond yaw and translation."""
     names = {0: [], 4: [], 6: [0, 1], 7: [0, 1, 6]}[transformation.orbit.shape[2]]
     return transformation.orbit[:, :6, names]

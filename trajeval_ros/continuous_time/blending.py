@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
 from trajeval_ros.continuous_time.samples import Belief
+from trajeval_ros.geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.samples import Belief, Samples
+from trajeval_ros.geometry import lie, se3
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearInterpolation:
     """Positions on straight lines, rotations by slerp, as sure as a sample everywhere."""
 
     samples: Samples
@@ -31,7 +31,7 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
+class NearestSample:
     """The pose of the sample that is nearest in time, as sure as that sample."""
 
     samples: Samples

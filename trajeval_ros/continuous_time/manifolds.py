@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
-from trajeval_ros.lie import skew
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.lie import skew
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _SMALL = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Local:
+class LocalVariable:
     """A local variable's derivatives, and theirs.
 
     Attributes:
@@ -52,7 +52,7 @@ class Manifold(Protocol):
     def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
         """Return J_r^-1 and J_l^-1 (N, d, d)."""
 
-    def local(self, steps: Array, rates: Array) -> Local:
+    def local(self, steps: Array, rates: Array) -> LocalVariable:
         """Return the local variable at steps g (N, d) with rates (N, m - 1, d)."""
 
 
@@ -72,12 +72,12 @@ class Positions:
         identities = np.broadcast_to(np.eye(3), (*steps.shape, 3))
         return identities, identities
 
-    def local(self, steps: Array, rates: Array) -> Local:
+    def local(self, steps: Array, rates: Array) -> LocalVariable:
         """Return the same values again."""
         values = np.concatenate([steps[:, None], rates], axis=1)
         count, order = values.shape[:2]
         jacobian = np.eye(3 * order).reshape(order, 3, order, 3)
-        return Local(values, np.broadcast_to(jacobian, (count, order, 3, order, 3)))
+        return LocalVariable(values, np.broadcast_to(jacobian, (count, order, 3, order, 3)))
 
 
 class Rotations:
@@ -97,7 +97,7 @@ class Rotations:
         left = lie.inverse_left_jacobian(steps)
         return se3.transposed(left), left
 
-    def local(self, steps: Array, rates: Array) -> Local:
+    def local(self, steps: Array, rates: Array) -> LocalVariable:
         """Return the local variable and its exact derivatives, up to the second one."""
         count, order = len(steps), rates.shape[1] + 1
         values = np.zeros((count, order, 3))
@@ -105,7 +105,7 @@ class Rotations:
         values[:, 0] = steps
         jacobian[:, 0, :, 0] = np.eye(3)
         if order == 1:
-            return Local(values, jacobian)
+            return LocalVariable(values, jacobian)
         inverse, _ = self.inverse_jacobians(steps)
         values[:, 1] = rate = se3.times(inverse, rates[:, 0])
         by_step = _derivative(steps, rates[:, 0])
@@ -116,7 +116,7 @@ class Rotations:
             jacobian[:, 2, :, 0] = curved + by_step @ by_step + _derivative(steps, rates[:, 1])
             jacobian[:, 2, :, 1] = _along(steps, rate) + by_step @ inverse
             jacobian[:, 2, :, 2] = inverse
-        return Local(values, jacobian)
+        return LocalVariable(values, jacobian)
 
 
 def _factors(steps: Array) -> tuple[Array, Array, Array]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from trajeval_ros import lie, se3
-from trajeval_ros.block_tridiagonal import Factor
 from trajeval_ros.continuous_time import white_noise
 from trajeval_ros.continuous_time.manifolds import Manifold
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.block_tridiagonal import Factor
 
 Array = NDArray[np.float64]
 

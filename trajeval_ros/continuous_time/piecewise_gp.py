@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.blending import blended
+from trajeval_ros.continuous_time.gp_segments import SIZE, GPSegments
 from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, most_likely
 from trajeval_ros.continuous_time.kernels import MATERN_52, Kernel
 from trajeval_ros.continuous_time.samples import Belief, Samples
-from trajeval_ros.continuous_time.segments import SIZE, Segments
+from trajeval_ros.geometry import lie, se3
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,7 +37,7 @@ class PiecewiseGP:
         weights: For each of these, K^-1 y (S, n, 3).
     """
 
-    segments: Segments
+    segments: GPSegments
     kernels: tuple[Kernel, ...]
     hyperparameters: tuple[Hyperparameters, ...]
     roots: tuple[Array, ...]
@@ -61,11 +61,11 @@ class PiecewiseGP:
             kernels: Forms to choose from, by the likelihood of the samples.
             joint: Use coordinates of se(3), as the paper does.
             size: Samples in a segment.
-            breaks: Samples after which no segment goes on, as of `Segments.of`.
+            breaks: Samples after which no segment goes on, as of `GPSegments.of`.
             hyperparameters: Those to use, with the first kernel; by default the most likely ones.
         """
         after = np.asarray(breaks, dtype=np.int64)
-        segments = Segments.of(samples, size, joint=joint, breaks=after)
+        segments = GPSegments.of(samples, size, joint=joint, breaks=after)
         sigmas = samples.noise.per_axis(samples.oriented)
         chosen = [(kernels[0], each) for each in hyperparameters or ()] or [
             most_likely(

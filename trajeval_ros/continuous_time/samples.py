@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -32,6 +32,12 @@ class Noise:
     Attributes:
         position_m: Along each axis.
         rotation_rad: About each axis.
+
+    Example:
+        >>> import math
+        >>> from trajeval_ros import Noise
+        >>> Noise(0.005, math.radians(1.0)).position_m
+        0.005
     """
 
     position_m: float = 0.002
@@ -86,10 +92,10 @@ class Samples:
                 f"{'pose' if len(trajectory) == 1 else 'poses'}, and with fewer than two nothing "
                 "can be said of the time between; use association nearest"
             )
-        oriented = trajectory.rotations is not None
+        oriented = trajectory.quaternions is not None
         rotations = np.broadcast_to(np.eye(3), (len(trajectory), 3, 3))
-        if trajectory.rotations is not None:
-            rotations = trajectory.rotations.as_matrix()
+        if trajectory.quaternions is not None:
+            rotations = lie.to_matrix(trajectory.quaternions)
         samples = cls(
             origin=int(trajectory.stamps[0]),
             times=trajectory.seconds,

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.blending import blended
+from trajeval_ros.continuous_time.gp_segments import runs_between, smooth_step
 from trajeval_ros.continuous_time.kernels import Kernel
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Samples
-from trajeval_ros.continuous_time.segments import runs_between, smooth_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

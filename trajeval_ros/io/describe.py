@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
 
 LONG_GAP_S = 0.5  # over which association doesn't interpolate
 _TRUTH = re.compile(
@@ -20,7 +20,7 @@ _TRUTH = re.compile(
 
 
 @dataclass(frozen=True)
-class Summary:
+class TrajectorySummary:
     """A trajectory in a few numbers.
 
     Attributes:
@@ -83,7 +83,7 @@ class Description:
     """
 
     path: Path
-    trajectories: tuple[Summary, ...]
+    trajectories: tuple[TrajectorySummary, ...]
     edges: tuple[EdgeSummary, ...] = ()
     others: tuple[tuple[str, str, int], ...] = ()
     notes: tuple[str, ...] = ()
@@ -107,25 +107,41 @@ def describe(source: str, *, advance: Advance | None = None) -> Description:
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
     """Return what the topics of a bag hold."""
-    from trajeval_ros.io.bags import Bag
-    from trajeval_ros.io.topics import read_columns, read_edges, trajectory_of
+    from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.topic_readers import (
+        PoseReader,
+        TransformReader,
+        read_topics,
+        tree_of,
+        tree_topics,
+    )
+    from trajeval_ros.io.bags.topics import trajectory_of
 
     trajectories = []
     others = []
     edges: dict[tuple[str, str, str], EdgeSummary] = {}
     with Bag(path, advance) as bag:
-        posed = [topic for topic in bag.topics if topic.holds_poses and topic.count]
-        columns = dict(zip(posed, read_columns(bag, posed), strict=True))
+        posed = {
+            topic: PoseReader(topic, covariances=True)
+            for topic in bag.topics
+            if topic.holds_poses and topic.count
+        }
+        turned = {topic: TransformReader(topic) for topic in bag.topics if topic.holds_transforms}
+        readers: list[PoseReader | TransformReader] = [*posed.values(), *turned.values()]
+        read_topics(bag, readers)
         for topic in bag.topics:
             name = f"{source}:{topic.name}"
-            if topic in columns:
+            if topic in posed:
                 try:
-                    trajectory = trajectory_of(bag, topic, columns[topic])
+                    trajectory = trajectory_of(bag, posed[topic])
                     trajectories.append(_summarize(name, trajectory))
                 except InputError as error:
-                    trajectories.append(Summary(name, topic.type, topic.count, problem=str(error)))
+                    trajectories.append(
+                        TrajectorySummary(name, topic.type, topic.count, problem=str(error))
+                    )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
-                for (parent, child), edge in read_edges(bag, topic.name)[0].items():
+                own = tree_of(turned[each] for each in tree_topics(bag, topic.name))
+                for (parent, child), edge in own.items():
                     edges[topic.name, parent, child] = EdgeSummary(
                         topic.name,
                         parent,
@@ -136,17 +152,17 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                     )
             elif not topic.holds_transforms:
                 others.append((topic.name, topic.type, topic.count))
-        notes = (*bag.notes, *bag.damage)
+        notes, damage = bag.findings([each.reading for each in readers])
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
-    return Description(path, tuple(trajectories), tuple(tree), tuple(others), notes)
+    return Description(path, tuple(trajectories), tuple(tree), tuple(others), (*notes, *damage))
 
 
-def _summarize(source: str, trajectory: Trajectory) -> Summary:
+def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     """Return a trajectory in a few numbers."""
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
     columns = {
-        "rotation": trajectory.rotations,
+        "rotation": trajectory.quaternions,
         "velocity": trajectory.velocities,
         "gyroscope bias": trajectory.gyroscope_biases,
         "accelerometer bias": trajectory.accelerometer_biases,
@@ -156,7 +172,7 @@ def _summarize(source: str, trajectory: Trajectory) -> Summary:
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
     dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
     unstamped = not trajectory.stamped
-    return Summary(
+    return TrajectorySummary(
         source=source,
         kind=kind,
         poses=len(ordered),

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.calibration.body import HandEye
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
 _WHAT = "transform"

@@ -20,14 +20,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.association import AssociationRule
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.gauge import gauge_for
+from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.protocol import Protocol
-from trajeval_ros.score import PointTable
-from trajeval_ros.settings import parse_lengths, parse_states, protocol_named
-from trajeval_ros.sub_trajectories import Selection
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.settings import parse_states, protocol_named
+from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
 _WORDS = ("align_weights", "ate_form", "re_form")

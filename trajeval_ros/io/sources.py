@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import difflib
+import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.byte_source import beginning_of
-from trajeval_ros.io.text import read_text
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.byte_source import beginning_of
+from trajeval_ros.io.text.reader import read_text
 
 Advance = Callable[[int, int], None]
 
@@ -21,6 +24,7 @@ _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
+_PARTS = 1000  # that each of several files counts in the progress
 
 
 @dataclass(frozen=True)
@@ -41,13 +45,13 @@ class Source:
 
 
 def read_trajectory(
-    source: str,
+    source: str | Path,
     *,
     advance: Advance | None = None,
     covariances: bool = True,
     strict: bool = False,
 ) -> Trajectory:
-    """Read the trajectory that a SOURCE names.
+    r"""Read the trajectory that a SOURCE names.
 
     Args:
         source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`, or
@@ -59,23 +63,109 @@ def read_trajectory(
 
     Raises:
         InputError: It can't be read; the message says what is wrong, where, and how to mend it.
-    """
-    parts = parse_source(source)
-    try:
-        if not parts.is_bag:
-            return read_text(parts.path, advance)
-        from trajeval_ros.io.topics import read_bag
 
-        return read_bag(
-            parts.path,
-            parts.topic,
-            parts.frames,
-            advance,
-            covariances=covariances,
-            strict=strict,
-        )
+    Example:
+        >>> import pathlib, tempfile
+        >>> from trajeval_ros import read_trajectory
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "run.txt"
+        ...     _ = path.write_text("1.0 0 0 0 0 0 0 1\n1.5 2 0 0 0 0 0 1\n")
+        ...     read_trajectory(path)
+        <Trajectory run, 2 poses, 0.5 s, 2.0 m>
+    """
+    (trajectory,) = read_many([source], advance=advance, covariances=covariances, strict=strict)
+    return trajectory
+
+
+def read_many(
+    sources: Sequence[str | Path],
+    *,
+    advance: Advance | None = None,
+    covariances: bool | Sequence[bool] = True,
+    strict: bool = False,
+) -> list[Trajectory]:
+    r"""Read the trajectories that several SOURCEs name; each bag once, however many are in it.
+
+    A trajectory, its notes and its damage are the same as if its source were read alone.
+
+    Args:
+        sources: Each as for `read_trajectory`.
+        advance: Called with what is done and with all there is, now and then. For one source or
+            one bag as for `read_trajectory`; otherwise each file or bag counts the same.
+        covariances: Whether to read those of a bag, too; for all sources, or for each.
+        strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
+
+    Returns:
+        A trajectory for each source, in their order, which names it.
+
+    Raises:
+        InputError: One can't be read; the message says which, what is wrong, and how to mend it.
+            That each exists is checked before any is read.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> from trajeval_ros import read_many
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "run.txt"
+        ...     _ = path.write_text("1.0 0 0 0 0 0 0 1\n1.5 2 0 0 0 0 0 1\n")
+        ...     [len(each) for each in read_many([path, path])]
+        [2, 2]
+    """
+    parsed = [parse_source(str(source)) for source in sources]
+    flags = [covariances] * len(parsed) if isinstance(covariances, bool) else list(covariances)
+    if len(flags) != len(parsed):
+        raise ValueError(f"covariances: {len(flags)} values for {len(parsed)} sources")
+    files: dict[str, list[int]] = {}  # numbers of the sources of each file or bag
+    for number, parts in enumerate(parsed):
+        name = _same_bag(parts.path) if parts.is_bag else str(parts.path)
+        files.setdefault(name, []).append(number)
+    read: dict[int, Trajectory] = {}
+    for done, numbers in enumerate(files.values()):
+        first, own = parsed[numbers[0]], _part_of(advance, done, len(files))
+        with _naming(first.path):
+            if not first.is_bag:
+                read |= dict.fromkeys(numbers, read_text(first.path, own))
+                continue
+            from trajeval_ros.io.bags.topics import BagSource, read_bag
+
+            wanted = [
+                BagSource(parsed[each].topic, parsed[each].frames, flags[each]) for each in numbers
+            ]
+            trajectories = read_bag(first.path, wanted, own, strict=strict)
+            read |= zip(numbers, trajectories, strict=True)
+    return [
+        dataclasses.replace(read[number], source=str(source))
+        for number, source in enumerate(sources)
+    ]
+
+
+def _same_bag(path: Any) -> str:
+    """Return a name that is the same however the path of a bag is spelled."""
+    return os.path.realpath(path) if isinstance(path, Path) else str(path)
+
+
+def _part_of(advance: Advance | None, done: int, count: int) -> Advance | None:
+    """Return what tells the progress of one of several files, given how many are done."""
+    if advance is None or count == 1:
+        return advance
+
+    def part(own_done: int, own_total: int) -> None:
+        advance(_PARTS * done + _PARTS * own_done // max(own_total, 1), _PARTS * count)
+
+    return part
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """See to it that an error says which file it is about."""
+    try:
+        yield
     except OSError as error:
-        raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
+        raise InputError(f"{path} can't be read: {error.strerror or error}") from error
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
 
 
 def parse_source(source: str) -> Source:

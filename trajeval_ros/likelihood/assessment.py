@@ -12,23 +12,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.continuous_time.joint import JointPosterior
+from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
-from trajeval_ros.continuous_time.trajectory import ContinuousTrajectory
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood import relative
-from trajeval_ros.likelihood.chain import Chain, gauge_chain
-from trajeval_ros.likelihood.joint import JointGroundtruth, joint_log_likelihood
-from trajeval_ros.likelihood.marginal import AbsoluteError, generalised_absolute_error
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.covariance_frames import world_from_body_twists
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood import relative_density
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
+from trajeval_ros.likelihood.observable_directions import GaugeScores, gauge_scores
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
 if TYPE_CHECKING:
-    from trajeval_ros.association import Association
-    from trajeval_ros.evaluation import Evaluation
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.evaluation import Evaluation
 
 Array = NDArray[np.float64]
 
@@ -51,8 +55,8 @@ class Assessment:
         error: The generalised absolute error.
         edges: Its parts, edge by edge, re-linearised at the most likely alignment; None where
             positions alone are compared.
-        chain: Scores with scale and tilt; None where the gauge leaves rotations alone, or the
-            poses leave one open.
+        gauge_scores: Scores with scale and tilt; None where the gauge leaves rotations alone, or
+            the poses leave one open.
         ate: Of positions.
         log_bayes: By the name of each other estimate, nats, from the joint covariance.
         statements: What a reader of the numbers must know, one sentence each.
@@ -61,9 +65,9 @@ class Assessment:
     continuous: ContinuousTrajectory
     stamps: NDArray[np.int64]
     belief: Belief
-    error: AbsoluteError
-    edges: relative.RelativeError | None
-    chain: Chain | None
+    error: AbsoluteErrorDensity
+    edges: relative_density.RelativeErrorDensity | None
+    gauge_scores: GaugeScores | None
     ate: UncertainAte
     log_bayes: dict[str, float]
     statements: tuple[str, ...]
@@ -76,6 +80,15 @@ def assess(evaluation: Evaluation) -> Assessment:
         InputError: It was associated otherwise.
         SettingsError: The gauge is a plane's.
         DegenerateGeometryError: The poses leave a direction of the gauge open.
+
+    Example:
+        >>> from trajeval_ros import AssociationRule, Protocol, assess, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> rule = AssociationRule("continuous", model="wnoa")
+        >>> protocol = Protocol(gauge="yaw", association=rule, lengths=())
+        >>> found = assess(evaluate(flight.groundtruth[::100], flight.estimate, protocol))
+        >>> 0.0 <= found.ate.supported_share <= 1.0
+        True
     """
     pairs, protocol = evaluation.association, evaluation.protocol
     continuous = pairs.continuous
@@ -86,19 +99,19 @@ def assess(evaluation: Evaluation) -> Assessment:
         raise InputError("one pose alone is as likely as any other in the same gauge")
     stamps = pairs.groundtruth.stamps
     known = continuous.at(stamps)
-    oriented = pairs.groundtruth.rotations is not None and pairs.estimate.rotations is not None
+    oriented = pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
     belief = _with_tolerance(known, oriented)
     residuals = Residuals(belief, _poses_of(pairs, oriented), protocol.gauge, oriented)
     error = generalised_absolute_error(residuals)
     edges = None
     if oriented:
-        steps = relative.transports(belief.poses)
+        steps = relative_density.transports(belief.poses)
         missed = residuals.at(error.mode.element)
-        edges = relative.decomposed(belief, relative.stepwise(steps, missed))
+        edges = relative_density.decomposed(belief, relative_density.stepwise(steps, missed))
     joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
     ate = uncertain_ate(
         known.poses[:, :3, 3],
-        se3.world_covariances(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
+        world_from_body_twists(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
         pairs.estimate.positions
         if protocol.align_states is None
         else evaluation.aligned.positions,
@@ -107,7 +120,7 @@ def assess(evaluation: Evaluation) -> Assessment:
         joint,
     )
     assessment = Assessment(
-        continuous, stamps, belief, error, edges, _chain_of(residuals), ate, {}, ()
+        continuous, stamps, belief, error, edges, _gauge_scores_of(residuals), ate, {}, ()
     )
     return dataclasses.replace(assessment, statements=_statements(assessment))
 
@@ -144,7 +157,7 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
     if not all(each.error.residuals.oriented for each in assessments):
         markov = dataclasses.replace(markov, rotations=None)
     times = continuous.samples.seconds(common)
-    groundtruth = JointGroundtruth.of(markov, times, TOLERANCE)
+    groundtruth = CorrelatedGroundtruth.of(markov, times, TOLERANCE)
     scores = []
     for each in assessments:
         rows = np.searchsorted(each.stamps, common)
@@ -173,8 +186,8 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
 def _poses_of(pairs: Association, oriented: bool) -> Array:
     rotations = np.broadcast_to(np.eye(3), (len(pairs), 3, 3))
     if oriented:
-        assert pairs.estimate.rotations is not None
-        rotations = pairs.estimate.rotations.as_matrix()
+        assert pairs.estimate.quaternions is not None
+        rotations = lie.to_matrix(pairs.estimate.quaternions)
     return se3.poses(rotations, pairs.estimate.positions)
 
 
@@ -183,11 +196,11 @@ def _with_tolerance(known: Belief, oriented: bool) -> Belief:
     return Belief(known.poses, known.covariances + np.diag(tolerance))
 
 
-def _chain_of(residuals: Residuals) -> Chain | None:
+def _gauge_scores_of(residuals: Residuals) -> GaugeScores | None:
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:
-        return gauge_chain(residuals)
+        return gauge_scores(residuals)
     except DegenerateGeometryError:
         return None
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, ndtri
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import act
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.mode import Mode, find_mode
-from trajeval_ros.likelihood.relative import LOG_2_PI
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ _LARGE_RESIDUAL_RAD = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class AbsoluteError:
+class AbsoluteErrorDensity:
     """The generalised absolute error of an estimate.
 
     Attributes:
@@ -94,7 +94,7 @@ class AbsoluteError:
         return np.asarray(ratio.mean(axis=0))
 
 
-def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> AbsoluteError:
+def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> AbsoluteErrorDensity:
     """Return L_AE, eq. (19).
 
     Args:
@@ -113,7 +113,7 @@ def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> Ab
     information = mode.slope.information
     if len(residuals) <= _MOST_FOR_FULL and residuals.chart.dimension:
         information = full_information(residuals, mode)
-    error = AbsoluteError(
+    error = AbsoluteErrorDensity(
         residuals, mode, information, laplace(mode, information), "laplace", None
     )
     turn = _turn_uncertainty(error)
@@ -126,7 +126,7 @@ def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> Ab
         value = quadrature(error)
     else:
         value = error.log_likelihood
-    return AbsoluteError(
+    return AbsoluteErrorDensity(
         residuals, mode, information, value, method, share, _statements(error, turn, share)
     )
 
@@ -159,7 +159,7 @@ def full_information(residuals: Residuals, mode: Mode) -> Array:
     return symmetric
 
 
-def quadrature(error: AbsoluteError, nodes: int = 7) -> float:
+def quadrature(error: AbsoluteErrorDensity, nodes: int = 7) -> float:
     """Return the log integral by a tensor of Gauss-Hermite nodes about the mode, nodes^d."""
     size = error.residuals.chart.dimension
     points, weights = np.polynomial.hermite_e.hermegauss(nodes)
@@ -169,7 +169,7 @@ def quadrature(error: AbsoluteError, nodes: int = 7) -> float:
     return _log_sum(values + 0.5 * np.square(white).sum(axis=1)) + _log_root(error)
 
 
-def importance(error: AbsoluteError, draws: int = _DRAWS, seed: int = 0) -> tuple[float, float]:
+def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:
     """Return the log integral by importance sampling, and the effective share of the draws.
 
     Draws are of a Student t about the mode, from a scrambled Sobol sequence, and the same at each
@@ -178,7 +178,7 @@ def importance(error: AbsoluteError, draws: int = _DRAWS, seed: int = 0) -> tupl
     from scipy.stats import chi2, qmc
 
     size = error.residuals.chart.dimension
-    uniform = qmc.Sobol(size + 1, seed=seed).random(draws)
+    uniform = qmc.Sobol(size + 1, seed=0).random(_DRAWS)
     uniform = np.clip(uniform, 1e-12, 1.0 - 1e-12)
     stretch = np.sqrt(_FREEDOM / chi2.ppf(uniform[:, -1], _FREEDOM))
     white = ndtri(uniform[:, :-1]) * stretch[:, None]
@@ -188,11 +188,11 @@ def importance(error: AbsoluteError, draws: int = _DRAWS, seed: int = 0) -> tupl
     proposal = proposal - 0.5 * (_FREEDOM + size) * np.log1p(length / _FREEDOM)
     values = _log_values(error, white) - proposal
     weights = np.exp(values - values.max())
-    share = float(weights.sum() ** 2 / np.square(weights).sum()) / draws
-    return _log_sum(values) - float(np.log(draws)) + _log_root(error), share
+    share = float(weights.sum() ** 2 / np.square(weights).sum()) / _DRAWS
+    return _log_sum(values) - float(np.log(_DRAWS)) + _log_root(error), share
 
 
-def _log_values(error: AbsoluteError, white: Array) -> Array:
+def _log_values(error: AbsoluteErrorDensity, white: Array) -> Array:
     """Return the log integrand (K,) at white coordinates (K, d) about the mode."""
     chart = error.residuals.chart
     variances, vectors = np.linalg.eigh(error.information)
@@ -203,7 +203,7 @@ def _log_values(error: AbsoluteError, white: Array) -> Array:
     return values
 
 
-def _log_root(error: AbsoluteError) -> float:
+def _log_root(error: AbsoluteErrorDensity) -> float:
     """Return log |d delta / d white|."""
     return -0.5 * float(np.linalg.slogdet(error.information)[1])
 
@@ -213,7 +213,7 @@ def _log_sum(values: Array) -> float:
     return largest + float(np.log(np.exp(values - largest).sum()))
 
 
-def _turn_uncertainty(error: AbsoluteError) -> float:
+def _turn_uncertainty(error: AbsoluteErrorDensity) -> float:
     """Return the largest standard deviation of the alignment's rotation, rad."""
     turns = error.residuals.chart.turns
     if turns.start == turns.stop:
@@ -221,7 +221,7 @@ def _turn_uncertainty(error: AbsoluteError) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(error.covariance[turns, turns])[-1]))
 
 
-def _statements(error: AbsoluteError, turn: float, share: float | None) -> tuple[str, ...]:
+def _statements(error: AbsoluteErrorDensity, turn: float, share: float | None) -> tuple[str, ...]:
     residuals = error.residuals
     statements = []
     if turn > MOST_TURN_RAD:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry import lie, se3
 from trajeval_ros.likelihood.residuals import Residuals, Slope
 
 Array = NDArray[np.float64]

@@ -8,16 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie, se3
 from trajeval_ros.continuous_time.samples import Belief
-from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.likelihood.alignments import Chart, act
-from trajeval_ros.likelihood.relative import LOG_2_PI
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import Chart, act
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
 
 Array = NDArray[np.float64]
 
-DENSITIES = ("haar", "log")
 # Rows that stay in a core's cache, and poses times alignments that fit in memory.
 _ROWS, _MOST_AT_ONCE = 8192, 1 << 18
 
@@ -41,27 +40,20 @@ class Slope:
 class Residuals:
     """Groundtruth, estimate and gauge: everything that a likelihood depends on.
 
+    Densities are by the volume of the group, under which marginals are exact and invariant; the
+    paper's are Gaussian in logarithms.
+
     Attributes:
         belief: M groundtruth poses, independent of each other.
         estimate: (M, 4, 4), in its own frame.
         gauge: What the alignment may change.
         oriented: False to compare positions alone; residuals then have 3 axes, otherwise 6.
-        density: `haar`, densities by the volume of the group, under which marginals are exact and
-            invariant; or `log`, the paper's, Gaussian in logarithms.
     """
 
     belief: Belief
     estimate: Array
     gauge: Gauge
     oriented: bool = True
-    density: str = "haar"
-
-    def __post_init__(self) -> None:
-        """Refuse what has no density."""
-        if self.density not in DENSITIES:
-            raise SettingsError(
-                f"there is no density {self.density!r}; use one of {', '.join(DENSITIES)}"
-            )
 
     def __len__(self) -> int:
         """Return the number of poses."""
@@ -127,7 +119,7 @@ class Residuals:
             residuals = self.at(elements[some])
             squared = np.square(se3.times(self.root, residuals)).sum(axis=(1, 2))
             values[some] = self._constant - 0.5 * squared
-            if self._curved:
+            if self.curved:
                 values[some] -= 2.0 * se3.log_determinant(residuals[..., 3:]).sum(axis=1)
         return values
 
@@ -156,11 +148,12 @@ class Residuals:
             jacobian = (root @ by_delta).reshape(self.axes * len(root), len(gradient))
             gradient -= jacobian.T @ whitened[some].ravel()
             information += jacobian.T @ jacobian
-            if self._curved:
+            if self.curved:
                 volume = se3.log_determinant_gradient(residuals[:, 3:])
                 gradient -= 2.0 * np.einsum("nid,ni->d", by_delta[:, 3:], volume)
         return Slope(gradient, information, whitened)
 
     @property
-    def _curved(self) -> bool:
-        return self.oriented and self.density == "haar"
+    def curved(self) -> bool:
+        """Whether densities by the volume of the group differ from those of logarithms."""
+        return self.oriented

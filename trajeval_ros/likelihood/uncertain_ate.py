@@ -12,15 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import se3
-from trajeval_ros.alignment import align, position_weights
-from trajeval_ros.continuous_time.joint import JointPosterior
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.weighted_alignment import weighted_errors
 
 Array = NDArray[np.float64]
 
-_MOST_ROUNDS = 20
-_SETTLED = 1e-3
 # A pose is well supported where its groundtruth is better known than half of the error, or about
 # as well as a sample is.
 _SHARE_OF_ERROR, _SAMPLE_SIGMAS = 0.5, 1.5 * 3.0**0.5
@@ -74,7 +72,7 @@ def uncertain_ate(
     Raises:
         DegenerateGeometryError: Too few poses, or no motion, for the gauge's alignment.
     """
-    errors, weighted = _weighted(groundtruth, covariances, estimate, gauge)
+    errors, weighted = weighted_errors(gauge, groundtruth, estimate, covariances)
     variances = np.trace(covariances, axis1=1, axis2=2)
     limit = max(_SHARE_OF_ERROR * weighted, _SAMPLE_SIGMAS * sample_sigma_m)
     supported = np.sqrt(variances) < limit
@@ -89,31 +87,6 @@ def uncertain_ate(
     reach = _SIGMAS_95 * float(np.sqrt(explained + elsewhere))
     interval = (float(np.sqrt(max(less - reach, 0.0))), float(np.sqrt(mean + reach)))
     return UncertainAte(weighted, float(np.sqrt(mean)), supported, interval)
-
-
-def _weighted(
-    groundtruth: Array, covariances: Array, estimate: Array, gauge: Gauge | None
-) -> tuple[Array, float]:
-    """Return errors (N, 3) after an alignment weighted by information, and their weighted rmse."""
-    padded = np.zeros((len(estimate), 6, 6))
-    padded[:, :3, :3] = covariances
-    weights = np.ones(len(estimate))
-    aligned, rmse = estimate, np.inf
-    for _ in range(_MOST_ROUNDS):
-        if gauge is not None:
-            similarity = align(gauge, groundtruth, estimate, weights).similarity
-            aligned = similarity.positions(estimate)
-        errors = aligned - groundtruth
-        before, rmse = rmse, _rmse(errors, weights)
-        if abs(before - rmse) <= _SETTLED * rmse:
-            break
-        # The size of the errors is a part of the weights, which they depend on in turn.
-        weights = position_weights(padded, rmse)
-    return errors, rmse
-
-
-def _rmse(errors: Array, weights: Array) -> float:
-    return float(np.sqrt(weights @ np.square(errors).sum(axis=1) / weights.sum()))
 
 
 def _explained_variance(

@@ -8,31 +8,32 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
-from trajeval_ros.alignment import Alignment, align_first, solve
-from trajeval_ros.association import Association
-from trajeval_ros.coverage import coverage_of
-from trajeval_ros.errors import AbsoluteErrors, absolute_errors
-from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.moments import Moments
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.metrics.alignment import Alignment, align_first, solve
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.coverage import coverage_of
+from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import (
     POSITION,
     QUATERNION,
     VELOCITY,
+    WIDTH,
     PairingBuffer,
     Pairs,
     on_plane,
+    states,
 )
-from trajeval_ros.online.relative import RelativeEnd, RelativeTracker
+from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.window import PairStore
-from trajeval_ros.similarity import Similarity
-from trajeval_ros.statistics import Statistics, statistics_of
-from trajeval_ros.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -42,7 +43,21 @@ FREEZE_AT_RAD = float(np.radians(1.0))
 
 
 class OnlineEvaluator:
-    """Feed it states of both streams as they arrive; ask it for errors at any time."""
+    """Feed it states of both streams as they arrive; ask it for errors at any time.
+
+    It pairs, aligns and measures as `evaluate` does with association `linear`: counts are equal,
+    statistics agree to 1e-9.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import OnlineEvaluator, simulate
+        >>> flight, live = simulate(seed=1, duration_s=30.0), OnlineEvaluator()
+        >>> for add, side in ((live.add_groundtruth, flight.groundtruth),
+        ...                   (live.add_estimate, flight.estimate)):
+        ...     add(side.stamps, np.hstack([side.positions, side.quaternions]))
+        >>> live.update(at_end=True).pairs == live.snapshot().pairs > 500
+        True
+    """
 
     def __init__(
         self,
@@ -72,11 +87,19 @@ class OnlineEvaluator:
         self._count = self._late = 0
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        """Take groundtruth states that have arrived.
+
+        Args:
+            stamps: (N,) int64, nanoseconds.
+            rows: (N, 3) positions, metres; (N, 7) positions and quaternions xyzw; or (N, 10) of
+                `pairing.states`, with velocities.
+        """
+        rows = _all_columns(rows)
         self.buffer.add_groundtruth(stamps, on_plane(rows) if self._is_planar else rows)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
+        """Take estimated states that have arrived, as `add_groundtruth` does."""
+        rows = _all_columns(rows)
         rows = on_plane(rows) if self._is_planar else rows
         self.buffer.add_estimate(stamps + self._offset, rows)
 
@@ -226,9 +249,9 @@ class OnlineEvaluator:
                 self._alignment = align_first(
                     gauge,
                     truth[POSITION],
-                    _rotation(truth),
+                    _quaternion(truth),
                     estimate[POSITION],
-                    _rotation(estimate),
+                    _quaternion(estimate),
                 )
             except DegenerateGeometryError as error:
                 self._why_not = str(error)
@@ -338,6 +361,18 @@ class OnlineEvaluator:
         )
 
 
+def _all_columns(rows: Floats) -> Floats:
+    """Return rows (N, 10) of positions (N, 3), or of positions and quaternions (N, 7)."""
+    if rows.ndim == 2 and rows.shape[1] == WIDTH:
+        return rows
+    if rows.ndim != 2 or rows.shape[1] not in (3, 7):
+        raise InputError(
+            f"states are rows of 3, 7 or {WIDTH} columns (position, quaternion xyzw, velocity), "
+            f"not an array of shape {rows.shape}"
+        )
+    return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
+
+
 def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
     """Return rows (N, 10) as a trajectory, without the columns that are not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
@@ -346,11 +381,11 @@ def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
     return Trajectory(
         stamps=np.array(stamps),
         positions=np.array(rows[:, POSITION]),
-        rotations=Rotation.from_quat(quaternions) if measured else None,
+        quaternions=lie.normalized(quaternions) if measured else None,
         velocities=np.array(velocities) if moving else None,
     )
 
 
-def _rotation(row: Floats) -> Rotation | None:
+def _quaternion(row: Floats) -> Floats | None:
     quaternion = row[QUATERNION]
-    return None if np.isnan(quaternion[0]) else Rotation.from_quat(quaternion)
+    return None if np.isnan(quaternion[0]) else lie.normalized(quaternion)

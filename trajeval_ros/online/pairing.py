@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.association import bracket_stamps, mix
-from trajeval_ros.coverage import time_without_gaps
-from trajeval_ros.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.metrics.association import bracket_stamps, mix
+from trajeval_ros.metrics.coverage import time_without_gaps
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -86,7 +86,7 @@ class Limits:
     waiting_states: int = 50_000
 
 
-class Stream:
+class StateBuffer:
     """States sorted by stamp, each stamp once, within limits."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class PairingBuffer:
         self.dropped: dict[str, int] = {}
         self.groundtruth_dropped: dict[str, int] = {}
         self.groundtruth_count = 0
-        self._truth, self._waiting = Stream(), Stream()
+        self._truth, self._waiting = StateBuffer(), StateBuffer()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = _NEVER
         self._forgotten_time, self._forgotten_path_m = 0, 0.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from trajeval_ros.alignment import Alignment
-from trajeval_ros.online.relative import RelativeEnd, RunningErrors
-from trajeval_ros.statistics import Statistics
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.online.relative_errors import RelativeEnd, RunningErrors
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.alignment import align
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.alignment import align
 from trajeval_ros.online.pairing import POSITION, QUATERNION, WIDTH, Pairs, on_plane
 
 Floats = NDArray[np.float64]

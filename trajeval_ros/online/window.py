@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.errors import lengths
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.errors import lengths
 from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
-from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -102,26 +102,25 @@ class PairStore:
         """Forget the pairs before this one."""
         self.begin = min(max(self.begin, number), self.end)
 
-    def _view(self, begin: int | None, end: int | None) -> slice:
+    def _view(self, begin: int | None) -> slice:
         first = self.begin if begin is None else max(begin, self.begin)
-        last = self.end if end is None else end
-        return slice(first - self._offset, last - self._offset)
+        return slice(first - self._offset, self.end - self._offset)
 
-    def stamps(self, begin: int | None = None, end: int | None = None) -> Stamps:
-        """Stamps of pairs by number, (N,), nanoseconds."""
-        return self._stamps[self._view(begin, end)]
+    def stamps(self, begin: int | None = None) -> Stamps:
+        """Stamps of the pairs from a number on, (N,), nanoseconds."""
+        return self._stamps[self._view(begin)]
 
-    def groundtruth(self, begin: int | None = None, end: int | None = None) -> Floats:
-        """Groundtruth states of pairs by number, (N, 10)."""
-        return self._rows[self._view(begin, end), :WIDTH]
+    def groundtruth(self, begin: int | None = None) -> Floats:
+        """Groundtruth states of the pairs from a number on, (N, 10)."""
+        return self._rows[self._view(begin), :WIDTH]
 
-    def estimate(self, begin: int | None = None, end: int | None = None) -> Floats:
-        """Estimated states of pairs by number, (N, 10)."""
-        return self._rows[self._view(begin, end), WIDTH:-1]
+    def estimate(self, begin: int | None = None) -> Floats:
+        """Estimated states of the pairs from a number on, (N, 10)."""
+        return self._rows[self._view(begin), WIDTH:-1]
 
-    def along(self, begin: int | None = None, end: int | None = None) -> Floats:
-        """Groundtruth path up to pairs by number, (N,), metres."""
-        return self._rows[self._view(begin, end), -1]
+    def along(self, begin: int | None = None) -> Floats:
+        """Groundtruth path up to the pairs from a number on, (N,), metres."""
+        return self._rows[self._view(begin), -1]
 
     def window_begin(self, window: Window) -> int:
         """Return the number of the first pair in a window."""

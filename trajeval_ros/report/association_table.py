@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trajeval_ros.report.tables import new_table, number
+from trajeval_ros.report.numbers import number
+from trajeval_ros.report.tables import new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from trajeval_ros.association_study import Comparison
+    from trajeval_ros.likelihood.association_study import AssociationComparison
 
 
-def association_table(comparison: Comparison) -> Table:
+def association_table(comparison: AssociationComparison) -> Table:
     """Return a row for the truth and one for each association."""
     true = comparison.true_ate_m
     table = new_table(f"{comparison.name}: position ATE by association")

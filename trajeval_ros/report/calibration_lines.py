@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibrated import Ate, Calibrated
-    from trajeval_ros.calibration.verdict import Parameter
+    from trajeval_ros.calibration.apply import Ate, Calibrated
+    from trajeval_ros.calibration.significance import Parameter
+
+# By how much the position ATE must grow before its cause is said: it is printed to four digits.
+_GROWN = 1.001
 
 
 def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
@@ -38,7 +41,7 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         arm = " ".join(f"{each:.4g}" for each in wanted.known.lever_m)
         lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied as given")
     lines.append("  " + _ate(calibrated))
-    return lines
+    return lines + _growth(calibrated)
 
 
 def _source(name: str, calibrated: Calibrated) -> str:
@@ -82,6 +85,27 @@ def _ate(calibrated: Calibrated) -> str:
             f"parameters are in it, on {calibrated.calibration.blocks} blocks"
         )
     return text
+
+
+def _growth(calibrated: Calibrated) -> list[str]:
+    """Return why the position ATE is larger than before, if it is and something was estimated."""
+    before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
+    if calibrated.calibration is None or before is None:
+        return []
+    if not calibrated.parameters_applied or after.position_m <= _GROWN * before.position_m:
+        return []
+    grown = 100.0 * (after.position_m / before.position_m - 1.0)
+    text = (
+        f"  the position ATE grows by {grown:.2g} %: "
+        "the calibration is fitted to motions over about a second and not to the ATE, and errors "
+        "of clock, lever arm and drift can have cancelled in part before"
+    )
+    missing = calibrated.wanted.hand_eye and not calibrated.lever_applied
+    if missing and anyway is not None and anyway.position_m < before.position_m:
+        text += (
+            f"; with the lever arm, which is not applied, it would be {anyway.position_m:.4g} m"
+        )
+    return [text]
 
 
 def _both(ate: Ate) -> str:

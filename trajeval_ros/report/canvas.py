@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -133,6 +133,48 @@ def tint(colour: str) -> str:
 
     red, green, blue = (1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
     return to_hex((red, green, blue))
+
+
+def draw_boxes(
+    axes: Axes,
+    boxes: Sequence[tuple[float, Sequence[float]]],
+    width: float,
+    *,
+    edge: tuple[str, Dashes, float],
+    inside: str | tuple[str, float],
+    median: tuple[str, float],
+) -> None:
+    """Draw distributions as boxes with whiskers.
+
+    Args:
+        axes: Where.
+        boxes: Of each its place on the x axis, and five numbers: where the lower whisker ends,
+            first quartile, median, third quartile, and where the upper whisker ends.
+        width: Of a box.
+        edge: Colour, dashes and width of its lines; whiskers are never dashed.
+        inside: Its colour.
+        median: Colour and width of the median's line.
+    """
+    colour, dashes, line_width = edge
+    line = {"color": colour, "linewidth": line_width}
+    names = ("whislo", "q1", "med", "q3", "whishi")
+    axes.bxp(
+        [dict(zip(names, numbers, strict=True)) for _, numbers in boxes],
+        positions=[place for place, _ in boxes],
+        widths=width,
+        showfliers=False,
+        patch_artist=True,
+        manage_ticks=False,
+        boxprops={
+            "facecolor": inside,
+            "edgecolor": colour,
+            "linewidth": line_width,
+            "linestyle": dashes,
+        },
+        whiskerprops=line,
+        capprops=line,
+        medianprops={"color": median[0], "linewidth": median[1]},
+    )
 
 
 def short_names(names: Sequence[str]) -> list[str]:

@@ -91,24 +91,18 @@ def box_plot(
 def _draw_boxes(
     axes: Axes, boxes: Sequence[Box | None], shift: float, width: float, colour: str
 ) -> None:
-    line = {"color": colour, "linewidth": 1.0}
     known = [(group, box) for group, box in enumerate(boxes) if box is not None]
-    axes.bxp(
+    canvas.draw_boxes(
+        axes,
         [
-            {"whislo": box.low, "q1": box.first, "med": box.median, "q3": box.third,
-             "whishi": box.high}
-            for _, box in known
+            (group + shift, (box.low, box.first, box.median, box.third, box.high))
+            for group, box in known
         ],
-        positions=[group + shift for group, _ in known],
-        widths=width,
-        showfliers=False,
-        patch_artist=True,
-        manage_ticks=False,
-        boxprops={"facecolor": _faint(colour), "edgecolor": colour, "linewidth": 1.0},
-        whiskerprops=line,
-        capprops=line,
-        medianprops={"color": _INK, "linewidth": 1.4},
-    )  # fmt: skip
+        width,
+        edge=(colour, "-", 1.0),
+        inside=_faint(colour),
+        median=(_INK, 1.4),
+    )
     # Side by side, so that equal trials are seen as several.
     places = [group + shift + width * _beside(len(box.points)) for group, box in known]
     points = [box.points for _, box in known]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.report.matrix import Matrix, coverage_text, number_text
+from trajeval_ros.report.matrix import Matrix
+from trajeval_ros.report.numbers import coverage_text, number_text
 
 
 @dataclass(frozen=True)

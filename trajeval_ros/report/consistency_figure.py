@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros.consistency.verdict import Consistency
-from trajeval_ros.evaluation import Evaluation
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.report import canvas
-from trajeval_ros.statistics import round_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
 _ELLIPSES = 24

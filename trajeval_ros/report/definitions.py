@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trajeval_ros.evaluation import Evaluation
-from trajeval_ros.gauge import Gauge
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.evaluation import Evaluation
 
 
 def alignment_of(evaluations: Sequence[Evaluation]) -> str:
@@ -61,7 +61,7 @@ def positions_only(evaluation: Evaluation) -> str:
     sides = [
         who
         for who, side in (("groundtruth", pairs.groundtruth), ("estimate", pairs.estimate))
-        if side.rotations is None
+        if side.quaternions is None
     ]
     have = "has" if len(sides) == 1 else "have"
     return f"the {' and the '.join(sides)} {have} positions only"

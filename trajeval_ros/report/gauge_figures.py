@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.report import canvas
-from trajeval_ros.visual_inertial.solver import Handling, Trace
+from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
 from trajeval_ros.visual_inertial.study import Covariances, Trials
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
-_HANDLING_COLOURS = dict(zip(Handling, canvas.COLOURS, strict=False))
+_HANDLING_COLOURS = dict(zip(GaugeHandling, canvas.COLOURS, strict=False))
 _FLOOR = 1e-7  # the paper's epsilon: what it draws as white
 
 
@@ -83,16 +83,16 @@ def prior_paths(weights: Sequence[float], traces: Sequence[Trace], title: str) -
     return figure
 
 
-def cost(outcome: Mapping[str, Mapping[Handling, Trials]], title: str) -> Figure:
+def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> Figure:
     """Draw iterations, time, and time per iteration relative to fixation: Fig. 7 and 11."""
     figure = canvas.new_figure(_WIDTH_IN, 5.2, layout="constrained")
     figure.suptitle(title)
     panels = figure.subplots(3, 1, sharex=True)
     places = np.arange(len(outcome))
     width = 0.26
-    for shift, handling in enumerate(Handling):
+    for shift, handling in enumerate(GaugeHandling):
         trials = [each[handling] for each in outcome.values()]
-        fixed = [each[Handling.FIXATION] for each in outcome.values()]
+        fixed = [each[GaugeHandling.FIXATION] for each in outcome.values()]
         values = (
             [each.iterations.mean() for each in trials],
             [1e3 * np.median(each.seconds) for each in trials],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.visual_inertial.solver import Handling
+from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import Trials
 
 if TYPE_CHECKING:
@@ -24,26 +24,26 @@ PAPER = {
     "MH_01": ((0.06936, 0.07845, 0.03092), (0.06918, 0.07857, 0.03091)),
     "V1_02": ((0.07851, 0.4382, 0.04644), (0.07851, 0.4382, 0.04644)),
 }
-_PAPER_HANDLINGS = (Handling.FIXATION, Handling.FREE)
+_PAPER_HANDLINGS = (GaugeHandling.FIXATION, GaugeHandling.FREE)
 HEADINGS = (
     "configuration",
-    *(handling.value for handling in Handling),
+    *(handling.value for handling in GaugeHandling),
     *(f"paper, {handling.value}" for handling in _PAPER_HANDLINGS),
-    f"iterations: {', '.join(handling.value for handling in Handling)}",
+    f"iterations: {', '.join(handling.value for handling in GaugeHandling)}",
 )
 
 
-def accuracy_rows(outcome: Mapping[str, Mapping[Handling, Trials]]) -> list[list[str]]:
+def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list[list[str]]:
     """Return a row for each configuration: means over its trials, then the paper's values."""
     return [
         [
             name,
             *(
                 " / ".join(f"{getattr(trials[handling], metric).mean():.5f}" for metric in METRICS)
-                for handling in Handling
+                for handling in GaugeHandling
             ),
             *_paper(name),
-            " / ".join(f"{trials[handling].iterations.mean():.2f}" for handling in Handling),
+            " / ".join(f"{trials[handling].iterations.mean():.2f}" for handling in GaugeHandling),
         ]
         for name, trials in outcome.items()
     ]
@@ -62,7 +62,7 @@ def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def accuracy_table(outcome: Mapping[str, Mapping[Handling, Trials]]) -> Table:
+def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Table:
     """Return the table for a terminal: a line for each configuration and handling."""
     from rich.table import Table
 
@@ -77,7 +77,7 @@ def accuracy_table(outcome: Mapping[str, Mapping[Handling, Trials]]) -> Table:
     )
     for name, trials in outcome.items():
         paper = dict(zip(_PAPER_HANDLINGS, _paper(name), strict=True))
-        for place, handling in enumerate(Handling):
+        for place, handling in enumerate(GaugeHandling):
             each = trials[handling]
             table.add_row(
                 "" if place else name,
@@ -85,6 +85,6 @@ def accuracy_table(outcome: Mapping[str, Mapping[Handling, Trials]]) -> Table:
                 *(f"{getattr(each, metric).mean():.5f}" for metric in METRICS),
                 paper.get(handling, ""),
                 f"{each.iterations.mean():.2f}",
-                end_section=handling is list(Handling)[-1],
+                end_section=handling is list(GaugeHandling)[-1],
             )
     return table

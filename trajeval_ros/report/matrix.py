@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from trajeval_ros.report.numbers import coverage_text, number_text
 from trajeval_ros.report.tables import new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-_ROUNDING = 1e-9  # of per cent: 100 * 0.29 is 28.999999999999996
 _LATEX = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "–": "--", "†": r"$^\dagger$", "×": r"$\times$",
@@ -82,17 +82,6 @@ class Matrix:
                 if value in distinct[:2]:
                     ranks[row][column] = distinct.index(value) + 1
         return ranks
-
-
-def number_text(value: float) -> str:
-    """Return a number with three decimals, or three significant digits where these say nothing."""
-    return f"{value:.3f}" if value == 0.0 or 0.01 <= abs(value) < 1000.0 else f"{value:.3g}"
-
-
-def coverage_text(share: float) -> str:
-    """Return a share as whole per cent, of which 100 means all and 0 nothing."""
-    whole = math.floor(100.0 * share + _ROUNDING)
-    return f"{min(max(whole, 1 if share > 0.0 else 0), 100)} %"
 
 
 def to_terminal(matrix: Matrix) -> Table:

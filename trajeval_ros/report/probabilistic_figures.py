@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros import se3
+from trajeval_ros.geometry.covariance_frames import world_from_body_twists
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
-from trajeval_ros.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from trajeval_ros.likelihood.assessment import Assessment
 
-Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
 _SIGMAS = 2.0
@@ -62,7 +60,7 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
     end = min(samples.times[-1], middle + 0.5 * _SHOWN_S)
     times = np.linspace(begin, end, _QUERIES)
     belief = continuous.poses.at(times)
-    covariances = se3.world_covariances(belief.covariances, belief.poses[:, :3, :3])
+    covariances = world_from_body_twists(belief.covariances, belief.poses[:, :3, :3])
     sigmas = np.sqrt(np.einsum("nii->ni", covariances)[:, :3])
     shown = (samples.times >= begin) & (samples.times <= end)
     figure = canvas.new_figure(_WIDTH_IN, 4.6, layout="constrained")

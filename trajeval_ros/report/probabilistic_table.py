@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.report.tables import new_table, number
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.report.numbers import number
+from trajeval_ros.report.tables import new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,17 +55,17 @@ def probabilistic_lines(assessments: Mapping[str, Assessment]) -> list[str]:
 
 
 def _cells(assessment: Assessment) -> list[str]:
-    ate, chain = assessment.ate, assessment.chain
+    ate, scores = assessment.ate, assessment.gauge_scores
     interval = "-"
     if ate.interval_m is not None:
         interval = f"{number(ate.interval_m[0])} to {number(ate.interval_m[1])}"
     scale = tilt = "-"
     # What the sensors don't observe is no error: frames may be tilted, and a camera has no scale.
     gauge = assessment.error.residuals.gauge
-    if chain is not None and chain.scale is not None and gauge is not Gauge.SIM3:
-        scale = f"{chain.scale.z[0]:+.1f}"
-    if chain is not None and gauge is Gauge.YAW:
-        tilt = ", ".join(f"{z:+.1f}" for z in chain.tilt.z)
+    if scores is not None and scores.scale is not None and gauge is not Gauge.SIM3:
+        scale = f"{scores.scale.z[0]:+.1f}"
+    if scores is not None and gauge is Gauge.YAW:
+        tilt = ", ".join(f"{z:+.1f}" for z in scores.tilt.z)
     return [
         "-" if ate.supported_m is None else number(ate.supported_m),
         f"{100.0 * ate.supported_share:.0f} %",

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.evaluation import Evaluation, Segments
+from trajeval_ros.metrics.drift import position_percent
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
-from trajeval_ros.sub_trajectories import Length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,36 +62,24 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
 
 
 def _draw_boxes(
-    axes: Axes, all_segments: Sequence[Segments], metric: str, place: int, of: int
+    axes: Axes, all_segments: Sequence[SubTrajectoryErrors], metric: str, place: int, of: int
 ) -> None:
     colour, dashes = canvas.line_style(place)
-    line = {"color": colour, "linewidth": 0.8}
     width = 0.8 / of
     shift = width * (place - (of - 1) / 2.0)
-    boxes: list[dict[str, Any]] = []
-    positions = []
+    boxes = []
     for group, segments in enumerate(all_segments):
         errors = _errors(segments, metric)
         if len(errors):
-            low, first, median, third, high = np.percentile(errors, [5, 25, 50, 75, 95])
-            boxes.append({"whislo": low, "q1": first, "med": median, "q3": third, "whishi": high})
-            positions.append(group + shift)
-    axes.bxp(
+            numbers = np.percentile(errors, [5, 25, 50, 75, 95]).tolist()
+            boxes.append((group + shift, numbers))
+    canvas.draw_boxes(
+        axes,
         boxes,
-        positions=positions,
-        widths=0.85 * width,
-        showfliers=False,
-        patch_artist=True,
-        manage_ticks=False,
-        boxprops={
-            "facecolor": canvas.tint(colour),
-            "edgecolor": colour,
-            "linewidth": 0.8,
-            "linestyle": dashes,
-        },
-        whiskerprops=line,
-        capprops=line,
-        medianprops={"color": "black", "linewidth": 1.1},
+        0.85 * width,
+        edge=(colour, dashes, 0.8),
+        inside=canvas.tint(colour),
+        median=("black", 1.1),
     )
 
 
@@ -119,10 +108,10 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
             )
 
 
-def _errors(segments: Segments, metric: str) -> NDArray[np.float64]:
+def _errors(segments: SubTrajectoryErrors, metric: str) -> NDArray[np.float64]:
     if metric == "position_percent":
         assert segments.length_m is not None
-        return segments.errors.position_m * (100.0 / segments.length_m)
+        return position_percent(segments.errors.position_m, segments.length_m)
     errors: NDArray[np.float64] = getattr(segments.errors, metric)
     return errors
 

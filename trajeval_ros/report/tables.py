@@ -6,15 +6,16 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis import reasons
-from trajeval_ros.evaluation import Evaluation, Segments
-from trajeval_ros.statistics import Statistics
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.report.numbers import number
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from trajeval_ros.consistency.verdict import Consistency
+    from trajeval_ros.consistency.result import Consistency
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # Terminals that are narrower do without some columns; the results on disk have them all.
@@ -45,12 +46,13 @@ METHODS = {
     "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
     "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
     "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
-    "index": "paired row by row",
+    "index": "paired by frame or row",
 }
 RE_FORMS = {
     "gauge": "first state aligned by the gauge, plain difference at the end",
     "se3": "relative poses, SE(3) at the first state",
     "tutorial": "eq. (26) to the letter",
+    "matrices": "relative poses, by the matrices as they are in the file",
     "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }
@@ -112,12 +114,10 @@ def _score(evaluation: Evaluation) -> list[str]:
 
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories that there are, in words."""
-    longest = evaluation.longest
-    if longest is None:
+    drift = evaluation.drift
+    if drift is None:
         return ""
-    drift = longest.statistics["position_percent"]
-    assert drift is not None
-    return f"); drift {drift.mean:.3g} % of {longest.length_m:.4g} m (mean"
+    return f"); drift {drift.percent.mean:.3g} % of {drift.length_m:.4g} m (mean"
 
 
 def _dropped(evaluation: Evaluation) -> str:
@@ -191,7 +191,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     return table
 
 
-def length_text(segment: Segments) -> str:
+def length_text(segment: SubTrajectoryErrors) -> str:
     """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
     if segment.length_m is None:
         return f"{segment.duration_s:g} s"
@@ -221,15 +221,6 @@ def _mean(statistics: Statistics | None, with_median: bool) -> str:
         return "-"
     mean = number(statistics.mean)
     return f"{mean} ({number(statistics.median)})" if with_median else mean
-
-
-def number(value: float) -> str:
-    """Return four significant digits, never an exponent for what people measure."""
-    if value == 0.0 or abs(value) < 5e-7:
-        return "0"
-    if abs(value) >= 1000.0:
-        return f"{value:.1f}"
-    return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
 
 
 def consistency_lines(name: str, consistency: Consistency) -> list[str]:

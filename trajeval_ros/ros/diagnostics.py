@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trajeval_ros.diagnosis import reasons
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.geometry.trajectory import add_counts
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
-from trajeval_ros.trajectory import add_counts
 
 OK, WARN, ERROR, STALE = range(4)
 _BY_GRAVITY = (OK, WARN, STALE, ERROR)  # silence must not hide an error
@@ -144,7 +144,7 @@ def _values(
         "scale": None if alignment is None else alignment.similarity.scale,
         "estimate coverage": snapshot.estimate_coverage,
         "groundtruth coverage": snapshot.groundtruth_coverage,
-        "dropped": reasons(add_counts(estimate.stream.told.dropped, snapshot.dropped)) or None,
+        "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(run.groundtruth_dropped(estimate)) or None,
         "waiting for groundtruth": snapshot.waiting,
         "messages lost": estimate.side.lost,

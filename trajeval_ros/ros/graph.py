@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.checks import nearest
-from trajeval_ros.io.messages import POSE_TYPES, TRANSFORM_TYPES
-from trajeval_ros.ros.messages import is_installed
+from trajeval_ros.ros.message_types import is_installed
 
 if TYPE_CHECKING:
     from rclpy.node import Node
-
-READABLE = (*POSE_TYPES, *TRANSFORM_TYPES)
 
 
 def publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:

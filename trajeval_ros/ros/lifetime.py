@@ -10,7 +10,7 @@ from typing import Any
 from trajeval_ros.exceptions import SettingsError
 
 
-class Stop:
+class StopSignal:
     """Whether SIGINT or SIGTERM has arrived.
 
     A plain flag: a handler runs between any two instructions of the main thread, so it must not
@@ -25,7 +25,7 @@ class Stop:
 
 
 @contextmanager
-def ros(arguments: Sequence[str] = ()) -> Iterator[Stop]:
+def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     """Run ROS in this process, until the end of the block.
 
     The context stays valid after a signal, so that what is left can be published and written.
@@ -39,7 +39,7 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[Stop]:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    stop = Stop()
+    stop = StopSignal()
     before: dict[signal.Signals, Any] = {
         each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)
     }

@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.consistency.marginals import unknown_covariances
-from trajeval_ros.io.live_folder import REVISED_SUFFIX, write_revised
-from trajeval_ros.io.messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
-from trajeval_ros.io.pair_file import SUFFIX, PairWriter
-from trajeval_ros.io.results import write_whole
-from trajeval_ros.online.clock import ClockReport, OnlineClock
+from trajeval_ros.consistency.marginal_covariances import unknown_covariances
+from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
+from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
+from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
+from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jumps import Jump, JumpDetector
+from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.live_clock import ClockReport, OnlineClock
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
 from trajeval_ros.online.reports import Update, united
 from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.settings import OnlineSettings
 from trajeval_ros.online.trail import Trail
-from trajeval_ros.ros.held import Held
-from trajeval_ros.ros.inputs import Taken
-from trajeval_ros.ros.poses import States
+from trajeval_ros.ros.held_messages import HeldMessages
+from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.ros.timing import Latency
-from trajeval_ros.trajectory import NANOSECONDS, add_counts, judge_poses
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -79,7 +79,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge)
-        self._held = Held() if hold else None
+        self._held = HeldMessages() if hold else None
         self._released: list[Update] = []
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._newest: tuple[str, bytes] | None = None
@@ -168,19 +168,19 @@ class LiveEstimate:
         Args:
             state: What is known beside the estimate: settings, groundtruth, live, warnings.
         """
-        told, evaluator = self.stream.told, self.evaluator
-        decided = told.poses - evaluator.buffer.waiting
+        status, evaluator = self.stream.status, self.evaluator
+        decided = status.poses - evaluator.buffer.waiting
         state = {
             **state,
             "estimate": {
-                "poses": told.poses,
+                "poses": status.poses,
                 "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
-                "duration_s": told.duration_s,
-                "frame": told.frame,
-                "child_frame": told.child_frame,
-                "notes": list(told.notes),
+                "duration_s": status.duration_s,
+                "frame": status.frame,
+                "child_frame": status.child_frame,
+                "notes": list(status.notes),
             },
-            "dropped": add_counts(told.dropped, evaluator.buffer.dropped),
+            "dropped": add_counts(status.dropped, evaluator.buffer.dropped),
             "aligned_by": evaluator.frozen_at,
         }
         if state == self._state:
@@ -212,7 +212,7 @@ class LiveEstimate:
         if self.watch is not None:
             self.watch(pairs)
 
-    def _take(self, message_type: str, taken: Taken, arrived: Stamps) -> None:
+    def _take(self, message_type: str, taken: ReceivedMessages, arrived: Stamps) -> None:
         if message_type == PATH_TYPE:
             for payload, each in zip(taken.payloads, arrived.tolist(), strict=True):
                 self._take_path(payload, each)
@@ -231,13 +231,13 @@ class LiveEstimate:
             self.clock.report = ClockReport(status="unobservable", reason=reason)
         path = self.stream.path(payload)
         rows = self.revised.renew(path.stamps, path.states)
-        new = States(path.stamps[rows], path.states[rows], path.rows[rows])
+        new = StateColumns(path.stamps[rows], path.states[rows], path.rows[rows])
         self.stream.count_new(new, arrived_ns)
         self._now_or_later(
             "estimate", new.stamps, lambda: self.evaluator.add_estimate(new.stamps, new.states)
         )
 
-    def _evaluate(self, poses: States, received: Stamps) -> None:
+    def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self._offset_ns, received)
         self.evaluator.add_estimate(poses.stamps, poses.states)
 

@@ -8,15 +8,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.diagnosis import reasons
+from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.settings import OnlineSettings
-from trajeval_ros.ros.folder import Finisher
 from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.trajectory import NANOSECONDS, add_counts
 
 _QUIET_S = 0.1
 _LAST_MESSAGES_S = 2.0
@@ -147,7 +147,7 @@ class LiveRun:
     def groundtruth_dropped(self, estimate: LiveEstimate) -> dict[str, int]:
         """Return the number of groundtruth states that an estimate can't use, by reason."""
         return add_counts(
-            self.groundtruth.stream.told.dropped, estimate.evaluator.buffer.groundtruth_dropped
+            self.groundtruth.stream.status.dropped, estimate.evaluator.buffer.groundtruth_dropped
         )
 
     def why_no_pair(self) -> str:
@@ -155,13 +155,13 @@ class LiveRun:
         dropped = [
             self.groundtruth_dropped(self.estimates[0]),
             *(
-                add_counts(each.stream.told.dropped, each.evaluator.buffer.dropped)
+                add_counts(each.stream.status.dropped, each.evaluator.buffer.dropped)
                 for each in self.estimates
             ),
         ]
         sides = [self.groundtruth, *(each.side for each in self.estimates)]
         counts = [
-            f"{side.stream.told.poses} poses on {side.source}"
+            f"{side.stream.status.poses} poses on {side.source}"
             + (f" ({reasons(of)})" if of else "")
             for side, of in zip(sides, dropped, strict=True)
         ]
@@ -203,10 +203,10 @@ class LiveRun:
     @property
     def _received(self) -> int:
         streams = [self.groundtruth.stream, *(each.stream for each in self.estimates)]
-        return sum(each.told.poses for each in streams)
+        return sum(each.status.poses for each in streams)
 
     def _state(self, estimate: LiveEstimate) -> dict[str, Any]:
-        truth, buffer = self.groundtruth.stream.told, estimate.evaluator.buffer
+        truth, buffer = self.groundtruth.stream.status, estimate.evaluator.buffer
         return {
             "settings": self.words,
             "groundtruth": {

@@ -11,14 +11,14 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
-from trajeval_ros.online.jumps import Jump
+from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.diagnostics import diagnose
-from trajeval_ros.ros.folder import Finisher, make_folder
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.outputs import Outputs
+from trajeval_ros.ros.output_folder import Finisher, make_folder
+from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.sides import Side, told_apart
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
@@ -154,8 +154,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 outputs.publish_geometry(
                     estimate.trail,
                     snapshot.alignment.similarity,
-                    self._run.groundtruth.stream.told.frame,
-                    estimate.stream.told.frame,
+                    self._run.groundtruth.stream.status.frame,
+                    estimate.stream.status.frame,
                 )
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE

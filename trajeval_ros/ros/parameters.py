@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.gauge import MODALITIES, Gauge
-from trajeval_ros.online.settings import OnlineSettings
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
-from trajeval_ros.settings import protocol_from
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -21,7 +21,7 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True)
-class Parameter:
+class NodeParameter:
     """A parameter as it is declared.
 
     Attributes:
@@ -40,115 +40,115 @@ class Parameter:
 
 
 PARAMETERS = (
-    Parameter(
+    NodeParameter(
         "groundtruth_topic",
         "",
         "Topic of the groundtruth: PoseStamped, PoseWithCovarianceStamped, TransformStamped, "
         "PointStamped or Odometry, or a transform as in /tf:map.base_link. Required.",
     ),
-    Parameter(
+    NodeParameter(
         "estimate_topics",
         [""],
         "Topics of the estimates to be judged, side by side: the same types, or nav_msgs/Path. "
         "Required.",
     ),
-    Parameter(
+    NodeParameter(
         "modality",
         "",
         f"The sensors, which decide what alignment may change: {', '.join(MODALITIES)}.",
     ),
-    Parameter(
+    NodeParameter(
         "gauge",
         "",
         "What alignment may change, by name, instead of modality: "
         f"{', '.join(each.value for each in Gauge)} (se3 if neither is given).",
     ),
-    Parameter(
+    NodeParameter(
         "align_states",
         "all",
         f"Align by all states so far, by the first N, or {FROZEN}: all, until they determine the "
         "alignment well, and then no more.",
     ),
-    Parameter(
+    NodeParameter(
         "window",
         "30s",
         "What the published ATE is about: the newest 30s, 50m or 500 (pairs); 0 is the whole run. "
         "The results on disk are always about the whole run.",
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "lengths",
         "8,16,24,32,40",
         "Sub-trajectory lengths of the relative error: 8,16 (metres), 1s,5s (seconds), 10%,20% "
         "(of the path, only in the results at the end) or none.",
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "association",
         "linear",
         "How pairs are made. Live it can only be linear: the groundtruth is interpolated.",
     ),
-    Parameter(
+    NodeParameter(
         "max_gap",
         0.5,
         "Never interpolate across a longer groundtruth gap, seconds.",
         (0.0, 3600.0),
     ),
-    Parameter(
+    NodeParameter(
         "time_offset",
         "0",
         f"Added to the estimates' stamps, seconds; or {AUTO}: estimated from the first minute, "
         "and applied to all of them if it is significant.",
     ),
-    Parameter(
+    NodeParameter(
         "publish_rate",
         20.0,
         "How often messages are taken, evaluated, and errors published, Hz.",
         (1.0, 200.0),
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "output",
         "",
         "Folder for what remains: pairs, result.json, figures. Empty: trajeval_DATE-TIME in the "
         "working directory.",
     ),
-    Parameter(
+    NodeParameter(
         "autosave_period",
         30.0,
         "How often result.json is written, seconds; 0 only at the end.",
         (0.0, 86400.0),
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "rerun",
         "none",
         "The Rerun picture: none; file (run.rrd in the output folder); serve or serve:PORT, for "
         "viewers on this machine that come and go, and the file; connect:URL, to a viewer that "
         "listens there, and the file. It needs rerun-sdk.",
     ),
-    Parameter(
+    NodeParameter(
         "warn_position_error_m",
         0.0,
         "Diagnostics warn above this position error, metres; 0 never.",
         (0.0, 1e6),
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "error_position_error_m",
         0.0,
         "Diagnostics report an error above this position error, metres; 0 never.",
         (0.0, 1e6),
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "warn_coverage",
         0.9,
         "Diagnostics warn when a smaller share of the estimate's poses has groundtruth.",
         (0.0, 1.0),
         is_live=True,
     ),
-    Parameter(
+    NodeParameter(
         "error_coverage",
         0.5,
         "Diagnostics report an error when a smaller share of the estimate's poses has "
@@ -193,7 +193,7 @@ def declare(node: Node) -> dict[str, Any]:
     return values
 
 
-def converted(parameter: Parameter, value: Any) -> Any:
+def converted(parameter: NodeParameter, value: Any) -> Any:
     """Return a value as the type that the parameter has, however YAML read it.
 
     Raises:

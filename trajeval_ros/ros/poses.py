@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.diagnosis import reasons
-from trajeval_ros.io.messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
-from trajeval_ros.trajectory import NANOSECONDS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -25,7 +25,7 @@ _TROUBLE_AFTER = 10  # messages in a row that give no pose
 _STEP_BACK_S = 1.0  # messages that merely overtake each other step back by less
 
 
-class States(NamedTuple):
+class StateColumns(NamedTuple):
     """States of N messages.
 
     Attributes:
@@ -40,7 +40,7 @@ class States(NamedTuple):
 
 
 @dataclass
-class Told:
+class StreamStatus:
     """What a stream has told beside its states.
 
     Attributes:
@@ -85,7 +85,7 @@ class PoseStream:
     """Decodes the messages of one topic.
 
     Attributes:
-        told: What they have told so far.
+        status: What they have told so far.
         arrivals: How much later than their stamps they come.
         news: Notes that nobody has been told yet.
         trouble: Why messages give no poses at present; empty if they do.
@@ -94,7 +94,7 @@ class PoseStream:
 
     def __init__(self, topic: str) -> None:
         """Begin, for a topic."""
-        self.told = Told()
+        self.status = StreamStatus()
         self.arrivals = Arrivals()
         self.news: list[str] = []
         self.trouble = ""
@@ -106,7 +106,9 @@ class PoseStream:
         self._in_a_row = 0
         self._is_told = False
 
-    def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
+    def poses(
+        self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
+    ) -> StateColumns:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
         self._see_type(message_type)
         found = self._states(decode_poses(payloads, message_type))
@@ -114,12 +116,12 @@ class PoseStream:
         self._count(found)
         return found
 
-    def path(self, payload: bytes) -> States:
+    def path(self, payload: bytes) -> StateColumns:
         """Return all states of a path; which of them are new, `count_new` is told."""
         self._see_type(PATH_TYPE)
         return self._states(decode_path(payload))
 
-    def count_new(self, new: States, arrived_ns: int) -> None:
+    def count_new(self, new: StateColumns, arrived_ns: int) -> None:
         """Count the states that a path, which arrived at a time, is the first to have."""
         self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
         self._count(new)
@@ -128,12 +130,12 @@ class PoseStream:
         self.heard_at = time.monotonic()
         if message_type != self._type:
             self._type = message_type
-            self.told.note(f"format: {message_type}")
+            self.status.note(f"format: {message_type}")
 
-    def _states(self, columns: PoseColumns) -> States:
+    def _states(self, columns: PoseColumns) -> StateColumns:
         """Return what the columns hold, without poses that have no time."""
-        told = self.told
-        told.drop("undecodable", columns.undecodable)
+        status = self.status
+        status.drop("undecodable", columns.undecodable)
         for _, frame, child_frame in columns.frames:
             self._see_frames(frame, child_frame)
         stamps, states_ = columns.stamps, states(columns.positions, columns.quaternions)
@@ -142,9 +144,9 @@ class PoseStream:
             states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
         timed = stamps != 0  # a stamp that nobody has set
         untimed = int(np.count_nonzero(~timed))
-        told.drop("zero_stamp", untimed)
+        status.drop("zero_stamp", untimed)
         self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
-        return States(stamps[timed], states_[timed], columns.rows[timed])
+        return StateColumns(stamps[timed], states_[timed], columns.rows[timed])
 
     def _see_trouble(self, poses: int, dropped: int) -> None:
         """Tell, once, that messages come and give no poses."""
@@ -152,22 +154,24 @@ class PoseStream:
         if poses:
             self.trouble = ""
         elif self._in_a_row >= _TROUBLE_AFTER:
-            self.trouble = f"{self._topic}: no message gives a pose: {reasons(self.told.dropped)}"
+            self.trouble = (
+                f"{self._topic}: no message gives a pose: {reasons(self.status.dropped)}"
+            )
             if not self._is_told:
                 self._is_told = True
                 self.news.append(self.trouble)
 
-    def _count(self, found: States) -> None:
+    def _count(self, found: StateColumns) -> None:
         rows = found.states
         poses = np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isposinf(rows).any(axis=1)
         if not poses.any():
             return
-        told, seen = self.told, found.stamps[poses]
+        status, seen = self.status, found.stamps[poses]
         self._see_step_back(seen)
-        told.poses += len(seen)
+        status.poses += len(seen)
         earliest, latest = int(seen.min()), int(seen.max())
-        told.first = earliest if told.first is None else min(told.first, earliest)
-        told.last = latest if told.last is None else max(told.last, latest)
+        status.first = earliest if status.first is None else min(status.first, earliest)
+        status.last = latest if status.last is None else max(status.last, latest)
 
     def _see_step_back(self, stamps: Stamps) -> None:
         """Tell, once, that time doesn't go on: live errors are about the newest pairs alone."""
@@ -176,23 +180,23 @@ class PoseStream:
         self._tell_step_back(-float(steps.min(initial=0)) / NANOSECONDS)
 
     def _tell_step_back(self, back_s: float) -> None:
-        if back_s < _STEP_BACK_S or any("stamps step back" in each for each in self.told.notes):
+        if back_s < _STEP_BACK_S or any("stamps step back" in each for each in self.status.notes):
             return
         sentence = (
             f"{self._topic}: stamps step back by {back_s:.1f} s: has its clock, or a bag, begun "
             "anew? What is older than the newest pair is in no live number; ~/reset begins anew"
         )
-        if self.told.note(sentence):
+        if self.status.note(sentence):
             self.news.append(sentence)
 
     def _see_frames(self, frame: str, child_frame: str) -> None:
         names = frame, child_frame
         if self._names is None:
-            self.told.frame, self.told.child_frame = names
+            self.status.frame, self.status.child_frame = names
         elif names != self._names:
             before = " of ".join(filter(None, reversed(self._names)))
             now = " of ".join(filter(None, reversed(names)))
             sentence = f"{self._topic}: the frame changes from {before} to {now}"
-            if self.told.note(sentence):
+            if self.status.note(sentence):
                 self.news.append(sentence)
         self._names = names

@@ -7,15 +7,15 @@ import uuid
 from collections.abc import Callable
 
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.online.jumps import Jump
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.pairing import Floats, Pairs, Stamps
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.viewer.live import LiveScene
+from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
-from trajeval_ros.viewer.stream import Stream, give_way
+from trajeval_ros.viewer.stream import DrawingThread, give_way
 
 FILE = "run.rrd"
 
@@ -39,7 +39,7 @@ class RerunOutput:
             before: The picture of the run that this one follows, which ends.
         """
         self._run = run
-        self._streams: list[tuple[Stream, LiveScene]] = []
+        self._streams: list[tuple[DrawingThread, LiveScene]] = []
         self._told: set[str] = set()
         self.trouble = ""
         folder = run.finisher.folder
@@ -48,7 +48,7 @@ class RerunOutput:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
                 scene = LiveScene(folder.name, names, gauge)
                 after = None if before is None else before._ending(place)
-                self._streams.append((Stream(sink, scene, after), scene))
+                self._streams.append((DrawingThread(sink, scene, after), scene))
         except TrajevalError as error:
             self.trouble = str(error)
         if self._streams:
@@ -100,7 +100,7 @@ class RerunOutput:
         late = [stream.name for stream, _ in self._streams if not stream.close()]
         return [*self.news(), *(f"Rerun's {each} takes too long to end" for each in late)]
 
-    def _ending(self, place: int) -> Stream | None:
+    def _ending(self, place: int) -> DrawingThread | None:
         if place >= len(self._streams):
             return None
         stream, _ = self._streams[place]

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
-from trajeval_ros.ros.inputs import Taken, TopicInput
-from trajeval_ros.ros.messages import is_installed
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.ros.poses import PoseStream
+from trajeval_ros.ros.subscriptions import ReceivedMessages, TopicInput
 from trajeval_ros.ros.transform_stream import TransformStream
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Side:
         news, self.stream.news = self.stream.news, []
         return [*filter(None, told), *news]
 
-    def take(self, now_ns: int | None) -> list[tuple[str, Taken, NDArray[np.int64]]]:
+    def take(self, now_ns: int | None) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         """Return type, messages and their times of arrival, by input.
 
         Args:

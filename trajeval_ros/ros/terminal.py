@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 import sys
 
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.reports import Snapshot
-from trajeval_ros.trajectory import NANOSECONDS
 
 _BEGIN_ANEW = "\r\x1b[K"
 

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 _BATCHES = 200  # of messages, over which a median is taken
 _WAITING = 10_000  # estimates whose errors are not published yet

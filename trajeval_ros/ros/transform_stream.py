@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.messages import TransformColumns, decode_transforms
-from trajeval_ros.io.transforms import (
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
+from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
     EdgeKey,
@@ -21,8 +22,7 @@ from trajeval_ros.io.transforms import (
     leading_edge,
 )
 from trajeval_ros.online.pairing import states
-from trajeval_ros.ros.poses import PoseStream, States
-from trajeval_ros.trajectory import NANOSECONDS
+from trajeval_ros.ros.poses import PoseStream, StateColumns
 
 Stamps = NDArray[np.int64]
 
@@ -44,8 +44,8 @@ class TransformStream(PoseStream):
     def __init__(self, source: str, parent: str, child: str) -> None:
         """Begin, for the pose of `child` in `parent`."""
         super().__init__(source)
-        self.told.frame, self.told.child_frame = parent, child
-        self.told.note("format: TF")
+        self.status.frame, self.status.child_frame = parent, child
+        self.status.note("format: TF")
         self._parent, self._child = parent, child
         self._edges: dict[EdgeKey, Edge] = {}
         self._way: Way = []
@@ -53,16 +53,18 @@ class TransformStream(PoseStream):
         self._until = _NEVER
         self._warn_at: float | None = None
 
-    def poses(self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps) -> States:
+    def poses(
+        self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
+    ) -> StateColumns:
         """Return the states that have become known with new messages, as of the last of these."""
         del message_type
         edges, undecodable = decode_transforms(payloads)
-        self.told.drop("undecodable", undecodable)
+        self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
             if self._wants(key):
                 self._extend(key, columns)
         stamps = self._new_stamps()
-        found = States(
+        found = StateColumns(
             stamps,
             states(*compose(self._edges, self._way, stamps)),
             np.full(len(stamps), len(payloads) - 1),
@@ -78,7 +80,7 @@ class TransformStream(PoseStream):
     def hold(self, payloads: Sequence[bytes]) -> None:
         """Take static transforms."""
         edges, undecodable = decode_transforms(payloads)
-        self.told.drop("undecodable", undecodable)
+        self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
             known = self._edges.get(key)
             # What moves is no static frame.

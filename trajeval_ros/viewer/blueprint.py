@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.gauge import Gauge
-from trajeval_ros.viewer import colours, scene
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.viewer import colours, scene_entities
 from trajeval_ros.viewer.sdk import sdk
 
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ _MOST_COLOURED = 1  # estimates that are told apart by colour can't be coloured 
 
 
 def blueprint(
-    estimates: Sequence[scene.EstimateEntities],
+    estimates: Sequence[scene_entities.EstimateEntities],
     gauge: Gauge,
     *,
     is_live: bool,
@@ -42,7 +42,9 @@ def blueprint(
             layout.Tabs(errors, _within_bands()) if has_consistency else errors,
             column_shares=[5, 3],
         ),
-        layout.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),
+        layout.TimePanel(
+            state="collapsed", timeline=scene_entities.TIMELINE, play_state="following"
+        ),
         layout.SelectionPanel(state="collapsed"),
         layout.BlueprintPanel(state="collapsed"),
         auto_views=False,
@@ -52,21 +54,25 @@ def blueprint(
 def _errors(gauge: Gauge, *, is_live: bool) -> Any:
     _, layout = sdk()
     return layout.Vertical(
-        layout.TextDocumentView(origin=f"/{scene.SUMMARY}", name="How wrong is it?"),
+        layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="How wrong is it?"),
         _plot(
             "Position error [m]",
-            scene.POSITION_ERROR,
-            scene.ATE_POSITION,
-            scene.REVISED_ATE_POSITION,
+            scene_entities.POSITION_ERROR,
+            scene_entities.ATE_POSITION,
+            scene_entities.REVISED_ATE_POSITION,
             legend=True,
         ),
-        _plot("Rotation error [deg]", scene.ROTATION_ERROR, scene.ATE_ROTATION),
+        _plot("Rotation error [deg]", scene_entities.ROTATION_ERROR, scene_entities.ATE_ROTATION),
         layout.Tabs(
-            layout.TextLogView(origin=f"/{scene.EVENTS}", name="Events"),
-            _plot("Relative error [m]", scene.RELATIVE_ERROR, legend=True),
-            _plot("Yaw error [deg]", scene.YAW_ERROR),
-            *([_plot("Scale", scene.SCALE)] if gauge.has_scale else []),
-            *([_plot("Yaw of the alignment [deg]", scene.ALIGNMENT_YAW)] if is_live else []),
+            layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name="Events"),
+            _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=True),
+            _plot("Yaw error [deg]", scene_entities.YAW_ERROR),
+            *([_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []),
+            *(
+                [_plot("Yaw of the alignment [deg]", scene_entities.ALIGNMENT_YAW)]
+                if is_live
+                else []
+            ),
         ),
         name="Errors",
         row_shares=[7, 4, 3, 3],
@@ -76,16 +82,18 @@ def _errors(gauge: Gauge, *, is_live: bool) -> Any:
 def _within_bands() -> Any:
     _, layout = sdk()
     names = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
-    plots = [_plot(*each) for each in zip(names, scene.ERRORS_WITHIN, strict=True)]
+    plots = [_plot(*each) for each in zip(names, scene_entities.ERRORS_WITHIN, strict=True)]
     return layout.Vertical(
         *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
-        _plot("NEES / 6 of each pose", scene.NEES, scene.NEES_LIMIT, legend=True),
+        _plot(
+            "NEES / 6 of each pose", scene_entities.NEES, scene_entities.NEES_LIMIT, legend=True
+        ),
         name="Errors within 3 sigma",
     )
 
 
 def _space(
-    estimates: Sequence[scene.EstimateEntities],
+    estimates: Sequence[scene_entities.EstimateEntities],
     *,
     is_live: bool,
     bounds: tuple[Floats, Floats] | None,
@@ -94,13 +102,16 @@ def _space(
     until_now = layout.VisibleTimeRanges(
         [
             layout.VisibleTimeRange(
-                scene.TIMELINE,
+                scene_entities.TIMELINE,
                 start=layout.TimeRangeBoundary.infinite(),
                 end=layout.TimeRangeBoundary.cursor_relative(),
             )
         ]
     )
-    growing = [scene.GroundtruthEntities.path.past, *(each.path.past for each in estimates)]
+    growing = [
+        scene_entities.GroundtruthEntities.path.past,
+        *(each.path.past for each in estimates),
+    ]
     if not is_live:
         growing += [each.by_error for each in estimates]
         growing += [each.correspondences for each in estimates]
@@ -113,7 +124,7 @@ def _space(
     for each in hidden:
         overrides.setdefault(each, []).append(layout.EntityBehavior(visible=False))
     return layout.Spatial3DView(
-        origin=f"/{scene.WORLD}",
+        origin=f"/{scene_entities.WORLD}",
         name="Groundtruth, and the estimate aligned with it",
         overrides=overrides,
         background=layout.Background(color=colours.BACKGROUND),

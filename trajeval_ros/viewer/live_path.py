@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.viewer import scene
-from trajeval_ros.viewer.geometry import is_gap
+from trajeval_ros.viewer import scene_entities
+from trajeval_ros.viewer.paths import is_gap
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -44,7 +44,7 @@ class LivePath:
     `newest` its end: each is sent anew as it grows, the short one often, the long one seldom.
     """
 
-    def __init__(self, entities: scene.PathEntities, log: Log) -> None:
+    def __init__(self, entities: scene_entities.PathEntities, log: Log) -> None:
         """Begin without a pose.
 
         Args:
@@ -72,7 +72,7 @@ class LivePath:
             self._end_piece()
             self._piece = [point]
         elif len(self._piece) % _HEAD == 1 and len(self._piece) > 1:
-            self._log(stamp, self._entities.recent, scene.lines([np.array(self._piece)]))
+            self._log(stamp, self._entities.recent, scene_entities.lines([np.array(self._piece)]))
         return gap
 
     def draw_to(self, stamp: int, point: Floats) -> None:
@@ -80,21 +80,23 @@ class LivePath:
         if self._piece:
             begin = (len(self._piece) - 1) // _HEAD * _HEAD
             head = np.array([*self._piece[begin:], point])
-            self._log(stamp, self._entities.newest, scene.lines([head]))
+            self._log(stamp, self._entities.newest, scene_entities.lines([head]))
 
     def _end_piece(self) -> None:
         if len(self._piece) > 1:
-            self._log(self._stamp, self._entities.past, scene.lines([np.array(self._piece)]))
-            self._log(self._stamp, self._entities.recent, scene.lines([]))
-            self._log(self._stamp, self._entities.newest, scene.lines([]))
+            self._log(
+                self._stamp, self._entities.past, scene_entities.lines([np.array(self._piece)])
+            )
+            self._log(self._stamp, self._entities.recent, scene_entities.lines([]))
+            self._log(self._stamp, self._entities.newest, scene_entities.lines([]))
 
 
-class Memory:
+class RowHistory:
     """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
 
     def __init__(self, width: int, most: int = 100_000) -> None:
         """Begin empty, for rows of so many numbers."""
-        self._most, self._width = most, width
+        self._most = most
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.viewer.scene import APPLICATION
+from trajeval_ros.viewer.scene_entities import APPLICATION
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.stream import Sink
 

@@ -82,7 +82,7 @@ class Drawing(Protocol):
         """Show how many updates were not drawn."""
 
 
-class Stream:
+class DrawingThread:
     """Draws on a sink, on its own thread.
 
     Attributes:
@@ -90,7 +90,7 @@ class Stream:
         trouble: Why nothing reaches it any more; empty while it does.
     """
 
-    def __init__(self, sink: Sink, drawing: Drawing, after: Stream | None = None) -> None:
+    def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:
         """Begin; the sink is opened by the thread, since that may take long.
 
         Args:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.simulation import EPOCH_S, SHORTEST_S, simulate
-from trajeval_ros.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.visual_inertial.drifting_odometry import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.visual_inertial.motion import recorded
-from trajeval_ros.visual_inertial.sampler import Run, Sampler, solved
-from trajeval_ros.visual_inertial.scene import Profile, Scene, make_scene
+from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler, solved
+from trajeval_ros.visual_inertial.scene import Scene, SensorProfile, make_scene
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -70,13 +70,13 @@ class Flight:
             run = solved(self.scene, generator) if sampler is None else sampler.draw(generator)
             yield Odometry(self._published(run), run.information)
 
-    def _published(self, run: Run) -> Trajectory:
+    def _published(self, run: SampledEstimate) -> Trajectory:
         return _trajectory(
             run.state, self.scene.times_s, "odom", "odometry", run.marginals[:, :6, :6].copy()
         )
 
 
-def fly(seed: int, duration_s: float, profile: Profile) -> Flight:
+def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
     """Return the flight of `simulation.simulate` with a camera and an IMU.
 
     Args:
@@ -127,7 +127,7 @@ def _trajectory(
     return Trajectory(
         stamps=EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64),
         positions=state.positions,
-        rotations=Rotation.from_matrix(state.rotations),
+        quaternions=lie.from_matrices(state.rotations),
         velocities=state.velocities,
         covariances=covariances,
         frame=frame,

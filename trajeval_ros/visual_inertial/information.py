@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import (
@@ -12,8 +11,6 @@ from trajeval_ros.visual_inertial.reduction import (
     require_seen_landmarks,
 )
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
 
 
 def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:

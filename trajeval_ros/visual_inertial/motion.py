@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros import lie
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.trajectory import Trajectory
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.camera import FORWARD
 
 Array = NDArray[np.float64]

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 Array = NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-SCHEMES = ("middle", "start")
 
 
 @dataclass(frozen=True)

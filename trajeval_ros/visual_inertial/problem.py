@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.state import State
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Visual(NamedTuple):
+class ReprojectionErrors(NamedTuple):
     """The M reprojection errors and their Jacobians.
 
     d r / d landmark is `by_point`, d r / d position its negative, and d r / d rotation is
@@ -39,7 +39,7 @@ class Visual(NamedTuple):
     rays: Array
 
 
-class Inertial(NamedTuple):
+class InertialErrors(NamedTuple):
     """The N - 1 preintegration errors (rotation, velocity, position) and their Jacobians.
 
     Attributes:
@@ -126,7 +126,7 @@ class Problem:
         visual, inertial = self.residuals(state)
         return 0.5 * float(np.vdot(visual, visual) + np.vdot(inertial, inertial))
 
-    def visual(self, state: State) -> Visual:
+    def visual(self, state: State) -> ReprojectionErrors:
         """Return the reprojection errors with their Jacobians."""
         rays, points = self._points(state)
         to_camera = np.swapaxes(state.rotations @ self.camera_in_body, 1, 2)
@@ -135,9 +135,9 @@ class Problem:
         turned = to_camera[self.keyframe_of]
         slope = points[:, :2] / points[:, 2:]
         by_point = scale[:, None, None] * (turned[:, :2] - slope[:, :, None] * turned[:, None, 2])
-        return Visual(self._reprojection(points), by_point, rays)
+        return ReprojectionErrors(self._reprojection(points), by_point, rays)
 
-    def inertial(self, state: State) -> Inertial:
+    def inertial(self, state: State) -> InertialErrors:
         """Return the preintegration errors with their Jacobians."""
         residuals, turn, speed, shift = self._inertial_errors(state)
         into = np.swapaxes(state.rotations[:-1], 1, 2)
@@ -154,7 +154,7 @@ class Problem:
         before[:, 6:9, 6:9] = -into * durations
         # The first rotation is Exp(Dphi) R_ref: d phi = J_l(Dphi) d Dphi.
         before[0, :, 3:6] = before[0, :, 3:6] @ lie.left_jacobian(state.first_turn)
-        return Inertial(residuals, self._whiten @ before, self._whiten @ after)
+        return InertialErrors(residuals, self._whiten @ before, self._whiten @ after)
 
     def normal_equations(self, state: State) -> NormalEquations:
         """Return J^T J and J^T r, all blocks at once."""

@@ -17,7 +17,7 @@ _ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class ReducedSystem:
     """The normal equations of the motion alone, and the way back to the landmarks.
 
     Attributes:
@@ -59,7 +59,7 @@ def motion_matrix(normal: NormalEquations) -> Array:
 
 def reduce_landmarks(
     normal: NormalEquations, motion_damping: Array, landmark_damping: Array
-) -> Reduced:
+) -> ReducedSystem:
     """Eliminate the landmarks.
 
     Args:
@@ -81,7 +81,7 @@ def reduce_landmarks(
     matrix[np.diag_indices(9 * count)] += motion_damping
     gradient = normal.motion_gradient.copy()
     gradient[:, :6] -= (half @ pull).reshape(count, 6)
-    return Reduced(matrix, gradient.ravel(), half, inverse, pull)
+    return ReducedSystem(matrix, gradient.ravel(), half, inverse, pull)
 
 
 def inverse_landmark_factors(normal: NormalEquations, damping: Array | float) -> Array:

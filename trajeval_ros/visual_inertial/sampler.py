@@ -14,11 +14,11 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.chain import Chain
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, Handling, solve
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class SampledEstimate:
     """An estimate in a frame of its own, and how sure it is.
 
     Attributes:
@@ -41,32 +41,32 @@ class Run:
     information: scipy.sparse.csr_matrix
     marginals: Array
 
-    def elsewhere(self, generator: np.random.Generator) -> Run:
+    def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
         """Return the run in a frame that is turned about gravity and shifted at will."""
         yaw = generator.uniform(-np.pi, np.pi)
         turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
         shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
         blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), turn)
         wide = np.kron(np.eye(3), turn)
-        return Run(
+        return SampledEstimate(
             self.state.transformed(turn, shift),
             (blocks @ self.information @ blocks.T).tocsr(),
             wide @ self.marginals @ wide.T,
         )
 
 
-def solved(scene: Scene, generator: np.random.Generator) -> Run:
+def solved(scene: Scene, generator: np.random.Generator) -> SampledEstimate:
     """Return what the estimator makes of one set of measurements, in the free gauge.
 
     Raises:
         DegenerateGeometryError: More than the gauge's four directions are open.
     """
     problem, start = scene.measured(generator), scene.disturbed(generator)
-    state = solve(problem, start, Handling.FREE, function_tolerance=_TOLERANCE).state
+    state = solve(problem, start, GaugeHandling.FREE, function_tolerance=_TOLERANCE).state
     # As its own reference, its first rotation is perturbed on the left like all others.
     state = state.referred_to(state.rotations[0], state.positions[0])
     information = information_of(problem, state)
-    run = Run(state, information, _Held(information).marginals())
+    run = SampledEstimate(state, information, _FixedGaugeGaussian(information).marginals())
     return run.elsewhere(generator)
 
 
@@ -81,30 +81,30 @@ class Sampler:
         """
         self._truth = scene.truth
         self._information = information_of(scene.noise_free(), scene.truth)
-        self._held = _Held(self._information)
+        self._held = _FixedGaugeGaussian(self._information)
         self._marginals = self._held.marginals()
 
-    def draw(self, generator: np.random.Generator) -> Run:
+    def draw(self, generator: np.random.Generator) -> SampledEstimate:
         """Return one run; its landmarks are the true ones, moved into its frame."""
         step = np.concatenate(
             [self._held.sampled(generator), np.zeros(self._truth.landmarks.size)]
         )
-        run = Run(self._truth.moved(step), self._information, self._marginals)
+        run = SampledEstimate(self._truth.moved(step), self._information, self._marginals)
         return run.elsewhere(generator)
 
 
-class _Held:
+class _FixedGaugeGaussian:
     """The motion's Gaussian with position and yaw of the first keyframe held: eq. (10)."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
         self._size = information.shape[0]
         self._kept = np.setdiff1d(np.arange(self._size), GAUGE_INDICES)
-        self._chain = Chain(information[self._kept][:, self._kept].tocsr())
+        self._gaussian = BandedGaussian(information[self._kept][:, self._kept].tocsr())
 
     def sampled(self, generator: np.random.Generator) -> Array:
         """Return a perturbation (9N,)."""
         step = np.zeros(self._size)
-        step[self._kept] = self._chain.sampled(generator.standard_normal(len(self._kept)))
+        step[self._kept] = self._gaussian.sampled(generator.standard_normal(len(self._kept)))
         return step
 
     def marginals(self) -> Array:
@@ -112,6 +112,6 @@ class _Held:
         blocks = np.zeros((self._size // 9, 9, 9))
         # Of the first keyframe, roll, pitch and velocity are not held.
         first = self._kept[:5]
-        blocks[0][np.ix_(first, first)] = self._chain.marginals(np.array([0]), 5)[0]
-        blocks[1:] = self._chain.marginals(np.arange(5, len(self._kept), 9), 9)
+        blocks[0][np.ix_(first, first)] = self._gaussian.marginals(np.array([0]), 5)[0]
+        blocks[1:] = self._gaussian.marginals(np.arange(5, len(self._kept), 9), 9)
         return blocks

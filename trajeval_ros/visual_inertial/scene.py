@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.landmarks import draw_landmarks
 from trajeval_ros.visual_inertial.motion import Motion
@@ -29,7 +29,7 @@ _START_VELOCITY_MPS, _START_LANDMARK_M = 0.05, 0.075
 
 
 @dataclass(frozen=True)
-class Profile:
+class SensorProfile:
     """Sensors, and whether the estimator's model of them is right.
 
     Attributes:
@@ -57,13 +57,13 @@ _EUROC_IMU = ImuNoise(1.6968e-4, 2.0e-3)
 
 PROFILES = {
     # Errors of the paper's Table II, and its number of iterations; the paper states no noise.
-    "paper": Profile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
-    "euroc": Profile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
-    "overconfident": Profile(Camera(315.0, 640, 480), _EUROC_IMU, 50, honest=False),
+    "paper": SensorProfile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
+    "euroc": SensorProfile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
+    "overconfident": SensorProfile(Camera(315.0, 640, 480), _EUROC_IMU, 50, honest=False),
 }
 
 
-def profile_named(name: str) -> Profile:
+def profile_named(name: str) -> SensorProfile:
     """Return a profile by name.
 
     Raises:
@@ -91,7 +91,7 @@ class Scene:
         camera_in_body: (3, 3).
     """
 
-    profile: Profile
+    profile: SensorProfile
     times_s: Array
     truth: State
     flown: State
@@ -158,7 +158,7 @@ class Scene:
 def make_scene(
     motion: Motion,
     layout: str,
-    profile: Profile,
+    profile: SensorProfile,
     seed: int,
     keyframes: int = 10,
     landmarks: int | None = None,

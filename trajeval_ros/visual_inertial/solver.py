@@ -15,7 +15,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
-from trajeval_ros.visual_inertial.reduction import Reduced, reduce_landmarks
+from trajeval_ros.visual_inertial.reduction import ReducedSystem, reduce_landmarks
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ _ROUNDING = 1e-12
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
-class Handling(Enum):
+class GaugeHandling(Enum):
     """How the gauge freedom is handled (gauge paper, Table I)."""
 
     FIXATION = "fixation"
@@ -58,7 +58,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class SolverResult:
     """Where the iterations ended.
 
     Attributes:
@@ -79,12 +79,12 @@ class Solution:
 def solve(
     problem: Problem,
     initial: State,
-    handling: Handling,
+    handling: GaugeHandling,
     prior_weight: float = 1e5,
     function_tolerance: float = 1e-6,
     *,
     keep_last_step: bool = True,
-) -> Solution:
+) -> SolverResult:
     """Minimise eq. (1).
 
     Args:
@@ -97,7 +97,7 @@ def solve(
             does so too, and reproduces the paper's differences between gauges; True is nearer
             to the minimum.
     """
-    descent = _Descent(problem, handling, prior_weight if handling is Handling.PRIOR else 0.0)
+    descent = _Descent(problem, handling, prior_weight if handling is GaugeHandling.PRIOR else 0.0)
     state, here = initial, descent.at(initial)
     radius, shrink = _FIRST_RADIUS, 2.0
     scale = 1.0 / (1.0 + np.sqrt(here.curvature))
@@ -138,7 +138,7 @@ def solve(
         state, here, reached = candidate, descent.at(candidate), cost
         trace.append(descent.traced(state, here))
     columns = (np.array(column) for column in zip(*trace, strict=True))
-    return Solution(state, reached, iterations, reason, Trace(*columns))
+    return SolverResult(state, reached, iterations, reason, Trace(*columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +172,10 @@ class _Linearised:
 class _Descent:
     """What depends on how the gauge is handled."""
 
-    def __init__(self, problem: Problem, handling: Handling, weight: float) -> None:
+    def __init__(self, problem: Problem, handling: GaugeHandling, weight: float) -> None:
         self.problem, self.weight = problem, weight
         self.free = np.ones(9 * problem.keyframes, dtype=bool)
-        if handling is Handling.FIXATION:
+        if handling is GaugeHandling.FIXATION:
             self.free[GAUGE_INDICES] = False
 
     def at(self, state: State) -> _Linearised:
@@ -209,7 +209,7 @@ class _Descent:
         gain = -0.5 * float(here.gradient @ step) + 0.5 * float((damping * step) @ step)
         return step, gain
 
-    def _solved(self, reduced: Reduced, prior: Array) -> Array:
+    def _solved(self, reduced: ReducedSystem, prior: Array) -> Array:
         matrix, gradient = reduced.matrix, reduced.gradient
         matrix[GAUGE_INDICES, GAUGE_INDICES] += self.weight
         gradient[GAUGE_INDICES] += prior

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
+from trajeval_ros.geometry import lie
 
 Array = NDArray[np.float64]
 
@@ -92,16 +92,16 @@ class State:
         count = len(self.positions)
         basis = np.zeros((3 * count + len(self.landmarks), 3, 4))
         motion, landmarks = basis[: 3 * count].reshape(count, 9, 4), basis[3 * count :]
-        motion[:, 0:3, 0] = _about_gravity(self.positions)
+        motion[:, 0:3, 0] = _gravity_cross(self.positions)
         motion[:, 3:6, 0] = [0.0, 0.0, 1.0]
         motion[0, 3:6, 0] = lie.inverse_left_jacobian(self.first_turn)[:, 2]
-        motion[:, 6:9, 0] = _about_gravity(self.velocities)
-        landmarks[:, :, 0] = _about_gravity(self.landmarks)
+        motion[:, 6:9, 0] = _gravity_cross(self.velocities)
+        landmarks[:, :, 0] = _gravity_cross(self.landmarks)
         motion[:, 0:3, 1:] = np.eye(3)
         landmarks[:, :, 1:] = np.eye(3)
         return basis.reshape(-1, 4)
 
 
-def _about_gravity(vectors: Array) -> Array:
+def _gravity_cross(vectors: Array) -> Array:
     """Return e_z x v."""
     return np.stack([-vectors[:, 1], vectors[:, 0], np.zeros(len(vectors))], axis=1)

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros import lie
-from trajeval_ros.visual_inertial.covariance import (
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
     transform,
 )
 from trajeval_ros.visual_inertial.scene import Scene
-from trajeval_ros.visual_inertial.solver import Handling, Solution, Trace, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling, SolverResult, Trace, solve
 from trajeval_ros.visual_inertial.state import State
 
 Array = NDArray[np.float64]
@@ -70,10 +70,10 @@ class Covariances:
     difference: float
 
 
-def compare(scene: Scene, trials: int, advance: Advance) -> dict[Handling, Trials]:
+def compare(scene: Scene, trials: int, advance: Advance) -> dict[GaugeHandling, Trials]:
     """Solve the same trials with each way to handle the gauge (Table II and III, Fig. 7)."""
-    handlings = list(Handling)
-    rows: dict[Handling, list[tuple[float, ...]]] = {each: [] for each in handlings}
+    handlings = list(GaugeHandling)
+    rows: dict[GaugeHandling, list[tuple[float, ...]]] = {each: [] for each in handlings}
     for trial in range(trials):
         # Whichever comes first pays for cold caches: they take turns.
         turn = trial % len(handlings)
@@ -90,7 +90,9 @@ def sweep(
     outcome = []
     for weight in weights:
         outcome.append(
-            _columns([_trial(scene, trial, Handling.PRIOR, weight)[0] for trial in range(trials)])
+            _columns(
+                [_trial(scene, trial, GaugeHandling.PRIOR, weight)[0] for trial in range(trials)]
+            )
         )
         advance()
     return outcome
@@ -98,14 +100,14 @@ def sweep(
 
 def paths(scene: Scene, weights: Sequence[float] = PATH_WEIGHTS) -> list[Trace]:
     """Return the iterations' ways in one trial, by prior weight (Fig. 6)."""
-    return [_trial(scene, 0, Handling.PRIOR, weight)[1].trace for weight in weights]
+    return [_trial(scene, 0, GaugeHandling.PRIOR, weight)[1].trace for weight in weights]
 
 
-def covariances(scene: Scene, trial: int = 0) -> Covariances:
-    """Return the covariances of one trial (Fig. 9 and 10)."""
-    free = _trial(scene, trial, Handling.FREE, 0.0)[1].state
-    fixed = _trial(scene, trial, Handling.FIXATION, 0.0)[1].state
-    problem = scene.measured(np.random.default_rng([_DRAW, trial]))
+def covariances(scene: Scene) -> Covariances:
+    """Return the covariances of the first trial (Fig. 9 and 10)."""
+    free = _trial(scene, 0, GaugeHandling.FREE, 0.0)[1].state
+    fixed = _trial(scene, 0, GaugeHandling.FIXATION, 0.0)[1].state
+    problem = scene.measured(np.random.default_rng([_DRAW, 0]))
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
     difference = np.linalg.norm(transformed - of_fixed) / np.linalg.norm(of_fixed)
@@ -113,8 +115,8 @@ def covariances(scene: Scene, trial: int = 0) -> Covariances:
 
 
 def _trial(
-    scene: Scene, trial: int, handling: Handling, weight: float
-) -> tuple[tuple[float, ...], Solution]:
+    scene: Scene, trial: int, handling: GaugeHandling, weight: float
+) -> tuple[tuple[float, ...], SolverResult]:
     problem = scene.measured(np.random.default_rng([_DRAW, trial]))
     start = scene.disturbed(np.random.default_rng([_START, trial]))
     begin = time.perf_counter()

@@ -1,0 +1,76 @@
+"""Definitions of messages: those that are standard are known without being parsed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.message_definitions import (
+    STANDARD,
+    fields_of,
+    is_standard,
+    recorded_fields,
+    types_in,
+)
+
+STORES = [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY]
+
+
+def text_of(store: Any, kind: str) -> str:
+    return str(store.generate_msgdef(kind, ros_version=2)[0])
+
+
+def parsed(text: str, kind: str) -> Any:
+    try:
+        return fields_of(types_in("MSG", text, kind), kind)
+    except Exception:  # rosbags raises half a dozen kinds
+        return None
+
+
+@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("kind", STANDARD)
+def test_standard_definitions_are_what_rosbags_parses(store: Stores, kind: str) -> None:
+    text = text_of(get_typestore(store), kind)
+    assert is_standard(text, kind)
+    assert parsed(text, kind) == STANDARD[kind]
+    commented = re.sub("\n", "  # float64 x = 5\n\n", text.replace("float64 w", "float64 w 1"))
+    commented = re.sub(r"^(=+|MSG: .*)  # .*$", r"\1", commented, flags=re.MULTILINE)
+    commented = commented.replace("=\n\nMSG", "=\nMSG")
+    assert is_standard(commented, kind)
+    assert parsed(commented, kind) == STANDARD[kind]
+
+
+@pytest.mark.parametrize("kind", STANDARD)
+def test_no_line_can_be_changed_unnoticed(kind: str) -> None:
+    text = text_of(get_typestore(Stores.ROS2_JAZZY), kind)
+    lines = text.splitlines()
+    fields = [row for row, line in enumerate(lines) if len(line.split()) == 2 and ":" not in line]
+    assert len(fields) > 3
+    for row in fields:
+        name = lines[row].split()[1]
+        for changed in ([], ["int8 more", lines[row]], [f"int8 {name}"], [f"float32[2] {name}"]):
+            other = "\n".join([*lines[:row], *changed, *lines[row + 1 :]])
+            assert not is_standard(other, kind)
+            assert parsed(other, kind) != STANDARD[kind]
+    assert not is_standard(f"int8 X=1\n{text}", kind)
+    assert not is_standard("", kind)
+
+
+def test_definitions_of_real_bags(shared_data: Path) -> None:
+    found = set()
+    for name in ("nav2_turtlebot.mcap", "tf_example"):
+        with Bag(shared_data / "bags" / name) as bag:
+            for topic in bag.topics:
+                definition = topic.connections[0].msgdef
+                if topic.type in STANDARD and definition.format.name == "MSG":
+                    assert recorded_fields(topic.connections[0]) == parsed(
+                        definition.data, topic.type
+                    )
+                    found.add((topic.type, is_standard(definition.data, topic.type)))
+    assert found
+    assert all(standard for _, standard in found)

@@ -1,0 +1,110 @@
+"""The common change of all numbers of a gate, with bounds that agree with its verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from trajeval_ros.batch.gate_tests import (
+    FALSE_ALARMS,
+    RELABELLINGS,
+    levels_of,
+    mean_change,
+    share_at_least,
+    student,
+    weight_of,
+)
+from trajeval_ros.batch.relabelling import (
+    Array,
+    Scores,
+    Size,
+    balanced_count,
+    contrast,
+    contrasts,
+    relabellings,
+    scores_of,
+)
+
+Change = tuple[float, float, float]
+
+
+def common_change(
+    numbers: Sequence[Array], sizes: Sequence[Size], total: float = FALSE_ALARMS
+) -> Change:
+    """Return the common change of one comparison and its bounds, as logarithms.
+
+    Bounds are where the pooled test turns (same relabellings at every shift); each is missed with
+    the pooled level. They are infinite where nothing can be said.
+    """
+    levels = levels_of(sizes, total)
+    changes = [float(mean_change(z, size)[0]) for z, size in zip(numbers, sizes, strict=True)]
+    if levels.pooled_by == "none":
+        return float(np.mean(changes)), -math.inf, math.inf
+    finite = np.concatenate([z[np.isfinite(z)] for z in numbers])
+    span = 20.0 * (1.0 + float(np.ptp(finite)))
+    p_of: Callable[[float, float], float]
+    if levels.pooled_by == "student":
+
+        def p_of(shift: float, direction: float) -> float:
+            return float(student(shifted(numbers, sizes, shift), sizes, direction)[0])
+
+        estimate = float(np.mean(changes))
+    else:
+        test = _PooledTest(numbers, sizes)
+        span = max(float(np.ptp(z[np.isfinite(z)])) for z in numbers) + 1e-6
+        p_of = test.p
+        estimate = _where_it_turns(-span, span, lambda shift: test.statistic(shift) > 0.0)
+    if p_of(-span, 1.0) > levels.pooled:
+        return estimate, -math.inf, math.inf
+    low = _where_it_turns(-span, estimate, lambda shift: p_of(shift, 1.0) <= levels.pooled)
+    high = _where_it_turns(estimate, span, lambda shift: p_of(shift, -1.0) > levels.pooled)
+    return estimate, low, high
+
+
+def shifted(numbers: Sequence[Array], sizes: Sequence[Size], shift: float) -> list[Array]:
+    """Return numbers whose new trials are less by a shift."""
+    return [
+        np.concatenate([z[:, :old], z[:, old:] - shift], axis=1)
+        for z, (old, _) in zip(numbers, sizes, strict=True)
+    ]
+
+
+class _PooledTest:
+    """The pooled test of one comparison at any shift, with the relabellings of `compare`."""
+
+    def __init__(self, numbers: Sequence[Array], sizes: Sequence[Size]) -> None:
+        random = np.random.default_rng(0)
+        count = max(balanced_count(RELABELLINGS, size) for size in sizes)
+        self._labels = [relabellings(random, size, count) for size in sizes]
+        self._numbers, self._sizes = numbers, sizes
+
+    def _scores(self, shift: float) -> Scores:
+        return scores_of(shifted(self._numbers, self._sizes, shift))
+
+    def statistic(self, shift: float) -> float:
+        """Return the pooled statistic of the labels as they are."""
+        scores = self._scores(shift)
+        return sum(
+            weight_of(size) / float(scores.scales[0, place]) * float(contrast(psi, size)[0])
+            for place, (psi, size) in enumerate(zip(scores.psi, self._sizes, strict=True))
+        )
+
+    def p(self, shift: float, direction: float) -> float:
+        """Return p of the test after a shift of the new trials."""
+        scores = self._scores(shift)
+        sums = sum(
+            weight_of(size) / scores.scales[0, place] * contrasts(psi, size, self._labels[place])
+            for place, (psi, size) in enumerate(zip(scores.psi, self._sizes, strict=True))
+        )
+        mine = np.array([direction * self.statistic(shift)])
+        return float(share_at_least(direction * np.asarray(sums), mine)[0])
+
+
+def _where_it_turns(low: float, high: float, is_below: Callable[[float], bool]) -> float:
+    """Return where a statement that is true at `low` becomes false, by bisection."""
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_below(middle) else (low, middle)
+    return 0.5 * (low + high)

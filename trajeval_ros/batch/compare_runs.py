@@ -1,0 +1,93 @@
+"""A comparison as a whole: from a YAML file or a folder to tables and a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trajeval_ros.batch.comparison import run_plan
+from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.executors import local_pool
+from trajeval_ros.batch.summary_tables import ComparisonSummary, failures, matrices, summary_of
+from trajeval_ros.exceptions import require_one_of
+from trajeval_ros.io.request_words import WORDS
+from trajeval_ros.io.writing import write_text
+from trajeval_ros.report import matrix as tables
+
+
+def compare(
+    target: str | Path,
+    output: str | Path,
+    *,
+    common_time_span: bool | None = None,
+    workers: int | None = None,
+    report: bool = True,
+    **settings: str | float,
+) -> ComparisonSummary:
+    """Evaluate algorithms x sequences x trials, in processes, and write tables and a report.
+
+    A script that calls it does so under `if __name__ == "__main__":`, since processes import it.
+
+    Args:
+        target: A YAML file that says what to compare (docs/compare.md), or a folder of ov_eval's
+            or rpg_trajectory_evaluation's layout.
+        output: Folder for runs.parquet, tables and report.html. What is there and unchanged isn't
+            evaluated again.
+        common_time_span: Evaluate only the time that all runs of a sequence have; None for what
+            the file says.
+        workers: Number of processes; None for one for each core.
+        report: Whether to write report.html, which needs matplotlib.
+        **settings: Of the request, by the command line's words with `_` for `-`, such as
+            modality="mono-inertial", lengths="8,16" or time_offset="auto"; they override the
+            file's.
+
+    Returns:
+        All runs, those that failed included, and statistics over trials.
+
+    Raises:
+        InputError: The target can't be read, the output can't be written, or a package of the
+            extra `compare` is missing.
+        SettingsError: Settings that mean nothing.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> from trajeval_ros import compare
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     compare(pathlib.Path(folder) / "runs.yaml", folder)
+        Traceback (most recent call last):
+            ...
+        trajeval_ros.exceptions.InputError: ...runs.yaml does not exist; name a YAML file that ...
+    """
+    for word in settings:
+        require_one_of(word, WORDS, "setting")
+    folder = Path(output)
+    words = {word: _as_written(word, value) for word, value in settings.items()}
+    plan = plan_of(Path(target), words, common_time_span=common_time_span)
+    run_plan(plan, folder, lambda: local_pool(workers))
+    summary = summary_of(folder)
+    write_tables(folder, summary)
+    if report:
+        from trajeval_ros.batch.page import write_report
+
+        write_report(folder, summary, local_pool(workers))
+    return summary
+
+
+def _as_written(word: str, value: str | float) -> str | float:
+    """Return a number as the text that its word takes, unless it takes numbers."""
+    return value if WORDS[word] is float else str(value)
+
+
+def write_tables(folder: Path, summary: ComparisonSummary) -> None:
+    """Write tables.md, tables.tex and a CSV file for each table.
+
+    Raises:
+        InputError: They can't be written.
+    """
+    made = matrices(summary)
+    lost = [f"* {tables.markdown_text(line)}" for line in failures(summary)]
+    without = ["### Runs without numbers", "", *lost, ""] if lost else []
+    text = "\n".join([f"# {summary.title}", "", *map(tables.to_markdown, made), *without])
+    write_text(folder / "tables.md", text)
+    write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
+    for each in made:
+        write_text(folder / f"{each.name}.csv", tables.to_csv(each))

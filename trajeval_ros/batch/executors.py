@@ -1,0 +1,283 @@
+"""Where runs are evaluated: processes of this machine, or the workers of a Dask cluster.
+
+Both are a `concurrent.futures.Executor`. A worker that dies takes its run with it and no other.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import connection, get_context, parent_process
+from typing import Any
+
+from trajeval_ros.batch.worker import Task, work
+from trajeval_ros.exceptions import InputError
+
+Outcome = bytes | str  # an encoded record, or why there is none
+Finish = Callable[[Task, Outcome], None]
+
+# One thread each: the runs are the parallelism, and more threads than cores only wait.
+_ONE_THREAD = {
+    f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
+}
+_PATIENCE_S = 10.0
+_DIED = "the process that evaluated it died; was it out of memory?"
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Executors that can be started, and started again when one broke.
+
+    Attributes:
+        start: Starts one with so many workers.
+        workers: How many there are.
+        ahead: How many more runs than workers may wait in the executor: it must not run dry, and
+            memory must not grow with the number of runs.
+    """
+
+    start: Callable[[int], AbstractContextManager[Executor]]
+    workers: int
+    ahead: int = field(default=2)
+
+
+def local_pool(workers: int | None) -> Pool:
+    """Return processes of this machine, by default one for each core that we may use."""
+    return Pool(_processes, workers or _cores())
+
+
+def dask_pool(address: str) -> Pool:
+    """Return the workers of a Dask cluster.
+
+    Raises:
+        InputError: dask.distributed is not installed, there is no scheduler at the address or it
+            has no workers.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            "--cluster needs dask.distributed, which is not installed: "
+            "pip install 'trajeval-ros[cluster]'"
+        ) from error
+    connect: Any = functools.partial(
+        distributed.Client, address, timeout=_PATIENCE_S, set_as_default=False
+    )
+    try:
+        with connect() as client:
+            threads = sum(client.nthreads().values())
+            lacking = client.run(_lacks_trajeval) if threads else {}
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"no Dask scheduler answers at {address}: {error}") from error
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the workers at {address} lack a package: {error}; install trajeval-ros there"
+        ) from error
+    if not threads:
+        raise InputError(f"the Dask scheduler at {address} has no workers; start some first")
+    assert not any(lacking.values())
+
+    @contextmanager
+    def start(workers: int) -> Iterator[Executor]:  # noqa: ARG001 - it has the workers it has
+        with connect() as client:
+            yield _Workers(client)
+
+    return Pool(start, threads, ahead=max(8, threads))
+
+
+def evaluate_all(
+    pool: Pool,
+    tasks: Iterable[Task],
+    finish: Finish,
+    watch: Callable[[list[Task]], None] = lambda running: None,
+) -> None:
+    """Evaluate runs on a pool; each is finished once, evaluated or failed.
+
+    Args:
+        pool: Where.
+        tasks: What; taken as workers become free.
+        finish: Called with each run and what came out, here, in order of completion.
+        watch: Called with what is being evaluated, whenever that changes.
+
+    Raises:
+        InputError: The cluster is lost.
+    """
+    waiting = iter(tasks)
+    suspects: list[Task] = []
+    exhausted = False
+    while not exhausted:
+        with pool.start(pool.workers) as executor:
+            exhausted = _drain(pool, executor, waiting, suspects, finish, watch)
+        # Whichever run broke the executor is among those in flight: each gets one of its own.
+        for task in suspects:
+            watch([task])
+            with pool.start(1) as executor:
+                finish(task, _outcome(executor.submit(work, task)))
+        suspects.clear()
+
+
+def _drain(
+    pool: Pool,
+    executor: Executor,
+    waiting: Iterator[Task],
+    suspects: list[Task],
+    finish: Finish,
+    watch: Callable[[list[Task]], None],
+) -> bool:
+    """Work through the tasks; return whether all are done, and not the executor broken."""
+    running: dict[Future[Outcome], Task] = {}
+    room = pool.workers + pool.ahead
+    while True:
+        while len(running) < room and (task := next(waiting, None)) is not None:
+            running[_submit(executor, task)] = task
+        if not running:
+            return True
+        watch(list(running.values())[: pool.workers])
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            try:
+                outcome = future.result()
+            except BrokenExecutor:
+                finished = [each for each in running if _succeeded(each)]
+                for each in finished:
+                    finish(running.pop(each), each.result())
+                suspects += running.values()
+                return False
+            except Exception as error:
+                outcome = _failure(error)
+            finish(running.pop(future), outcome)
+
+
+def _submit(executor: Executor, task: Task) -> Future[Outcome]:
+    """Hand a run over; to a broken executor, so that it is among those that broke with it."""
+    try:
+        return executor.submit(work, task)
+    except BrokenExecutor as error:
+        future: Future[Outcome] = Future()
+        future.set_exception(error)
+        return future
+
+
+def _succeeded(future: Future[Outcome]) -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _outcome(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except BrokenExecutor:
+        return _DIED
+    except Exception as error:
+        return _failure(error)
+
+
+def _failure(error: Exception) -> str:
+    """Return why a run failed that no worker could tell about."""
+    if isinstance(error, CancelledError) or type(error).__name__ == "FutureCancelledError":
+        raise InputError(
+            "the connection to the cluster is lost; what was finished is kept: start again to "
+            "go on from there"
+        ) from error
+    if type(error).__name__ == "KilledWorker":
+        return _DIED
+    return f"{type(error).__name__}: {error}"
+
+
+class _Workers(Executor):
+    """The workers of a Dask client.
+
+    Dask's own executor looks at a future's state after its result was fetched. If the worker has
+    died in between, the state is no longer "finished", and the result is unpacked as an error.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand something over to a worker."""
+        # Numbers come out the same wherever they are computed, but a key of its own for each
+        # run keeps two comparisons at the same time apart.
+        remote = self._client.submit(fn, *args, pure=False, **kwargs)
+        local: Future[Any] = Future()
+        self._client.loop.add_callback(_pass_on, remote, local)
+        return local
+
+
+async def _pass_on(remote: Any, local: Future[Any]) -> None:
+    """Wait for a future of Dask and give its outcome to another one."""
+    try:
+        result = await remote
+    except Exception as error:
+        local.set_exception(error)
+    else:
+        local.set_result(result)
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[Executor]:
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    # Spawned, since a fork copies whatever threads and locks a notebook has open.
+    executor = _Processes(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+class _Processes(ProcessPoolExecutor):
+    """Processes that leave Ctrl-C to their parent, from their first moment on."""
+
+    def submit(self, *args: Any, **options: Any) -> Future[Any]:
+        """Hand something over: then processes are started, which inherit what is blocked."""
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(*args, **options)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*args, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the parent, and never outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A parent that was killed can't tell: its end of the queue stays open in every worker.
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+
+def _lacks_trajeval() -> bool:
+    import trajeval_ros.batch.worker
+
+    return not trajeval_ros.batch.worker.__name__
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,105 @@
+"""What a SOURCE's bytes are, to know whether it changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.batch.patterns import is_url, split_topic
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.writing import write_text
+
+_NANOSECONDS = 1_000_000_000
+# A file that changed later than this before it was hashed may change again at the same stamp.
+_SETTLED_NS = 2 * _NANOSECONDS
+# To read bags takes long, and a kill shouldn't make it be done again.
+_SAVED_EVERY_S = 5.0
+
+
+class Fingerprints:
+    """sha256 of inputs, remembered by size and time of change, as git does in its index."""
+
+    def __init__(self, memory: Path) -> None:
+        self._memory = memory
+        self._known: dict[str, list[Any]] = {}
+        self._of_source: dict[str, str] = {}
+        self._changed = False
+        self._saved_at = time.monotonic()
+        try:
+            known = json.loads(memory.read_text(encoding="utf-8"))
+            self._known = known if isinstance(known, dict) else {}
+        except (OSError, ValueError):
+            pass  # nothing remembered: all is read again
+
+    def of(self, source: str) -> str:
+        """Return the sha256 of what a SOURCE reads, with its topic.
+
+        Raises:
+            InputError: It can't be read.
+        """
+        if source not in self._of_source:
+            self._of_source[source] = self._fingerprint(source)
+            if time.monotonic() > self._saved_at + _SAVED_EVERY_S:
+                self.save()
+        return self._of_source[source]
+
+    def save(self) -> None:
+        """Remember what was read, for the next time."""
+        if self._changed:
+            write_text(self._memory, json.dumps(self._known, indent=0) + "\n")
+            self._changed = False
+        self._saved_at = time.monotonic()
+
+    def _fingerprint(self, source: str) -> str:
+        path, topic = split_topic(source)
+        digest = hashlib.sha256(topic.encode())
+        if is_url(path):
+            digest.update(_remote_state(path).encode())
+            return digest.hexdigest()
+        local = parse_source(source).path
+        try:
+            files = sorted(each for each in local.rglob("*") if each.is_file())
+            for file in files or [local, *_read_beside(local)]:
+                digest.update(self._file(file).encode())
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise InputError(f"{error.filename or local} can't be read: {reason}") from error
+        return digest.hexdigest()
+
+    def _file(self, path: Path) -> str:
+        name, state = str(path.resolve()), path.stat()
+        changed = max(state.st_mtime_ns, state.st_ctime_ns)  # `cp -p` keeps the first alone
+        now = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
+        known = self._known.get(name)
+        if known and known[:-1] == now:
+            return str(known[-1])
+        with path.open("rb") as file:
+            digest = hashlib.sha256()
+            while block := file.read(1 << 20):
+                digest.update(block)
+        if time.time_ns() - changed > _SETTLED_NS:
+            self._known[name] = [*now, digest.hexdigest()]
+            self._changed = True
+        return digest.hexdigest()
+
+
+def _read_beside(path: Path) -> list[Path]:
+    """Return the files that are read with another: KITTI's stamps, the log of an sqlite bag."""
+    names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
+    beside = [path.with_name(name) for name in names]
+    return [each for each in beside if each.is_file() and each != path]
+
+
+def _remote_state(url: str) -> str:
+    """Return what tells whether a file behind a URL changed: its tag, or its size and time."""
+    try:
+        from fsspec.core import url_to_fs
+
+        files, path = url_to_fs(url)
+        return str(files.ukey(path))
+    except (ImportError, OSError, ValueError) as error:
+        raise InputError(f"{url} can't be read: {error}") from error

@@ -1,0 +1,280 @@
+"""Tests of a gate: are all numbers together worse, is a single one, are there more failures?
+
+Arrays are those of `relabelling`; new trials are already less the logarithm of the margin, so that
+each test asks whether they are worse by more than the margin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import stdtr
+
+from trajeval_ros.batch.relabelling import (
+    Array,
+    Labels,
+    Size,
+    balanced_count,
+    contrast,
+    contrasts,
+    relabellings,
+    scores_of,
+    studentised,
+)
+
+FALSE_ALARMS = 0.025
+RELABELLINGS = 4000
+_BY_RELABELLING = 0.72  # share of the level for single numbers
+_BY_STUDENT = 0.32  # the same where relabellings are too few for single numbers
+ENOUGH = 1.15  # least rejections that single numbers must have by their level
+_FLOOR = 0.3  # of the typical spread, that few trials of one number may have
+_TIE = 1e-9  # relative: sums in another order are equal
+
+Way = Literal["relabelling", "student", "known", "none"]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """How the chance of a false alarm is shared.
+
+    Attributes:
+        total: Of all.
+        pooled: Of the verdict on all numbers together.
+        numbers: Of all single numbers together; 0 if none can be judged.
+        pooled_by, numbers_by: Which test judges.
+    """
+
+    total: float
+    pooled: float
+    numbers: float
+    pooled_by: Way
+    numbers_by: Way
+
+
+def levels_of(sizes: Sequence[Size], total: float = FALSE_ALARMS) -> Levels:
+    """Share the chance of a false alarm: a test that can never reject gives its share away."""
+    counts = [math.comb(old + new, new) for old, new in sizes]
+    share = 0.0
+    way: Way = "none"
+    if len(sizes) > 1 and max(counts) * _BY_RELABELLING * total >= ENOUGH:
+        share, way = _BY_RELABELLING * total, "relabelling"
+    elif len(sizes) > 1 and any(min(each) > 1 for each in sizes):
+        share, way = _BY_STUDENT * total, "student"
+    if math.log(total - share) + sum(map(math.log, counts)) < 0.0:
+        alone: Way = "none" if _is_one_trial(sizes) else "student"
+        return Levels(total, total, 0.0, alone, "none")
+    return Levels(total, total - share, share, "relabelling", way)
+
+
+def levels_when_known(numbers: int, total: float) -> Levels:
+    """Share the chance of a false alarm where the spread of trials is known."""
+    if numbers == 1:
+        return Levels(total, total, 0.0, "known", "none")
+    share = _BY_RELABELLING * total
+    return Levels(total, total - share, share, "known", "known")
+
+
+def _is_one_trial(sizes: Sequence[Size]) -> bool:
+    return len(sizes) == 1 and min(sizes[0]) < 2
+
+
+@dataclass(frozen=True)
+class GateOutcome:
+    """What a test says.
+
+    Attributes:
+        levels: What p-values are compared with.
+        p_pooled: Of all numbers together, (comparisons,).
+        p_numbers: Of single ones, adjusted for their count, (comparisons, numbers).
+    """
+
+    levels: Levels
+    p_pooled: Array
+    p_numbers: Array
+
+    @property
+    def pooled(self) -> Labels:
+        """Whether all together are called worse, (comparisons,)."""
+        return self.p_pooled <= self.levels.pooled
+
+    @property
+    def numbers(self) -> Labels:
+        """Which single ones are called worse; after the pooled verdict they have its level too."""
+        levels = self.levels
+        if not levels.numbers:
+            return np.zeros(self.p_numbers.shape, dtype=np.bool_)
+        level = np.where(self.pooled, levels.total, levels.numbers)
+        return self.p_numbers <= level[:, None]
+
+    @property
+    def alarm(self) -> Labels:
+        """Whether anything is called worse, (comparisons,)."""
+        return self.pooled | self.numbers.any(1)
+
+
+def compare(
+    numbers: Sequence[Array],
+    sizes: Sequence[Size],
+    *,
+    direction: float = 1.0,
+    total: float = FALSE_ALARMS,
+    count: int = RELABELLINGS,
+    random: np.random.Generator | None = None,
+) -> GateOutcome:
+    """Test whether new trials are worse than old ones.
+
+    Args:
+        numbers: Logarithms of each number, (comparisons, old + new).
+        sizes: Its old and new trials.
+        direction: -1 tests whether they are better instead.
+        total: Chance of a false alarm.
+        count: Relabellings.
+        random: What they are drawn with; by default the same each time.
+    """
+    random = random or np.random.default_rng(0)
+    levels = levels_of(sizes, total)
+    shape = (len(numbers[0]), len(numbers))
+    if levels.pooled_by != "relabelling":
+        p = np.ones(shape[0])
+        if levels.pooled_by == "student":
+            p = student(numbers, sizes, direction)
+        return GateOutcome(levels, p, np.ones(shape))
+    scores = scores_of(numbers)
+    count = max(balanced_count(count, size) for size in sizes)
+    single = levels.numbers_by == "relabelling"
+    observed, sums = np.empty(shape), np.zeros((shape[0], count))
+    mine, largest = np.zeros(shape[0]), np.full((shape[0], count), -np.inf)
+    for place, (psi, size) in enumerate(zip(scores.psi, sizes, strict=True)):
+        labels = relabellings(random, size, count)
+        own = direction * contrast(psi, size)
+        others = direction * contrasts(psi, size, labels)
+        weight = weight_of(size) / scores.scales[:, place]
+        mine += weight * own
+        sums += weight[:, None] * others
+        if single:
+            ratio = scores.typical / scores.scales[:, place]
+            observed[:, place] = studentised(own[:, None], psi, size, ratio)[:, 0]
+            np.maximum(largest, studentised(others, psi, size, ratio), out=largest)
+    p_pooled = share_at_least(sums, mine)
+    p_numbers = np.ones(shape)
+    if single:
+        # Of all numbers the largest t (max-T): their p-values hold for all of them together.
+        for place in range(shape[1]):
+            p_numbers[:, place] = share_at_least(largest, observed[:, place])
+    elif levels.numbers_by == "student":
+        p_numbers = _student_of_each(numbers, sizes, direction)
+    return GateOutcome(levels, p_pooled, p_numbers)
+
+
+def weight_of(size: Size) -> float:
+    """Return what a difference of means weighs: harmonic, so that few trials count less."""
+    old, new = size
+    return old * new / (old + new)
+
+
+def share_at_least(values: Array, least: Array) -> Array:
+    """Return the share of values (comparisons, count) not below, the observed one included."""
+    edge = least - _TIE * (1.0 + np.abs(least))
+    made: Array = (1.0 + (values >= edge[:, None]).sum(1)) / (values.shape[1] + 1.0)
+    return made
+
+
+def _student_of_each(numbers: Sequence[Array], sizes: Sequence[Size], direction: float) -> Array:
+    """Return p of each number alone, times the numbers that can be judged (Bonferroni)."""
+    deviations = [_deviation_within(z, size) for z, size in zip(numbers, sizes, strict=True)]
+    typical = np.median(deviations, axis=0)
+    each = [
+        student([z], [size], direction, least=_FLOOR * typical)
+        if min(size) > 1
+        else np.ones(len(z))
+        for z, size in zip(numbers, sizes, strict=True)
+    ]
+    judged = sum(min(size) > 1 for size in sizes)
+    return np.minimum(1.0, np.stack(each, axis=1) * judged)
+
+
+def with_worst(z: Array) -> Array:
+    """Return trials with failed ones as bad as the worst of their number."""
+    fine = np.isfinite(z)
+    worst = np.where(fine, z, -np.inf).max(1, keepdims=True)
+    return np.where(fine, z, np.where(np.isfinite(worst), worst, 0.0))
+
+
+def _squares_within(z: Array, size: Size) -> Array:
+    old = size[0]
+    sides = (z[:, :old], z[:, old:])
+    made: Array = sum(((side - side.mean(1, keepdims=True)) ** 2).sum(1) for side in sides)
+    return made
+
+
+def _deviation_within(z: Array, size: Size) -> Array:
+    made: Array = np.sqrt(_squares_within(with_worst(z), size) / max(sum(size) - 2, 1))
+    return made
+
+
+def mean_change(z: Array, size: Size) -> Array:
+    """Return the mean of new trials less that of old ones, (comparisons,)."""
+    return contrast(with_worst(z), size)
+
+
+def student(
+    numbers: Sequence[Array],
+    sizes: Sequence[Size],
+    direction: float = 1.0,
+    *,
+    least: Array | None = None,
+) -> Array:
+    """Return p of Student's test, where relabellings are too few: within numbers, or over them.
+
+    Differences of exchangeable trials are symmetric, so that heavy tails make it conservative.
+
+    Args:
+        numbers: As those of `compare`.
+        sizes: Likewise.
+        direction: Likewise.
+        least: Least deviation of a single number (comparisons,); it then has the degrees of
+            freedom of its smaller side, since few trials can hide an outlier of one side.
+    """
+    means = np.stack(
+        [mean_change(z, size) for z, size in zip(numbers, sizes, strict=True)], axis=1
+    )
+    amount, inner = len(sizes), sum(sum(size) - 2 for size in sizes)
+    if inner == 0:
+        error, degrees = means.std(1, ddof=1) / math.sqrt(amount), amount - 1
+    else:
+        squares = sum(
+            _squares_within(with_worst(z), size) for z, size in zip(numbers, sizes, strict=True)
+        )
+        variance = squares / inner * sum(1.0 / old + 1.0 / new for old, new in sizes)
+        error, degrees = np.sqrt(variance) / amount, inner
+    if least is not None:
+        old, new = sizes[0]
+        error = np.maximum(error, least * math.sqrt(1.0 / old + 1.0 / new))
+        degrees = 2 * min(old, new) - 2
+    change = direction * means.mean(1)
+    # Without any spread, as of a coverage of 100 % in all trials, a change can't be judged.
+    t = np.divide(change, error, out=np.zeros_like(change), where=error > 0.0)
+    made: Array = np.where(error > 0.0, stdtr(degrees, -t), 1.0)
+    return made
+
+
+def more_failures(before: Sequence[Labels], now: Sequence[Labels]) -> float:
+    """Return p of "new runs fail more often", number by number (Mantel-Haenszel).
+
+    Args:
+        before: Which old runs of each number failed.
+        now: Which new ones.
+    """
+    random = np.random.default_rng(0)
+    sizes = [(len(old), len(new)) for old, new in zip(before, now, strict=True)]
+    count = max((balanced_count(RELABELLINGS, size) for size in sizes), default=1)
+    mine, sums = np.zeros(1), np.zeros((1, count))
+    for old, new, size in zip(before, now, sizes, strict=True):
+        failed = np.concatenate([old, new]).astype(np.float64)[None]
+        mine += weight_of(size) * contrast(failed, size)
+        sums += weight_of(size) * contrasts(failed, size, relabellings(random, size, count))
+    return float(share_at_least(sums, mine)[0])

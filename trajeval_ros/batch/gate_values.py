@@ -1,0 +1,180 @@
+"""The numbers of a table that gates ask for, trial by trial."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+from trajeval_ros.batch.gate import Gate
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
+from trajeval_ros.exceptions import InputError, SettingsError
+
+Group = tuple[str, str]
+Row = Mapping[str, Any]
+
+# Columns by names: a run's coverage is its own, whatever others cut from it.
+_COVERAGES = {
+    "estimate_coverage": "estimate_coverage",
+    "groundtruth_coverage": "own_groundtruth_coverage",
+}
+
+
+@dataclass(frozen=True)
+class GateTrials:
+    """A number of one algorithm on one sequence, trial by trial.
+
+    Attributes:
+        values: Infinite for runs that failed, or that have no such number.
+        copies: Runs that were left out because their poses are those of another trial.
+    """
+
+    values: list[float]
+    copies: int = 0
+
+
+class GateValues:
+    """The numbers of a table, run by run, that gates ask for."""
+
+    def __init__(self, rows: ResultsTable) -> None:
+        self.settings = rows.settings
+        names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256",
+                 "estimate_sha256")  # fmt: skip
+        columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())
+        self._rows = rows.select((*names, *columns))
+        self._reasons = {_run(row): row["reason"] for row in self._rows if row["status"] != OK}
+        self.groundtruths = {
+            (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
+            for row in self._rows
+            if row["groundtruth_sha256"]
+        }
+
+    @property
+    def groups(self) -> list[Group]:
+        """All algorithms on all sequences, also those without numbers."""
+        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._rows))
+
+    @property
+    def failed(self) -> dict[Group, list[bool]]:
+        """Whether each run failed, or has no file, by algorithm and sequence."""
+        found: dict[Group, dict[str, bool]] = {group: {} for group in self.groups}
+        for row in self._rows:
+            found[row["algorithm"], row["sequence"]][row["trial"]] = row["status"] != OK
+        return {group: list(runs.values()) for group, runs in found.items()}
+
+    def trials(self, path: str) -> dict[Group, GateTrials]:
+        """Return the trials of a number by algorithm and sequence; copies of a run count once.
+
+        Raises:
+            SettingsError: The table has no such number.
+        """
+        return self.trials_like(path, self)
+
+    def trials_like(self, path: str, other: GateValues) -> dict[Group, GateTrials]:
+        """Return the trials of a number that another table has, and this one perhaps not."""
+        matches, column = other.find(path)
+        values: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
+        hashes: dict[tuple[str, ...], str] = {}
+        for row in self._rows:
+            group = (row["algorithm"], row["sequence"])
+            values[group].setdefault(row["trial"], math.inf)
+            if row["status"] == OK:
+                hashes[_run(row)] = row["estimate_sha256"]
+                if matches(row) and row[column] is not None:
+                    values[group][row["trial"]] = row[column]
+        made = {}
+        for group, own in values.items():
+            # Runs without a hash failed: each is a trial of its own.
+            distinct = {hashes.get((*group, trial)) or trial: x for trial, x in own.items()}
+            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct))
+        return made
+
+    def why_failed(self, group: Group) -> str:
+        """Return why the first run of a group has no number."""
+        reasons = (why for run, why in self._reasons.items() if run[:2] == group and why)
+        return next(reasons, "it has no such number")
+
+    def find(self, path: str) -> tuple[Callable[[Row], bool], str]:
+        """Return which rows a path means, and which of their columns.
+
+        Raises:
+            SettingsError: The table has no such number.
+        """
+        kind, *rest = path.split(".")
+        if kind == "association":
+            (column,) = rest if len(rest) == 1 else ("",)
+            self._require(column, list(_COVERAGES), path)
+            column = _COVERAGES[column]
+            return lambda row: row["kind"] == ATE and row["metric"] == "position_m", column
+        self._require(kind, [ATE, "re"], path)
+        length: str | None = None
+        if kind == "re":
+            lengths = [key for row in self._rows if row["length"] and (key := _key(row))]
+            length, *rest = rest or [""]
+            self._require(length, [*dict.fromkeys(lengths), "pooled"], path)
+            kind, length = (POOLED, None) if length == "pooled" else (RE, length)
+        metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
+        own = [row for row in self._rows if row["kind"] == kind and _key(row) == length]
+        self._require(metric, list(dict.fromkeys(row["metric"] for row in own)), path)
+        self._require(column, list(STATISTICS), path)
+        return (
+            lambda row: (row["kind"], _key(row), row["metric"]) == (kind, length, metric),
+            column,
+        )
+
+    @staticmethod
+    def _require(name: str, known: list[str], path: str) -> None:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(known) or 'none'}"
+            raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
+
+
+def require_same_settings(
+    baseline: GateValues, now: Mapping[str, Any], gates: Sequence[Gate]
+) -> None:
+    """Check that two tables can be compared, in what the gates ask for.
+
+    Raises:
+        InputError: They were made by other definitions.
+    """
+    pooled = any(gate.path.startswith("re.pooled") for gate in gates)
+    for name, value in now.items():
+        if name == "lengths" and not pooled:  # one that is lacking is told by itself
+            continue
+        before = baseline.settings.get(name)
+        if before != value:
+            was, now_is = (
+                f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
+            )
+            raise InputError(
+                f"the baseline was made with {was} and this comparison with {now_is}, so their "
+                "numbers don't compare; make one of them anew"
+            )
+
+
+def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
+    """Return what else is different."""
+    changed = dict.fromkeys(
+        sequence
+        for (algorithm, sequence), before in baseline.groundtruths.items()
+        if now.groundtruths.get((algorithm, sequence), before) != before
+    )
+    if not changed:
+        return []
+    return [
+        f"the groundtruth of {', '.join(changed)} is not that of the baseline, so numbers there "
+        "don't compare"
+    ]
+
+
+def _run(row: Row) -> tuple[str, ...]:
+    return row["algorithm"], row["sequence"], row["trial"]
+
+
+def _key(row: Row) -> str | None:
+    """Return a length as paths have it: 8m, 8_5m."""
+    length: str | None = row["length"]
+    return None if length is None else length.replace(".", "_")

@@ -1,0 +1,199 @@
+"""The verdicts of gates as Markdown, for a pull request."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from trajeval_ros.batch.gate_verdicts import (
+    ADVISED,
+    FAILED,
+    LOST,
+    NEW,
+    NO_WORSE,
+    NOT_ALONE,
+    UNDECIDED,
+    WORSE,
+    Failures,
+    GateVerdict,
+    Judgement,
+    NumberVerdict,
+    PooledVerdict,
+)
+from trajeval_ros.report.matrix import markdown_table, markdown_text
+from trajeval_ros.report.numbers import number_text
+
+_MOST_ROWS = 20  # of a table that isn't folded
+_ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
+
+
+def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
+    """Return the verdict of all gates, then of each, with what would have been noticed."""
+    lines = [f"### {markdown_text(title)}: {_head(judgement)}", ""]
+    lines += [line for each in remarks for line in (f"**Note:** {each}.", "")]
+    for each in judgement.gates:
+        lines += _gate(each, judgement.false_alarms)
+    lines += [_failures(judgement.failures), ""]
+    if any(each.gate.tested for each in judgement.gates):
+        lines += [
+            f"Chance of an alarm without a change: at most {100 * judgement.false_alarms:g} % "
+            f"from numbers, and {100 * judgement.failures.level:g} % from failed runs.",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _head(judgement: Judgement) -> str:
+    numbers = [number for gate in judgement.gates for number in gate.numbers]
+    pooled = [gate.pooled.verdict for gate in judgement.gates if gate.pooled is not None]
+    if WORSE in pooled or any(each.verdict == WORSE for each in numbers):
+        return "worse"
+    if any(each.verdict == LOST for each in numbers):
+        return "numbers were lost"
+    if judgement.failures.fails:
+        return "more failed runs"
+    if not judgement.is_no_worse:
+        return "no change seen"
+    margins = dict.fromkeys(f"{each.gate.percent:g} %" for each in judgement.gates)
+    return f"no worse than {' and '.join(margins)}"
+
+
+def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
+    lines = [f"Gate `{verdict.gate}`:", ""]
+    if verdict.pooled is not None:
+        lines += [_pooled(verdict, verdict.pooled), ""]
+    if verdict.advised is not None:
+        lines += [_advice(verdict, verdict.advised), ""]
+    if verdict.pooled is not None and verdict.pooled.count == 1:
+        (size,) = [each.trials for each in verdict.numbers if each.verdict in _JUDGED]
+        if verdict.pooled.noticeable is None:
+            lines += [
+                f"{_trials(size)} of one number: it can't be told from chance. Give the baseline "
+                f"{ADVISED[0]} trials and this comparison {ADVISED[1]}; or write 'spread 15 %' if "
+                "that is what trials vary, or 'untested' if they don't.",
+                "",
+            ]
+    for note in _notes(verdict, false_alarms):
+        lines += [note, ""]
+    ranked = sorted(verdict.numbers, key=lambda each: _ORDER.index(each.verdict))
+    shown = ranked if len(ranked) <= _MOST_ROWS else [each for each in ranked if each.fails]
+    folded = ranked[len(shown) :]
+    if shown:
+        lines += [*_table(shown), ""]
+    if folded:
+        summary = f"<details><summary>{len(folded)} others</summary>"
+        lines += [summary, "", *_table(folded), "", "</details>", ""]
+    return lines
+
+
+_JUDGED = (WORSE, NO_WORSE, UNDECIDED, NOT_ALONE)
+
+
+def _notes(verdict: GateVerdict, false_alarms: float) -> list[str]:
+    gate, notes = verdict.gate, []
+    if not gate.tested:
+        notes.append(
+            "Untested: medians alone decide. Where trials vary, chance alone can give an alarm."
+        )
+    if gate.spread_percent is not None:
+        notes.append(
+            f"The spread of {gate.spread_percent:g} % is the user's: if trials vary more, false "
+            f"alarms are more than {100 * false_alarms:g} %."
+        )
+    if gate.deviations and gate.tested:
+        notes.append(
+            f"`+ {gate.deviations:g} MAD` is a further condition on single numbers; the test "
+            "doesn't need it."
+        )
+    if verdict.copies:
+        notes.append(f"Copies of another trial, which count once: {verdict.copies}.")
+    return notes
+
+
+def _pooled(verdict: GateVerdict, pooled: PooledVerdict) -> str:
+    margin = f"{verdict.gate.percent:g} %"
+    said = {
+        WORSE: f"worse than {margin}",
+        NO_WORSE: f"no worse than {margin}",
+        UNDECIDED: f"no change beyond {margin} seen",
+    }[pooled.verdict]
+    who = "The one number" if pooled.count == 1 else f"All {pooled.count} numbers together"
+    bounds = " … ".join(map(_change, sorted(pooled.bounds)))
+    if not all(map(math.isfinite, pooled.bounds)) or min(pooled.bounds) <= -1.0:
+        bounds = "no bounds"
+    text = f"**{who}: {said}**: {_change(pooled.change)} ({bounds})."
+    if pooled.noticeable is None:
+        return f"{text} No worsening, however large, would have been noticed."
+    size = "worsening" if pooled.count == 1 else "common worsening"
+    text += f" A {size} of {_percent(pooled.noticeable)} would have been noticed in 80 %"
+    alone = [each.noticeable for each in verdict.numbers if each.noticeable is not None]
+    if pooled.count == 1 or not alone:
+        return f"{text} of comparisons."
+    least, most = _percent(min(alone)), _percent(max(alone))
+    span = least if least == most else f"{least} to {most}"
+    return f"{text} of comparisons; of one number alone, {span}."
+
+
+def _advice(verdict: GateVerdict, advised: tuple[float, float, float]) -> str:
+    sizes = dict.fromkeys(each.trials for each in verdict.numbers if each.verdict in _JUDGED)
+    together, least, most = map(_percent, advised)
+    span = least if least == most else f"{least} to {most}"
+    return (
+        f"{', '.join(map(_trials, sizes))}: too few to tell single numbers from chance. With "
+        f"{ADVISED[0]} trials in the baseline and {ADVISED[1]} here, a common worsening of "
+        f"{together} would be noticed, and of one number alone {span}."
+    )
+
+
+def _trials(size: tuple[int, int]) -> str:
+    old, new = size
+    if old == new:
+        return f"{old} trial{'s' if old > 1 else ''} each"
+    return f"{old} trial{'s' if old > 1 else ''} then and {new} now"
+
+
+def _failures(failures: Failures) -> str:
+    (old, of_old), (new, of_new) = failures.before, failures.now
+    text = f"Failed runs: {old} of {of_old} then, {new} of {of_new} now"
+    if not old + new:
+        return f"{text}."
+    word = "**more failures**" if failures.fails else "not more than by chance"
+    return f"{text} (p = {failures.p:.2g}): {word}."
+
+
+def _table(numbers: Sequence[NumberVerdict]) -> list[str]:
+    headings = ["algorithm, sequence", "old", "new", "change", "trials", "noticeable", "verdict"]
+    rows = []
+    for each in numbers:
+        change = "-"
+        if each.before and each.now is not None and math.isfinite(each.before + each.now):
+            change = _change((each.now - each.before) / each.before)
+        mark = f"**{each.verdict}**" if each.fails else each.verdict
+        reason = f": {markdown_text(each.reason)}" if each.reason else ""
+        rows.append(
+            [
+                markdown_text(f"{each.algorithm}, {each.sequence}"),
+                _value(each.before),
+                _value(each.now),
+                change,
+                "{} / {}".format(*each.trials),
+                "-" if each.noticeable is None else _percent(each.noticeable),
+                mark + reason,
+            ]
+        )
+    return markdown_table(headings, rows)
+
+
+def _value(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return "failed" if math.isinf(value) else number_text(value)
+
+
+def _change(share: float) -> str:
+    digits = 0 if abs(share) >= 0.1 else 1
+    return f"{100.0 * share:+.{digits}f} %"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"

@@ -1,0 +1,99 @@
+"""How large a worsening must be to be noticed by a gate in four of five comparisons."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import stdtrit
+
+from trajeval_ros.batch.gate_tests import ENOUGH, FALSE_ALARMS, levels_of
+from trajeval_ros.batch.relabelling import (
+    LEAST_SPREAD,
+    PRIOR,
+    Array,
+    Size,
+    centre_and_spread,
+    median_of_finite,
+    shrunk,
+)
+
+POWER = 0.8
+_FEW = 8  # trials of a number, on average, below which clipped scores lose more
+_EFFICIENCY, _EFFICIENCY_OF_FEW = 0.85, 0.70  # of clipped scores, by simulation
+
+
+def noticeable(
+    spreads: Array,
+    sizes: Sequence[Size],
+    margin: float,
+    total: float = FALSE_ALARMS,
+) -> Array:
+    """Return the common worsening that is noticed, as a logarithm: (comparisons,).
+
+    Args:
+        spreads: Those of `spreads_within`.
+        sizes: Old and new trials.
+        margin: Logarithm of what may change.
+        total: Chance of a false alarm.
+    """
+    levels = levels_of(sizes, total)
+    runs = len(spreads)
+    if levels.pooled_by == "none":
+        return np.full(runs, np.inf)
+    inverse = np.array([1.0 / old + 1.0 / new for old, new in sizes])
+    degrees = sum(sum(size) - 2 for size in sizes) or len(sizes) - 1
+    if levels.pooled_by == "student":
+        error = np.sqrt((spreads**2 * inverse).sum(1)) / len(sizes)
+    else:
+        few = np.mean([sum(size) for size in sizes]) < _FEW
+        efficiency = _EFFICIENCY_OF_FEW if few else _EFFICIENCY
+        error = 1.0 / np.sqrt(efficiency * (1.0 / (inverse * spreads**2)).sum(1))
+    made: Array = margin + _reach(degrees, levels.pooled) * error
+    return made
+
+
+def noticeable_alone(
+    spreads: Array,
+    sizes: Sequence[Size],
+    margin: float,
+    total: float = FALSE_ALARMS,
+) -> Array:
+    """Return the same of each number alone, (comparisons, numbers); inf where it isn't judged."""
+    if len(sizes) == 1:
+        return noticeable(spreads, sizes, margin, total)[:, None]
+    levels = levels_of(sizes, total)
+    made = np.full((len(spreads), len(sizes)), np.inf)
+    if not levels.numbers:
+        return made
+    by_student = levels.numbers_by == "student"
+    for place, (old, new) in enumerate(sizes):
+        enough = by_student or math.comb(old + new, new) * levels.numbers >= ENOUGH
+        if min(old, new) > 1 and enough:
+            degrees = 2.0 * min(old, new) - 2.0 if by_student else old + new - 2.0 + PRIOR
+            reach = _reach(degrees, levels.numbers / len(sizes))
+            made[:, place] = margin + reach * spreads[:, place] * math.sqrt(1.0 / old + 1.0 / new)
+    return made
+
+
+def _reach(degrees: float, level: float) -> float:
+    return float(-stdtrit(degrees, level) - stdtrit(degrees, 1.0 - POWER))
+
+
+def spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
+    """Return spreads about each side's own median, shrunk to the typical one.
+
+    Those of the scores are of both sides together, where a true change would add to them.
+    """
+    raw = []
+    for z, (old, _) in zip(numbers, sizes, strict=True):
+        sides = [side for side in (z[:, :old], z[:, old:]) if side.shape[1] > 1] or [z]
+        weights = np.array([side.shape[1] - 1.0 for side in sides])
+        spreads = np.stack([centre_and_spread(side)[1] for side in sides], axis=1)
+        raw.append(np.sqrt((weights * spreads**2).sum(1) / weights.sum()))
+    stacked: Array = np.maximum(np.stack(raw, axis=1), LEAST_SPREAD)
+    if len(sizes) == 1:
+        return stacked
+    typical = median_of_finite(stacked)[:, None]
+    return shrunk(stacked, typical, np.array([max(sum(size) - 2.0, 1.0) for size in sizes]))

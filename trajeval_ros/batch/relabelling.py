@@ -1,0 +1,147 @@
+"""Relabellings of trials, and scores of trials that don't depend on their labels.
+
+A *number* is one algorithm on one sequence. Its trials are logarithms of errors, old ones first,
+in an array (comparisons, old + new): an evaluation has one comparison, a simulation many. A failed
+trial is +inf. If nothing changed, labels "old" and "new" are exchangeable within each number,
+whatever the distribution, and a statistic's values under other labels are its distribution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.bool_]
+Size = tuple[int, int]
+
+PRIOR = 4.0  # degrees of freedom that the typical spread of all numbers is worth
+CLIP = 1.5  # spreads beyond which a trial counts no more; a failed trial has this score
+_NORMAL = 1.2533  # standard deviation by mean absolute deviation, of a normal distribution
+LEAST_SPREAD = 1e-12
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Trials of all numbers on one scale.
+
+    Attributes:
+        psi: Of each number (comparisons, trials), within +-1.5.
+        scales: Spreads of the numbers, shrunk to the typical one: (comparisons, numbers).
+        typical: Median spread over the numbers: (comparisons,).
+    """
+
+    psi: list[Array]
+    scales: Array
+    typical: Array
+
+
+def balanced_count(count: int, size: Size) -> int:
+    """Return a count of relabellings, a multiple of all there are if they are few."""
+    total = math.comb(sum(size), size[1])
+    return total * -(-count // total) if total <= count else count
+
+
+def relabellings(random: np.random.Generator, size: Size, count: int) -> Labels:
+    """Return which trials are called new: (count, old + new).
+
+    If there are no more than `count`, all occur, equally often, in random order: drawn at random,
+    a p-value of 1/70 would be on either side of the level by luck.
+    """
+    old, new = size
+    total = math.comb(old + new, new)
+    if total <= count:
+        every = np.zeros((total, old + new), dtype=np.bool_)
+        for row, chosen in enumerate(combinations(range(old + new), new)):
+            every[row, list(chosen)] = True
+        times = -(-count // total)
+        rows = np.concatenate([random.permutation(total) for _ in range(times)])[:count]
+        balanced: Labels = every[rows]
+        return balanced
+    chosen_new = random.random((count, old + new)).argpartition(new - 1, axis=1)[:, :new]
+    made = np.zeros((count, old + new), dtype=np.bool_)
+    np.put_along_axis(made, chosen_new, True, axis=1)
+    return made
+
+
+def median_of_finite(values: Array) -> Array:
+    """Return medians over the last axis, without infinite values; +inf where all are."""
+    fine = np.isfinite(values)
+    count = fine.sum(-1)
+    ordered = np.sort(np.where(fine, values, np.inf), axis=-1)
+    places = np.stack([np.maximum(count - 1, 0) // 2, count // 2], axis=-1)
+    places = np.minimum(places, values.shape[-1] - 1)
+    middle: Array = np.take_along_axis(ordered, places, axis=-1).mean(-1)
+    return middle
+
+
+def centre_and_spread(values: Array) -> tuple[Array, Array]:
+    """Return medians and spreads of finite values over the last axis.
+
+    The spread is the mean absolute deviation about the median, scaled to the standard deviation
+    of a normal distribution. It doesn't know labels, so relabellings stay exact.
+    """
+    fine = np.isfinite(values)
+    middle = np.where(fine.any(-1), median_of_finite(values), 0.0)
+    count = np.maximum(fine.sum(-1), 2)
+    away = np.abs(np.where(fine, values - middle[..., None], 0.0)).sum(-1) / count
+    return middle, _NORMAL * np.sqrt(count / (count - 1.0)) * away
+
+
+def scores_of(numbers: Sequence[Array]) -> Scores:
+    """Return the clipped scores of trials, each in spreads of its number."""
+    parts = [centre_and_spread(z) for z in numbers]
+    raw = np.stack([spread for _, spread in parts], axis=1)
+    typical = median_of_finite(np.where(raw > 0.0, raw, np.inf))
+    typical = np.where(np.isfinite(typical), typical, LEAST_SPREAD)
+    weights = np.array([z.shape[1] - 1.0 for z in numbers])
+    scales = shrunk(raw, typical[:, None], weights)
+    psi = [
+        np.clip((z - middle[:, None]) / scales[:, place, None], -CLIP, CLIP)
+        for place, (z, (middle, _)) in enumerate(zip(numbers, parts, strict=True))
+    ]
+    return Scores(psi, scales, typical)
+
+
+def shrunk(spreads: Array, typical: Array, degrees: Array) -> Array:
+    """Return spreads of few trials, moved towards the typical one."""
+    made: Array = np.sqrt((PRIOR * typical**2 + degrees * spreads**2) / (PRIOR + degrees))
+    return made
+
+
+def contrast(psi: Array, size: Size) -> Array:
+    """Return the mean of new scores less that of old ones: (comparisons,)."""
+    old = size[0]
+    made: Array = psi[:, old:].mean(1) - psi[:, :old].mean(1)
+    return made
+
+
+def contrasts(psi: Array, size: Size, labels: Labels) -> Array:
+    """Return the same of all relabellings: (comparisons, relabellings)."""
+    old, new = size
+    chosen: Array = psi @ labels.T.astype(np.float64)
+    made: Array = chosen / new - (psi.sum(1, keepdims=True) - chosen) / old
+    return made
+
+
+def studentised(differences: Array, psi: Array, size: Size, ratio: Array) -> Array:
+    """Return t of contrasts, by a spread that is shrunk to the typical one.
+
+    Args:
+        differences: Contrasts, (comparisons, any).
+        psi: Scores, (comparisons, trials).
+        size: Numbers of old and new trials.
+        ratio: Typical spread by the number's, (comparisons,).
+    """
+    old, new = size
+    harmonic = old * new / (old + new)
+    squares = ((psi - psi.mean(1, keepdims=True)) ** 2).sum(1)[:, None]
+    within = np.maximum(squares - harmonic * differences**2, 0.0)
+    variance = (PRIOR * ratio[:, None] ** 2 + within) / (PRIOR + old + new - 2.0)
+    made: Array = math.sqrt(harmonic) * differences / np.sqrt(variance + 1e-300)
+    return made

@@ -1,0 +1,292 @@
+"""The results of all runs as one columnar table: Parquet, a row per run x metric x length."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros import __version__
+from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.records import Record
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.writing import write_whole
+
+if TYPE_CHECKING:
+    import pyarrow
+
+SCHEMA = "trajeval-runs/1"
+OK, FAILED, MISSING = "ok", "failed", "missing"
+ATE, RE, POOLED = "ate", "re", "re.pooled"
+# Rows of one value, in the column `mean`, with its standard deviation, if known, in `std`.
+CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood"
+STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
+_ROWS_AT_ONCE = 5000
+
+_TEXTS = ("algorithm", "sequence", "trial", "status", "reason", "kind", "metric", "length")
+_COLUMNS = {
+    **dict.fromkeys(_TEXTS, "string"),
+    **dict.fromkeys(("length_m", "duration_s", "mean_length_m", *STATISTICS), "float64"),
+    "count": "int64",
+    "pairs": "int64",
+    **dict.fromkeys(("estimate_coverage", "groundtruth_coverage", "scale"), "float64"),
+    **dict.fromkeys(("own_groundtruth_coverage", "span_s"), "float64"),
+    "states_used": "int64",
+    "poses": "int64",
+    **dict.fromkeys(
+        ("groundtruth", "estimate", "groundtruth_sha256", "estimate_sha256", "key", "warnings"),
+        "string",
+    ),
+    **dict.fromkeys(("gauge", "protocol", "settings", "version"), "string"),
+}
+
+
+def settings_of(plan: Plan) -> dict[str, Any]:
+    """Return all settings that the numbers of a comparison depend on."""
+    request, protocol = plan.request, plan.request.protocol
+    rule, selection = protocol.association, protocol.selection
+    continuous = rule.method == "continuous"
+    return {
+        "protocol": protocol.name,
+        "gauge": protocol.gauge.value,
+        "modality": protocol.modality,
+        "align_states": "all" if protocol.align_states is None else protocol.align_states,
+        "align_weights": protocol.align_weights,
+        "association": rule.method,
+        "max_time_difference": rule.max_time_difference_s,
+        "max_gap": rule.max_gap_s,
+        "time_offset": rule.time_offset_s,
+        "continuous_model": rule.model if continuous else None,
+        "groundtruth_noise": dataclasses.asdict(rule.noise) if continuous else None,
+        "in_order": protocol.in_order,
+        "ate_form": protocol.ate_form,
+        "re_form": protocol.re_form,
+        "lengths": [str(length) for length in protocol.lengths],
+        "selection": f"{selection.rule}, every {selection.every}",
+        "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
+        "calibrate_time_offset": request.calibration.offset,
+        "hand_eye": _hand_eye(request.calibration),
+        "covariance": request.covariances.source,
+        "rotation_covariance_frame": request.covariances.rotation_frame,
+        "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
+        "common_time_span": plan.common_time_span,
+    }
+
+
+def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
+    known = calibration.known
+    if known is not None:
+        return [*known.rotation_xyzw.tolist(), *known.lever_m.tolist()]
+    return "auto" if calibration.hand_eye else "none"
+
+
+def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
+    """Yield the rows of an evaluated run.
+
+    Args:
+        run: Which.
+        record: Its evaluation.
+        own_coverage: Of the groundtruth's time, before the run was cut to a common span.
+    """
+    evaluated = record.run
+    association, alignment = evaluated["association"], evaluated["alignment"]
+    inputs = record.result["provenance"]["inputs"]
+    truth, estimate = (
+        inputs[record.result["groundtruth"]["source"]],
+        inputs[evaluated["estimate"]["source"]],
+    )
+    same = {
+        **_names(run),
+        "status": OK,
+        "pairs": association["pairs"],
+        "estimate_coverage": association["estimate_coverage"],
+        "groundtruth_coverage": association["groundtruth_coverage"],
+        "own_groundtruth_coverage": own_coverage,
+        "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
+        "scale": alignment["scale"],
+        "states_used": alignment["states_used"],
+        "poses": evaluated["estimate"]["poses"],
+        "groundtruth": run.groundtruth,
+        "estimate": run.estimate,
+        "groundtruth_sha256": truth,
+        "estimate_sha256": estimate,
+        "key": record.key,
+        "warnings": "\n".join(evaluated["warnings"]),
+    }
+    yield from _rows(evaluated["ate"], {**same, "kind": ATE})
+    yield from _values(evaluated, same)
+    relative = evaluated["re"]
+    if relative is None:
+        return
+    for length, segment in zip(record.lengths, relative["segments"], strict=True):
+        sizes = {name: segment.get(name) for name in ("length_m", "duration_s", "mean_length_m")}
+        yield from _rows(segment, {**same, **sizes, "kind": RE, "length": length})
+    yield from _rows(relative["pooled"], {**same, "kind": POOLED})
+
+
+def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield what was calibrated and applied, and how errors fit covariances and groundtruth."""
+    calibration, consistency, probabilistic = (
+        evaluated[name] or {} for name in ("calibration", "consistency", "probabilistic")
+    )
+    offset, hand_eye = calibration.get("time_offset") or {}, calibration.get("hand_eye") or {}
+    rotation, lever = hand_eye.get("rotation") or {}, hand_eye.get("lever_arm") or {}
+    joint, per_pose = (consistency.get(name) or {} for name in ("joint", "per_pose"))
+    ate = probabilistic.get("ate") or {}
+    found = (
+        (CALIBRATION, "time_offset_s", offset.get("value_s") if offset.get("applied") else None,
+         offset.get("sigma_s")),
+        (CALIBRATION, "rotation_deg", rotation.get("angle_deg") if rotation.get("applied") else
+         None, None),
+        (CALIBRATION, "lever_arm_m", math.hypot(*(each or 0.0 for each in lever["value_m"]))
+         if lever.get("applied") else None, None),
+        (CALIBRATION, "parameters_applied", calibration.get("parameters_applied"), None),
+        (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
+        (CONSISTENCY, "pose_nees_per_dof", per_pose.get("mean"), None),
+        (LIKELIHOOD, "nll_per_pose", probabilistic.get("nll_per_pose"), None),
+        (LIKELIHOOD, "weighted_m", ate.get("weighted_m"), None),
+        (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),
+        (LIKELIHOOD, "supported_share", ate.get("supported_share"), None),
+    )  # fmt: skip
+    for kind, metric, value, sigma in found:
+        if value is not None:
+            yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
+
+
+def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
+    """Return the row of a run without numbers: it stays in the table."""
+    return {
+        **_names(run),
+        "status": MISSING if run.missing else FAILED,
+        "reason": reason,
+        "groundtruth": run.groundtruth,
+        "estimate": run.estimate,
+    }
+
+
+def _names(run: PlannedRun) -> dict[str, str]:
+    return {"algorithm": run.algorithm, "sequence": run.sequence, "trial": run.trial}
+
+
+def _rows(metrics: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for metric, statistics in metrics.items():
+        if isinstance(statistics, dict):
+            yield {**same, "metric": metric, **statistics}
+
+
+def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: str) -> None:
+    """Write rows as they come, so that memory doesn't grow with their number.
+
+    Args:
+        path: The file; it is whole or not there.
+        rows: Of runs, as `rows_of_run` and `row_of_failure` make them.
+        plan: What is compared.
+        state: Hash of what the table was made from.
+
+    Raises:
+        InputError: It can't be written, or pyarrow is not installed.
+    """
+    arrow, parquet = load_pyarrow()
+    settings = json.dumps(settings_of(plan))
+    head = {"schema": SCHEMA, "title": plan.title, "settings": settings, "state": state}
+    schema = arrow.schema(
+        [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
+        metadata={f"trajeval.{name}": value for name, value in head.items()},
+    )
+    constant = {
+        "gauge": plan.request.protocol.gauge.value,
+        "protocol": plan.request.protocol.name,
+        "settings": settings,
+        "version": __version__,
+    }
+
+    def write(temporary: Path) -> None:
+        with parquet.ParquetWriter(temporary, schema) as writer:
+            batch: list[dict[str, Any]] = []
+            for row in rows:
+                batch.append({**row, **constant})
+                if len(batch) == _ROWS_AT_ONCE:
+                    writer.write_table(arrow.Table.from_pylist(batch, schema=schema))
+                    batch.clear()
+            writer.write_table(arrow.Table.from_pylist(batch, schema=schema))
+
+    write_whole(path, write)
+
+
+def state_of(path: Path) -> str:
+    """Return the hash of what a table was made from; "" if it can't be read."""
+    _, parquet = load_pyarrow()
+    try:
+        metadata = parquet.read_schema(path).metadata or {}
+    except (OSError, ValueError):
+        return ""
+    return bytes(metadata.get(b"trajeval.state", b"")).decode()
+
+
+class ResultsTable:
+    """A table that was written, column by column as asked for.
+
+    Attributes:
+        path: Where it is.
+        title: Of the comparison.
+        settings: That its numbers depend on.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a table.
+
+        Raises:
+            InputError: It can't be read, or is something else.
+        """
+        _, self._parquet = load_pyarrow()
+        self.path = path
+        try:
+            metadata = self._parquet.read_schema(path).metadata or {}
+        except FileNotFoundError as error:
+            raise InputError(f"{path} does not exist; check the path") from error
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{path} is no whole Parquet file; if its writing was interrupted, make it anew "
+                "with trajeval compare"
+            ) from error
+        if metadata.get(b"trajeval.schema") != SCHEMA.encode():
+            raise InputError(
+                f"{path} is no table of trajeval compare ({SCHEMA}); name the runs.parquet of an "
+                "output folder"
+            )
+        self.title = metadata[b"trajeval.title"].decode()
+        self.settings: dict[str, Any] = json.loads(metadata[b"trajeval.settings"])
+
+    def select(self, columns: Iterable[str], **equal: str) -> list[dict[str, Any]]:
+        """Return some columns of the rows in which other columns have these values."""
+        filters = [(name, "==", value) for name, value in equal.items()] or None
+        table: pyarrow.Table = self._parquet.read_table(
+            self.path, columns=list(columns), filters=filters
+        )
+        rows: list[dict[str, Any]] = table.to_pylist()
+        return rows
+
+
+def load_pyarrow() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet part.
+
+    Raises:
+        InputError: It is not installed, or wants another numpy.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "trajeval compare needs pyarrow, which is not installed: "
+            "pip install 'trajeval-ros[compare]'"
+        ) from error
+    except ImportError as error:
+        raise InputError(
+            f"pyarrow can't be used ({error}); beside numpy 1.26: pip install 'pyarrow<26'"
+        ) from error
+    return pyarrow, parquet

@@ -1,0 +1,326 @@
+"""From the tables on disk to the tables that people read."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from trajeval_ros.batch.comparison import POOLED, RUNS
+from trajeval_ros.batch.pooling import read_pooled
+from trajeval_ros.batch.results_table import (
+    ATE,
+    CALIBRATION,
+    CONSISTENCY,
+    LIKELIHOOD,
+    OK,
+    RE,
+    ResultsTable,
+)
+from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.report.matrix import Cell, Matrix
+from trajeval_ros.report.numbers import number_text
+from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
+
+_PARTIAL = "†"
+_NAMES = ("algorithm", "sequence", "trial")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A run in brief.
+
+    Attributes:
+        algorithm, sequence, trial: Which.
+        status: `ok`, `failed` or `missing`.
+        reason: Why there are no numbers.
+        coverage: Share of the groundtruth's time that its pairs span, 0.0 of a failed run.
+        key: Of its record.
+        rmse: Of the absolute errors, by metric.
+        values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
+        warnings: What a reader of its numbers must know.
+    """
+
+    algorithm: str
+    sequence: str
+    trial: str
+    status: str
+    reason: str
+    coverage: float
+    key: str
+    rmse: dict[str, float]
+    values: dict[str, float]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonSummary:
+    """What a comparison says.
+
+    Attributes:
+        title: Of the comparison.
+        settings: That the numbers depend on.
+        trials: All runs, the failed ones included.
+        pooled: ResultsTable of statistics over trials.
+    """
+
+    title: str
+    settings: dict[str, Any]
+    trials: tuple[Trial, ...]
+    pooled: tuple[dict[str, Any], ...]
+
+    @cached_property
+    def algorithms(self) -> list[str]:
+        """In the order of the plan."""
+        return list(dict.fromkeys(trial.algorithm for trial in self.trials))
+
+    @cached_property
+    def sequences(self) -> list[str]:
+        """In the order of the plan."""
+        return list(dict.fromkeys(trial.sequence for trial in self.trials))
+
+    def of(self, algorithm: str, sequence: str | None = None) -> list[Trial]:
+        """Return the runs of an algorithm, on one sequence or on all."""
+        return self._by_place.get((algorithm, sequence), [])
+
+    @cached_property
+    def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:
+        found: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
+        for trial in self.trials:
+            found[trial.algorithm, trial.sequence].append(trial)
+            found[trial.algorithm, None].append(trial)
+        return found
+
+
+def summary_of(folder: Path) -> ComparisonSummary:
+    """Read what a comparison left.
+
+    Raises:
+        InputError: Its table can't be read.
+    """
+    rows = ResultsTable(folder / RUNS)
+    names = (*_NAMES, "status", "reason", "own_groundtruth_coverage", "key", "warnings")
+    each: dict[tuple[str, ...], dict[str, Any]] = {}
+    rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
+    values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
+    for row in rows.select((*names, "kind", "metric", "rmse", "mean")):
+        run = tuple(row[name] for name in _NAMES)
+        each.setdefault(run, row)
+        if row["kind"] == ATE:
+            rmse[run][row["metric"]] = row["rmse"]
+        elif row["kind"] in (CALIBRATION, CONSISTENCY, LIKELIHOOD):
+            values[run][row["metric"]] = row["mean"]
+    trials = tuple(
+        Trial(
+            algorithm=row["algorithm"],
+            sequence=row["sequence"],
+            trial=row["trial"],
+            status=row["status"],
+            reason=row["reason"] or "",
+            coverage=row["own_groundtruth_coverage"] or 0.0,
+            key=row["key"] or "",
+            rmse=rmse[run],
+            values=values[run],
+            warnings=tuple((row["warnings"] or "").splitlines()),
+        )
+        for run, row in each.items()
+    )
+    return ComparisonSummary(
+        rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED))
+    )
+
+
+def definition(settings: dict[str, Any]) -> str:
+    """Say in a sentence what all numbers of a comparison depend on."""
+    modality = f" for {settings['modality']}" if settings["modality"] else ""
+    states = settings["align_states"]
+    how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
+    span = (
+        ", only the time that all runs of a sequence have" if settings["common_time_span"] else ""
+    )
+    return (
+        f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
+        f"({Gauge(settings['gauge']).description}){modality} with {how}, association "
+        f"{settings['association']}{span}.{_calibration(settings)}"
+    )
+
+
+def _calibration(settings: dict[str, Any]) -> str:
+    """Say what of clocks and bodies the numbers are with."""
+    asked = ["clock offset"] if settings["calibrate_time_offset"] else []
+    asked += ["body"] if settings["hand_eye"] == "auto" else []
+    text = ""
+    if asked:
+        text = f" Calibrated for each run, and applied where significant: {' and '.join(asked)}."
+    if isinstance(settings["hand_eye"], list):
+        text += " With a given hand-eye transform."
+    return text
+
+
+def matrices(summary: ComparisonSummary) -> list[Matrix]:
+    """Return the tables: absolute errors by sequence, relative errors by length."""
+    tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
+    in_metres = not any(length.endswith("s") for length in summary.settings["lengths"])
+    metrics = ("position_percent", "rotation_deg_per_m")
+    if not in_metres:
+        metrics = ("position_m", "rotation_deg")
+    tables += [_relative(summary, metric) for metric in metrics]
+    tables += [_values(summary, metric) for metric in _VALUES]
+    return [table for table in tables if table is not None]
+
+
+# Metric: title, and what the number is.
+_VALUES = {
+    "time_offset_s": (
+        "Clock offset [s]",
+        "Estimated for each run and applied where it is significant; errors are with it.",
+    ),
+    "joint_nees_per_dof": (
+        "Joint NEES per degree of freedom",
+        "About 1 where covariances fit the errors.",
+    ),
+    "pose_nees_per_dof": (
+        "NEES per degree of freedom, mean of poses",
+        "About 1 where covariances fit the errors.",
+    ),
+    "nll_per_pose": (
+        "Negative log-likelihood per pose",
+        "Smaller is better; comparable among estimates with the same stamps.",
+    ),
+    "weighted_m": (
+        "ATE weighted by the groundtruth's uncertainty [m]",
+        "Over all poses of an estimate that the continuous groundtruth covers.",
+    ),
+}
+_RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
+
+
+def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
+    """Return the median over trials of a number that was asked for; None where nobody did."""
+    rows, ranked = [], metric in _RANKED
+    for algorithm in summary.algorithms:
+        found = [
+            [
+                each.values[metric]
+                for each in summary.of(algorithm, sequence)
+                if metric in each.values
+            ]
+            for sequence in summary.sequences
+        ]
+        rows.append(
+            (algorithm, tuple(Cell(median(each) if each else None, "", ranked) for each in found))
+        )
+    if all(cell.value is None for _, cells in rows for cell in cells):
+        return None
+    title, meaning = _VALUES[metric]
+    caption = f"{meaning} {definition(summary.settings)}"
+    return _matrix(summary, metric, title, caption, rows)
+
+
+def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
+    rows = []
+    partial = False
+    for algorithm in summary.algorithms:
+        cells = []
+        for sequence in summary.sequences:
+            trials = summary.of(algorithm, sequence)
+            cells.append(_cell(trials, metric))
+            partial |= _PARTIAL in cells[-1].note
+        rows.append((algorithm, tuple(cells)))
+    if all(cell.value is None for _, cells in rows for cell in cells):
+        return None
+    several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
+    over = " of trials: median (least to largest); a failed one counts as worse than all"
+    caption = (
+        f"Absolute trajectory error, {summary.settings['ate_form']} form, rmse"
+        f"{over if several else ''}. {definition(summary.settings)}"
+    )
+    if partial:
+        caption += (
+            f" {_PARTIAL} covers less than {100 * LOW_COVERAGE:.0f} % of the groundtruth's time."
+        )
+    return _matrix(summary, f"ate_{metric}", f"ATE, {ABSOLUTE[metric]}", caption, rows)
+
+
+def _cell(trials: Sequence[Trial], metric: str) -> Cell:
+    """Return the median over trials, of which a failed one is worse than any other."""
+    known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
+    evaluated = [trial for trial in trials if trial.status == OK]
+    if not trials or (evaluated and not known):
+        return Cell(None)
+    value = median([*known, *[math.inf] * (len(trials) - len(evaluated))])
+    notes = []
+    if len(known) > 1:
+        notes.append(f"({number_text(min(known))}–{number_text(max(known))})")
+    if len(known) < len(trials) and len(trials) > 1:
+        notes.append(f"{len(known)}/{len(trials)}")
+    if evaluated and median(trial.coverage for trial in evaluated) < LOW_COVERAGE:
+        notes.append(_PARTIAL)
+    return Cell(value, " ".join(notes))
+
+
+def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
+    lengths = summary.settings["lengths"]
+    pooled: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
+    for row in summary.pooled:
+        if (row["kind"], row["metric"]) == (RE, metric):
+            pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
+    rows = []
+    some_lost = False
+    for algorithm in summary.algorithms:
+        trials = summary.of(algorithm)
+        evaluated = sum(trial.status == OK for trial in trials)
+        # Means without the hardest runs would be the best ones.
+        is_whole = evaluated == len(trials)
+        some_lost |= not is_whole
+        note = "" if is_whole else f"{evaluated}/{len(trials)}"
+        cells = []
+        for length in lengths:
+            means = pooled[algorithm, length]
+            count = sum(each for _, each in means)
+            mean = sum(value * each for value, each in means) / count if count else None
+            cells.append(Cell(mean, note if count else "", is_ranked=is_whole))
+        rows.append((algorithm, tuple(cells)))
+    if all(cell.value is None for _, cells in rows for cell in cells):
+        return None
+    caption = (
+        "Relative error, mean over the sub-trajectories of all sequences and trials; "
+        f"{RE_FORMS[summary.settings['re_form']]}. {definition(summary.settings)}"
+    )
+    if some_lost:
+        caption += " Who lost runs, which have no sub-trajectories, is not ranked."
+    title = f"Relative error, {RELATIVE[metric]}, by length"
+    return _matrix(summary, f"re_{metric}", title, caption, rows, lengths)
+
+
+def _matrix(
+    summary: ComparisonSummary,
+    name: str,
+    title: str,
+    caption: str,
+    rows: list[tuple[str, tuple[Cell, ...]]],
+    columns: Sequence[str] | None = None,
+) -> Matrix:
+    runs, coverage = [], []
+    for algorithm, _ in rows:
+        trials = summary.of(algorithm)
+        runs.append(f"{sum(trial.status == OK for trial in trials)}/{len(trials)}")
+        coverage.append(sum(trial.coverage for trial in trials) / len(trials))
+    headings = tuple(summary.sequences if columns is None else columns)
+    return Matrix(name, title, caption, headings, tuple(rows), tuple(runs), tuple(coverage))
+
+
+def failures(summary: ComparisonSummary) -> list[str]:
+    """Return a line for each run without numbers."""
+    return [
+        f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "
+        f"{each.status}: {each.reason}"
+        for each in summary.trials
+        if each.status != OK
+    ]

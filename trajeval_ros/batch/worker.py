@@ -1,0 +1,109 @@
+"""What a worker does: evaluate one run, just as `trajeval evaluate` would."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros import __version__
+from trajeval_ros.batch.plan import PlannedRun
+from trajeval_ros.batch.records import Record, encode
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.results.result_json import result_of
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.pipeline import Request
+from trajeval_ros.pipeline import run as run_pipeline
+from trajeval_ros.report.canvas import thinned
+
+Array = NDArray[np.float64]
+
+_FORMAT = 2  # of records: what is older is evaluated again
+_POINTS = 900  # of a line in a report
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run to be evaluated.
+
+    Attributes:
+        run: Which one.
+        request: What to compute.
+        inputs: Fingerprints of groundtruth and estimate.
+    """
+
+    run: PlannedRun
+    request: Request
+    inputs: tuple[str, str]
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Hash of all that its numbers depend on."""
+        parts = (_FORMAT, __version__, self.request.fingerprint, self.run.name, self.inputs)
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+
+def work(task: Task) -> bytes | str:
+    """Evaluate a run and return its encoded record; or why not, in one sentence.
+
+    Nothing that one run does wrong may end the others, so defects of ours are told as well.
+    """
+    try:
+        return encode(_evaluate(task))
+    except TrajevalError as error:
+        return str(error)
+    except MemoryError:
+        return "out of memory; use fewer workers"
+    except Exception as error:
+        return f"a defect of trajeval, please report it: {type(error).__name__}: {error}"
+
+
+def _evaluate(task: Task) -> Record:
+    groundtruth = _groundtruth(task.run.groundtruth, task.inputs[0])
+    read = read_trajectory(task.run.estimate, covariances=task.request.reads_covariances)
+    estimate = dataclasses.replace(read, name=task.run.name)
+    outcome = run_pipeline(groundtruth, [estimate], task.request)
+    evaluation = outcome.runs[0].evaluation
+    stamps = evaluation.association.groundtruth.stamps
+    asked = task.request.protocol.lengths
+    lengths = tuple(map(str, asked)) if evaluation.segments is not None else ()
+    return Record(
+        key=task.key,
+        result=result_of(outcome),
+        lengths=lengths,
+        span_ns=(int(stamps.min()), int(stamps.max())),
+        columns=_columns(evaluation, lengths),
+    )
+
+
+@functools.lru_cache(maxsize=2)
+def _groundtruth(source: str, fingerprint: str) -> Trajectory:  # noqa: ARG001 - a part of the key
+    """Read what the trials of a sequence share once."""
+    groundtruth = read_trajectory(source, covariances=False)
+    return dataclasses.replace(groundtruth, name="groundtruth")
+
+
+def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Array]:
+    """Return what is pooled over trials, and what is drawn."""
+    columns = {}
+    for length, segment in zip(lengths, evaluation.segments or (), strict=True):
+        columns[f"{length}.position_m"] = segment.errors.position_m
+        columns[f"{length}.rotation_deg"] = segment.errors.rotation_deg
+    pairs, rotation = evaluation.association, evaluation.absolute.rotation_deg
+    truth, max_gap_s = evaluation.groundtruth, evaluation.protocol.association.max_gap_s
+    position = evaluation.absolute.position_m
+    if rotation is None:
+        rotation = np.full(len(position), np.nan)
+    stamps = pairs.groundtruth.stamps
+    errors = np.stack([pairs.groundtruth.seconds, position, rotation], axis=1)
+    columns["errors"] = thinned(errors, stamps, max_gap_s, _POINTS)
+    columns["path"] = thinned(evaluation.aligned.positions, stamps, max_gap_s, _POINTS)
+    columns["truth"] = thinned(truth.positions, truth.stamps, max_gap_s, _POINTS)
+    return columns

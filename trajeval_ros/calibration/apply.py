@@ -1,0 +1,290 @@
+"""An evaluation with clocks and bodies calibrated, where somebody asks for it and it is there.
+
+Nothing is applied that isn't asked for, observable, precise and significant. What was applied,
+what was not and why, and the errors without and with it are part of the outcome.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.calibration.significance import Parameter
+from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.evaluation import Evaluation, align_pairs, evaluate, evaluate_pairs
+from trajeval_ros.metrics.protocol import Protocol
+
+# By how much the ATE may grow before that is said.
+_WORSE = 1.05
+# Each round leaves a share of the error as of the lever arm's swing in the marker's motion.
+_SAME_SCALE, _ROUNDS_OF_SCALE = 1e-10, 300
+_VANISHED = 1e-6
+
+
+@dataclass(frozen=True)
+class Ate:
+    """The rmse of an evaluation: position in metres, rotation in degrees if it is known."""
+
+    position_m: float
+    rotation_deg: float | None
+
+    @classmethod
+    def of(cls, evaluation: Evaluation) -> Ate:
+        """Take it from an evaluation."""
+        position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
+        assert position is not None
+        return cls(position.rmse, None if rotation is None else rotation.rmse)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """An evaluation and what was calibrated for it.
+
+    Attributes:
+        evaluation: With what was applied.
+        wanted: What was asked for.
+        calibration: What was estimated; None if nothing had to be.
+        estimated_from: Name of the estimate that it was estimated from.
+        offset_applied: Whether the estimated offset is in the numbers.
+        rotation_applied: Whether a rotation of the body is.
+        lever_applied: Whether a lever arm is.
+        hand_eye: What was applied; None for nothing.
+        of_marker: Whether the errors are of the marker's position, since its groundtruth has no
+            orientation that could tell the body's.
+        before: The errors without any of it; None if no poses matched, or too few to be aligned.
+        after: Those of `evaluation`.
+        if_applied: Those with all that was asked for, significant or not; None if that is what
+            was applied, or nothing was found.
+    """
+
+    evaluation: Evaluation
+    wanted: CalibrationRequest
+    calibration: Calibration | None
+    estimated_from: str
+    offset_applied: bool
+    rotation_applied: bool
+    lever_applied: bool
+    hand_eye: HandEye | None
+    of_marker: bool
+    before: Ate | None
+    after: Ate
+    if_applied: Ate | None
+
+    @property
+    def parameters_applied(self) -> int:
+        """Degrees of freedom that were taken from the data and are in the numbers."""
+        if self.calibration is None:
+            return 0
+        count = int(self.offset_applied)
+        if self.wanted.known is None:
+            count += self.calibration.turn.seen if self.rotation_applied else 0
+            count += self.calibration.lever.seen if self.lever_applied else 0
+        return count
+
+
+def evaluate_calibrated(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    protocol: Protocol,
+    wanted: CalibrationRequest,
+    *,
+    systematic: SystematicErrors | None = None,
+    same_as: Calibrated | None = None,
+    pairs: Association | None = None,
+) -> Calibrated:
+    """Evaluate an estimate with what is asked for calibrated, if the recording shows it.
+
+    Args:
+        groundtruth: Poses, or positions, of a marker.
+        estimate: Poses of a body that carries it.
+        protocol: The settings; its time offset is where the search begins.
+        wanted: What to calibrate.
+        systematic: See `calibrate`.
+        same_as: Another estimate's outcome, whose calibration is to be used: estimates with
+            parameters of their own can't be ranked.
+        pairs: The states as they were paired before, such as by a live run, row by row; None to
+            associate them here.
+
+    Raises:
+        InputError: See `evaluate` and `calibrate`; a hand-eye transform that can't be applied.
+    """
+    if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
+        raise SettingsError(
+            f"protocol {protocol.name} has a lever arm of its own; leave out --hand-eye, or write "
+            "a protocol file with another lever_m"
+        )
+    if wanted.known is not None:
+        wanted.known.require_frames(groundtruth, estimate)
+    calibration, source = None, estimate.name
+    if same_as is not None:
+        calibration, source = same_as.calibration, same_as.estimated_from
+    elif wanted.offset or wanted.hand_eye:
+        calibration = calibrate(
+            groundtruth,
+            estimate,
+            protocol.gauge,
+            around_s=protocol.association.time_offset_s,
+            systematic=systematic,
+        )
+    found = _Found.in_calibration(calibration, wanted)
+    used = found.significant()
+    before = _before(groundtruth, estimate, protocol, pairs)
+    evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
+    after = Ate.of(evaluation)
+    calibrated = Calibrated(
+        evaluation=evaluation,
+        wanted=wanted,
+        calibration=calibration,
+        estimated_from=source,
+        offset_applied=used.offset is not None,
+        rotation_applied=not of_marker and (used.turn or used.known) is not None,
+        lever_applied=(used.lever or used.known) is not None,
+        hand_eye=used.hand_eye,
+        of_marker=of_marker,
+        before=before,
+        after=after,
+        if_applied=None
+        if found == used
+        else Ate.of(_with(groundtruth, estimate, protocol, found, pairs)[0]),
+    )
+    warnings = (*evaluation.warnings, *_warnings(calibrated))
+    return dataclasses.replace(
+        calibrated, evaluation=dataclasses.replace(evaluation, warnings=warnings)
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is asked for and has a value: an offset, a rotation, a lever arm, or a transform."""
+
+    offset: Parameter | None
+    turn: Parameter | None
+    lever: Parameter | None
+    known: HandEye | None
+
+    @classmethod
+    def in_calibration(cls, calibration: Calibration | None, wanted: CalibrationRequest) -> _Found:
+        def asked(parameter: Parameter, wish: bool) -> Parameter | None:
+            return parameter if wish and parameter.value is not None else None
+
+        if calibration is None:
+            return cls(None, None, None, wanted.known)
+        return cls(
+            asked(calibration.offset, wanted.offset),
+            asked(calibration.turn, wanted.hand_eye),
+            asked(calibration.lever, wanted.hand_eye),
+            wanted.known,
+        )
+
+    def significant(self) -> _Found:
+        """Return those that are observable, precise and significant."""
+        offset, turn, lever = (
+            each if each is not None and each.is_significant else None
+            for each in (self.offset, self.turn, self.lever)
+        )
+        return _Found(offset, turn, lever, self.known)
+
+    @property
+    def hand_eye(self) -> HandEye | None:
+        """The transform that they make; None for none."""
+        if self.turn is None and self.lever is None:
+            return self.known
+        return HandEye.of(
+            None if self.turn is None else self.turn.value,
+            None if self.lever is None else self.lever.value,
+        )
+
+
+def _measure(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
+) -> Evaluation:
+    """Evaluate, with pairs that were made before if there are any."""
+    if pairs is None:
+        return evaluate(groundtruth, estimate, protocol)
+    moved = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
+    return evaluate_pairs(moved, groundtruth, estimate, protocol)
+
+
+def _before(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
+) -> Ate | None:
+    try:
+        return Ate.of(_measure(groundtruth, estimate, protocol, pairs))
+    except (NoMatchError, DegenerateGeometryError):
+        return None
+
+
+def _with(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    protocol: Protocol,
+    used: _Found,
+    pairs: Association | None,
+) -> tuple[Evaluation, bool]:
+    """Evaluate with what was found; say whether errors are of the marker."""
+    hand_eye = used.hand_eye
+    if used.offset is not None:
+        assert used.offset.value is not None
+        offset_s = float(used.offset.value[0])
+        rule = dataclasses.replace(protocol.association, time_offset_s=offset_s)
+        protocol = dataclasses.replace(protocol, association=rule)
+    if hand_eye is None:
+        return _measure(groundtruth, estimate, protocol, pairs), False
+    if groundtruth.quaternions is not None:
+        of_body = hand_eye.of_body(groundtruth, hand_eye.body or estimate.child_frame)
+        return _measure(of_body, estimate, protocol, pairs), False
+    scale = 1.0
+    if protocol.gauge.has_scale:
+        body = _measure(groundtruth, estimate, dataclasses.replace(protocol, lengths=()), pairs)
+        scale = _scale(body, protocol, hand_eye)
+    marker = hand_eye.of_marker(estimate, scale, hand_eye.marker or groundtruth.child_frame)
+    return _measure(groundtruth, marker, protocol, pairs), True
+
+
+def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
+    """Return the scale that aligns the marker if the lever arm, in metres, is divided by it."""
+    pairs, first = body.association, body.alignment.similarity.scale
+    scale = first
+    for _ in range(_ROUNDS_OF_SCALE):
+        if scale <= _VANISHED * first:
+            break
+        marker = hand_eye.of_marker(pairs.estimate, scale)
+        moved = dataclasses.replace(pairs, estimate=marker)
+        last, scale = scale, align_pairs(moved, protocol).similarity.scale
+        if abs(scale - last) <= _SAME_SCALE * scale:
+            return scale
+    raise DegenerateGeometryError(
+        f"no scale of {body.estimate.name or 'the estimate'} agrees with the lever arm of "
+        f"{np.linalg.norm(hand_eye.lever_m):.3g} m: the body moves too little beside it; leave "
+        "out --hand-eye, or use a gauge without scale"
+    )
+
+
+def _warnings(calibrated: Calibrated) -> list[str]:
+    calibration, wanted = calibrated.calibration, calibrated.wanted
+    warnings = list(() if calibration is None else calibration.warnings)
+    before, after = calibrated.before, calibrated.after
+    something = calibrated.offset_applied or calibrated.hand_eye is not None
+    if something and before is not None and after.position_m > _WORSE * before.position_m:
+        warnings.append(
+            f"the position ATE grows from {before.position_m:.4g} m to {after.position_m:.4g} m "
+            "with the calibration, which doesn't explain the error"
+        )
+    if calibration is not None and not wanted.offset and calibration.offset.is_significant:
+        assert calibration.offset.value is not None
+        assert calibration.offset.half_width_95 is not None
+        assumed_s = calibrated.evaluation.protocol.association.time_offset_s
+        apart_s = float(calibration.offset.value[0]) - assumed_s
+        if abs(apart_s) > 2.0 * calibration.offset.half_width_95[0]:
+            warnings.append(
+                f"the clocks are {1e3 * apart_s:+.1f} ms apart, which is not in the numbers, "
+                "since nobody asked for it: --time-offset auto"
+            )
+    return warnings

@@ -1,0 +1,243 @@
+"""A first guess of the clocks' offset: where two rates of motion look alike the most.
+
+The rate is the size of the angular velocity, which no gauge, no body and no lever arm changes,
+or the speed where orientations are missing. Gaps are masked out, so that each lag has the exact
+correlation of what both sides know (Padfield, Masked object registration in the Fourier domain,
+2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+Lags = NDArray[np.int64]
+
+SEARCH_S = 5.0
+OVERLAP_S = 10.0
+_CELL_S = 0.02
+_WINDOW_S = 0.1
+# A lower peak is no match; the speed is blurred by a lever arm.
+_LEAST_PEAK = {"angular rate": 0.7, "speed": 0.5}
+_LEAST_OVERLAP = 0.5  # of the longest, where all lags are searched
+_LARGEST_SECOND = 0.8  # of the peak: what else fits nearly as well
+
+
+@dataclass(frozen=True)
+class OffsetGuess:
+    """Where the rates correlate the most, and whether that means anything.
+
+    Attributes:
+        offset_s: To be added to the estimate's stamps.
+        peak: Correlation there, in [-1, 1].
+        second: The largest one outside of the peak's own lobe.
+        peak_to_sidelobe: (peak - mean) / std of the correlations outside of the lobe.
+        signal: `angular rate` or `speed`.
+        overlap_s: Time for which both rates are known at that offset.
+        problem: Why it means nothing; "" if it does.
+    """
+
+    offset_s: float
+    peak: float
+    second: float
+    peak_to_sidelobe: float
+    signal: str
+    overlap_s: float
+    problem: str = ""
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the peak is high, alone and within the search range."""
+        return not self.problem
+
+
+def masked_correlation(a: Array, in_a: Array, b: Array, in_b: Array) -> tuple[Lags, Array, Array]:
+    """Return the normalised cross-correlation of two signals with holes, at all lags.
+
+    Args:
+        a: (N,), zero in holes.
+        in_a: (N,), 1 where `a` is known, 0 in holes.
+        b: (M,), zero in holes.
+        in_b: (M,), likewise.
+
+    Returns:
+        The lags k (K,) at which a[n] meets b[n + k], the correlations (K,), zero where a signal
+        doesn't vary, and the numbers (K,) of cells that both know.
+    """
+    size = 1 << int(len(a) + len(b) - 1).bit_length()
+    left = [np.conj(np.fft.rfft(each, size)) for each in (a, in_a, a * a)]
+    right = [np.fft.rfft(each, size) for each in (b, in_b, b * b)]
+
+    def met(one: int, other: int) -> Array:
+        products: Array = np.fft.irfft(left[one] * right[other], size)
+        return np.concatenate([products[size - len(a) + 1 :], products[: len(b)]])
+
+    common = np.rint(met(1, 1))
+    count = np.maximum(common, 1.0)
+    sum_a, sum_b = met(0, 1), met(1, 0)
+    covariance = met(0, 0) - sum_a * sum_b / count
+    variance_a, variance_b = met(2, 1) - sum_a**2 / count, met(1, 2) - sum_b**2 / count
+    spread = np.sqrt(np.maximum(variance_a, 0.0) * np.maximum(variance_b, 0.0))
+    # What is left of a constant signal is rounding.
+    varies = spread > 1e-9 * max(1.0, float(spread.max()))
+    correlation = np.where(varies, covariance / np.where(varies, spread, 1.0), 0.0)
+    lags = np.arange(1 - len(a), len(b))
+    return lags, np.clip(correlation, -1.0, 1.0), common
+
+
+def refined_peak(correlation: Array, peak: int) -> float:
+    """Return where the parabola through a peak and its neighbours is highest, in cells from it."""
+    if not 0 < peak < len(correlation) - 1:
+        return 0.0
+    before, top, after = correlation[peak - 1 : peak + 2]
+    curvature = before - 2.0 * top + after
+    return float(0.5 * (before - after) / curvature) if curvature < 0.0 else 0.0
+
+
+def guess_offset(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    *,
+    around_s: float = 0.0,
+    search_s: float | None = SEARCH_S,
+    signal: str | None = None,
+) -> OffsetGuess:
+    """Find the offset by correlation; the angular rate first, and the speed if that says nothing.
+
+    Args:
+        groundtruth: At least two states.
+        estimate: At least two states.
+        around_s: Middle of the search range, seconds to be added to the estimate's stamps.
+        search_s: How far from it to search; None for everywhere that the two overlap.
+        signal: `angular rate` or `speed`; None to choose.
+    """
+    if signal is None:
+        if groundtruth.quaternions is not None and estimate.quaternions is not None:
+            turning = guess_offset(
+                groundtruth,
+                estimate,
+                around_s=around_s,
+                search_s=search_s,
+                signal="angular rate",
+            )
+            if turning.is_usable:
+                return turning
+            moving = guess_offset(
+                groundtruth, estimate, around_s=around_s, search_s=search_s, signal="speed"
+            )
+            return moving if moving.is_usable else turning
+        signal = "speed"
+    turns = signal == "angular rate"
+    truth = Track.of(groundtruth, with_rotations=turns)
+    other = Track.of(estimate, with_rotations=turns, sparse=True)
+    window_s = max(_WINDOW_S, other.step_s)
+    a, in_a = _rate(other, window_s)
+    b, in_b = _rate(truth, window_s)
+    lags, correlation, common = masked_correlation(a, in_a, b, in_b)
+    start_s = int(truth.stamps[0] - other.stamps[0]) / NANOSECONDS
+    lags_s: Array = start_s + lags.astype(np.float64) * _CELL_S
+    guess = _highest(lags_s, correlation, common, around_s, search_s, signal)
+    if guess.is_usable or search_s is None:
+        return guess
+    anywhere = _highest(lags_s, correlation, common, around_s, None, signal)
+    if anywhere.peak >= _LEAST_PEAK[signal] and abs(anywhere.offset_s - around_s) > search_s:
+        far = (
+            f"the clocks seem to be {anywhere.offset_s:+.2f} s apart, beyond the search range of "
+            f"{search_s:g} s about {around_s:g} s: give that as the time offset"
+        )
+        return replace(guess, problem=far)
+    return guess
+
+
+def _rate(track: Track, window_s: float) -> tuple[Array, Array]:
+    """Return the rate of motion on a grid from the track's first stamp on, and where it is known.
+
+    From poses half a window before and after: the same window for both sides, since a shorter one
+    shows more of a motion.
+    """
+    cells = np.arange(int(track.stamps[0]), int(track.stamps[-1]), nanoseconds(_CELL_S))
+    half = nanoseconds(window_s / 2.0)
+    before, after = track.at(cells - half), track.at(cells + half)
+    known = before.usable & after.usable
+    if before.quaternions is not None:
+        assert after.quaternions is not None
+        turned = lie.multiply(lie.conjugate(before.quaternions), after.quaternions)
+        rate = lie.angle(turned) / window_s
+    else:
+        rate = np.linalg.norm(after.positions - before.positions, axis=1) / window_s
+    if known.any():
+        rate = rate - rate[known].mean()
+    return np.where(known, rate, 0.0), known.astype(np.float64)
+
+
+def _highest(
+    lags_s: Array,
+    correlation: Array,
+    common: Array,
+    around_s: float,
+    search_s: float | None,
+    signal: str,
+) -> OffsetGuess:
+    """Return the highest correlation of a search range, and judge it."""
+    enough_s = OVERLAP_S
+    if search_s is None:
+        # Among so many lags, short overlaps match by chance.
+        enough_s = max(OVERLAP_S, _LEAST_OVERLAP * float(common.max()) * _CELL_S)
+    known = common * _CELL_S >= enough_s
+    within = np.flatnonzero(
+        known if search_s is None else known & (np.abs(lags_s - around_s) <= search_s)
+    )
+    where = "" if search_s is None else f" within {search_s:g} s of {around_s:g} s"
+    if len(within) < 3:
+        overlap_s = float(common.max()) * _CELL_S
+        return OffsetGuess(
+            around_s,
+            0.0,
+            0.0,
+            0.0,
+            signal,
+            overlap_s,
+            f"no offset{where} lets the two overlap for {OVERLAP_S:g} s without gaps",
+        )
+    # Lags that both know for long enough are one stretch, but for holes.
+    heights = correlation[within]
+    peak = int(np.argmax(heights))
+    left = right = peak
+    while left > 0 and heights[left - 1] < heights[left]:
+        left -= 1
+    while right < len(heights) - 1 and heights[right + 1] < heights[right]:
+        right += 1
+    sides = np.concatenate([heights[:left], heights[right + 1 :]])
+    second = float(sides.max()) if len(sides) else -1.0
+    deviation = float(sides.std()) if len(sides) else 0.0
+    top = float(heights[peak])
+    problem = ""
+    if top < _LEAST_PEAK[signal]:
+        problem = (
+            f"the {signal}s of groundtruth and estimate don't resemble each other at any "
+            f"offset{where} (correlation {top:.2f}, {_LEAST_PEAK[signal]:g} is needed): there is "
+            "too little change of motion in them, or the offset is larger"
+        )
+    elif second > _LARGEST_SECOND * top:
+        problem = (
+            f"the {signal}s match at several offsets{where} nearly as well (correlation "
+            f"{second:.2f} beside {top:.2f}), as those of a periodic or slow motion do"
+        )
+    elif peak in (0, len(heights) - 1):
+        problem = f"the {signal}s match best at the edge of the search range{where}"
+    return OffsetGuess(
+        offset_s=float(lags_s[within[peak]] + _CELL_S * refined_peak(heights, peak)),
+        peak=top,
+        second=second,
+        peak_to_sidelobe=(top - float(sides.mean())) / deviation if deviation > 0.0 else 0.0,
+        signal=signal,
+        overlap_s=float(common[within[peak]]) * _CELL_S,
+        problem=problem,
+    )

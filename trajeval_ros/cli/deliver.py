@@ -1,0 +1,215 @@
+"""What a verb that evaluates gives: files, tables, and an exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from trajeval_ros.cli.pictures import Pictures
+from trajeval_ros.cli.pipes import may_break
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.results.error_archive import write_errors
+from trajeval_ros.io.results.requirement import Requirement
+from trajeval_ros.io.results.result_json import result_of, to_json
+from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.writing import refused_by_disk, write_text
+
+if TYPE_CHECKING:
+    from trajeval_ros.likelihood.assessment import Assessment
+    from trajeval_ros.pipeline import Outcome, RunOutcome
+
+_NO_PICTURES = Pictures()
+_OURS = re.compile(
+    "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
+    r"|likelihood_by_edge|(consistency|uncertainty_top)(_\d+)?)\.png"
+)
+_HAVE_FIGURES = find_spec("matplotlib") is not None
+
+
+def deliver(
+    outcome: Outcome,
+    requirements: Sequence[Requirement],
+    *,
+    json: str | None,
+    output: Path | None,
+    quiet: bool,
+    gauge_given: bool,
+    pictures: Pictures = _NO_PICTURES,
+) -> None:
+    """Write and print an evaluation; exit with status 1 if a requirement is not met.
+
+    Args:
+        outcome: What was found.
+        requirements: To hold for every run.
+        json: File for the result, `-` for stdout.
+        output: Folder for everything.
+        quiet: Print nothing.
+        gauge_given: Whether the user chose a gauge.
+        pictures: For Rerun.
+    """
+    result, runs = result_of(outcome), outcome.runs
+    # A requirement that names nothing is a mistake to be told before anything is written.
+    lengths = result["provenance"]["settings"]["lengths"]
+    unmet = [
+        f"{run['estimate']['name']}: {why}"
+        for run in result["runs"]
+        for requirement in requirements
+        if (why := requirement.unmet(run, lengths))
+    ]
+    failed = [f"{each.name}: {each.reason}" for each in outcome.failed]
+    if requirements:
+        unmet += failed
+    if output is not None:
+        with refused_by_disk(f"the folder {output}"):
+            _write_folder(output, result, runs, pictures)
+    pictures.write(runs)
+    if json == "-":
+        with may_break():
+            sys.stdout.write(to_json(result))
+    elif json is not None:
+        write_text(Path(json), to_json(result))
+    if not quiet and json != "-":
+        with may_break():
+            _print(runs, output, gauge_given=gauge_given)
+        for line in failed:
+            print(f"warning: {line}", file=sys.stderr)
+    else:
+        # Missing data are told even to who wants to hear nothing.
+        for line in outcome.damage:
+            print(f"warning: {line}", file=sys.stderr)
+    pictures.show(runs)
+    for line in unmet:
+        print(f"trajeval: {line}", file=sys.stderr)
+    if unmet:
+        raise typer.Exit(1)
+
+
+def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> None:
+    """Refuse to write over what is to be read, before anything is.
+
+    Raises:
+        InputError: An output is an input.
+    """
+    inputs = [str(parse_source(source).path) for source in sources]
+    for output in filter(None, outputs):
+        for path in inputs:
+            with contextlib.suppress(OSError):  # a URL, or nothing there yet
+                if output.samefile(path):
+                    raise InputError(f"{output} is to be read, and would be written over")
+
+
+def _write_folder(
+    folder: Path, result: dict[str, object], runs: Sequence[RunOutcome], pictures: Pictures
+) -> None:
+    """Write everything under a temporary name first, so that nothing is ever half written."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # A folder that exists may be a disk of its own, and the only place that can be written.
+    beside = folder if folder.is_dir() else folder.parent
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=beside))
+    try:
+        write_errors(temporary / "errors.npz", runs)
+        if _HAVE_FIGURES:
+            # That matplotlib can't write into the user's home is no news about trajectories.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
+            from trajeval_ros.report.figures import write_figures
+
+            write_figures([run.evaluation for run in runs], temporary)
+            for place, run in enumerate(runs, start=1):
+                if run.consistency is not None:
+                    from trajeval_ros.report.consistency_figure import write_consistency
+
+                    suffix = f"_{place}" if len(runs) > 1 else ""
+                    name = run.estimate.name
+                    write_consistency(run.evaluation, run.consistency, temporary, name, suffix)
+            likely = _assessments(runs)
+            if likely:
+                from trajeval_ros.report.probabilistic_figures import write_probabilistic
+
+                write_probabilistic(list(likely.values()), temporary, list(likely))
+        pictures.write_into(temporary, runs)
+        (temporary / "result.json").write_text(to_json(result), encoding="utf-8")
+        folder.mkdir(exist_ok=True)
+        # Figures of an evaluation before this one would pass for figures of this one.
+        for old in folder.glob("*.png"):
+            if _OURS.fullmatch(old.name):
+                old.unlink()
+        for file in sorted(temporary.iterdir()):
+            file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _assessments(runs: Sequence[RunOutcome]) -> dict[str, Assessment]:
+    return {run.estimate.name: run.likelihood for run in runs if run.likelihood is not None}
+
+
+def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool) -> None:
+    from trajeval_ros.report import tables
+    from trajeval_ros.report.calibration_lines import calibration_lines
+
+    evaluations = [run.evaluation for run in runs]
+    terminal = tables.console()
+    for evaluation in evaluations:
+        for line in tables.verdict(evaluation):
+            terminal.print(line, soft_wrap=True)
+    if not gauge_given:
+        terminal.print(
+            "  gauge se3 by default: --modality mono, stereo, stereo-inertial, ... picks the one "
+            "that fits the sensors",
+            soft_wrap=True,
+        )
+    likely = _assessments(runs)
+    if likely:
+        from trajeval_ros.report.probabilistic_table import (
+            probabilistic_lines,
+            probabilistic_table,
+        )
+
+        terminal.print()
+        tables.show(terminal, probabilistic_table(likely))
+        for line in probabilistic_lines(likely):
+            terminal.print(line, soft_wrap=True)
+    terminal.print()
+    tables.show(terminal, tables.absolute_table(evaluations, terminal.width))
+    relative = tables.relative_table(evaluations, terminal.width)
+    if relative is not None:
+        terminal.print()
+        tables.show(terminal, relative)
+    for run in runs:
+        if run.calibrated is not None:
+            for line in calibration_lines(run.estimate.name, run.calibrated):
+                terminal.print(line, soft_wrap=True)
+        if run.consistency is not None:
+            for line in tables.consistency_lines(run.estimate.name, run.consistency):
+                terminal.print(line, soft_wrap=True)
+    if output is not None:
+        terminal.print(f"\n{_contents(output)}", soft_wrap=True)
+    terminal.file.flush()
+    remarks = tables.console(sys.stderr)
+    for trajectory in (evaluations[0].groundtruth, *(each.estimate for each in evaluations)):
+        if trajectory.notes:
+            remarks.print(
+                f"note: {trajectory.name}: {'; '.join(trajectory.notes)}", soft_wrap=True
+            )
+    for evaluation in evaluations:
+        for warning in evaluation.warnings:
+            remarks.print(f"warning: {evaluation.estimate.name}: {warning}", soft_wrap=True)
+
+
+def _contents(folder: Path) -> str:
+    if _HAVE_FIGURES:
+        return f"result.json, errors.npz and figures are in {folder}"
+    return (
+        f"result.json and errors.npz are in {folder}; for figures, install matplotlib: "
+        "pip install 'trajeval-ros[plot]'"
+    )

@@ -1,0 +1,192 @@
+"""The covariance of all poses of a run together, as an estimator can give it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
+from trajeval_ros.geometry.gauge import Gauge, orbit_basis
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+BLOCKS = {"p,phi": 6, "p,phi,v": 9}
+# Farther apart, a pose of the file and one of the trajectory are not the same.
+_SAME_POSITION_M, _SAME_ROTATION_RAD = 1e-4, 1e-4
+_ASYMMETRY = 1e-6
+# Of an information matrix along its gauge, relative to its diagonal.
+_LEFT_IN_GAUGE = 1e-6
+# A dense inverse of more rows takes longer than anyone waits for a diagnostic.
+MOST_DENSE = 3000
+# Entries farther from the diagonal make few blocks, which is as slow.
+_WIDEST_BAND = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class JointCovariance:
+    """Covariance or information of N poses, perturbed on the left in the estimate's frame.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds.
+        positions: (N, 3), metres, of the estimate that it belongs to.
+        quaternions: (N, 4), xyzw.
+        block: 6 for position and rotation, 9 with velocity.
+        covariance: (N d, N d), or None.
+        information: (N d, N d), sparse, landmarks and all else eliminated, or None.
+        gauge: `free` for an information matrix of rank N d - 4, without a prior on position and
+            yaw; otherwise only informative.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import JointCovariance
+        >>> joint = JointCovariance(
+        ...     stamps=np.array([0, 100_000_000]), positions=np.zeros((2, 3)),
+        ...     quaternions=np.array([[0.0, 0.0, 0.0, 1.0]] * 2), block=6,
+        ...     covariance=0.01 * np.eye(12))
+        >>> joint.require_sound()
+    """
+
+    stamps: Indices
+    positions: Array
+    quaternions: Array
+    block: int
+    covariance: Array | None = None
+    information: scipy.sparse.csr_matrix | None = None
+    gauge: str = "unknown"
+
+    def require_sound(self) -> None:
+        """Raise InputError, in one sentence, if this can't be a covariance of these poses."""
+        matrix = self.covariance if self.information is None else self.information
+        what = "covariance" if self.information is None else "information matrix"
+        if matrix is None:
+            raise InputError("the joint covariance file has neither a covariance nor information")
+        size = len(self.stamps) * self.block
+        if matrix.shape != (size, size):
+            raise InputError(
+                f"the joint {what} is {matrix.shape[0]} x {matrix.shape[1]}, but "
+                f"{len(self.stamps)} poses of {self.block} need {size} x {size}"
+            )
+        values = matrix if self.information is None else self.information.data
+        if not np.isfinite(values).all():
+            raise InputError(f"the joint {what} is not finite throughout")
+        difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
+        if not difference <= _ASYMMETRY * largest:
+            raise InputError(
+                f"the joint {what} is not symmetric: entries differ by {difference:.3g} from "
+                "their mirror images"
+            )
+        diagonal = matrix.diagonal()
+        if (diagonal < 0.0).any() or largest == 0.0:
+            raise InputError(f"the joint {what} has no positive diagonal, which means unknown")
+        if self.information is not None and self.gauge == "free":
+            self._require_free_gauge()
+
+    def rows_of(self, trajectory: Trajectory) -> Indices:
+        """Return which of its poses (M,) the M poses of a trajectory are.
+
+        Raises:
+            InputError: A pose of the trajectory is missing, or is another one.
+        """
+        order = np.argsort(self.stamps, kind="stable")
+        place = np.searchsorted(self.stamps[order], trajectory.stamps)
+        rows = order[np.minimum(place, len(order) - 1)]
+        missing = np.flatnonzero(self.stamps[rows] != trajectory.stamps)
+        if len(missing):
+            raise InputError(
+                f"the joint covariance has no pose at stamp {trajectory.stamps[missing[0]]} ns "
+                f"({len(missing)} of {len(rows)} are missing); is it of this estimate?"
+            )
+        away = np.linalg.norm(self.positions[rows] - trajectory.positions, axis=1).max()
+        quaternions = trajectory.quaternions
+        assert quaternions is not None
+        turned = lie.angle(lie.multiply(lie.conjugate(self.quaternions[rows]), quaternions)).max()
+        if away > _SAME_POSITION_M or turned > _SAME_ROTATION_RAD:
+            raise InputError(
+                f"the joint covariance is of other poses: they differ by up to {away:.3g} m and "
+                f"{np.degrees(turned):.3g} deg from the estimate's at the same stamps"
+            )
+        return rows
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether a dense covariance is at hand, or can be had in reasonable time."""
+        return self.covariance is not None or len(self.stamps) * self.block <= MOST_DENSE
+
+    def pose_covariance(self, rows: Indices) -> Array:
+        """Return the covariance (6M, 6M) of position and rotation of some poses, in some gauge.
+
+        Raises:
+            InputError: The information leaves more open than the gauge.
+        """
+        covariance = self._inverse() if self.covariance is None else self.covariance
+        index = self.pose_rows(rows)
+        selected: Array = covariance[np.ix_(index, index)]
+        return selected
+
+    def pose_rows(self, rows: Indices) -> Indices:
+        """Return the rows (6M,) of position and rotation of some poses."""
+        index: Indices = (rows[:, None] * self.block + np.arange(6)).ravel()
+        return index
+
+    def _inverse(self) -> Array:
+        assert self.information is not None
+        try:
+            factor = scipy.linalg.cho_factor(self._held().toarray(), lower=True)
+        except np.linalg.LinAlgError:
+            raise self._indefinite() from None
+        inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
+        return inverse
+
+    def banded(self) -> BandedGaussian | None:
+        """Return the factors of the information, in some gauge; None where it isn't banded.
+
+        Raises:
+            InputError: The information leaves more open than the gauge.
+        """
+        assert self.information is not None
+        if bandwidth(self.information) > _WIDEST_BAND:
+            return None
+        try:
+            return BandedGaussian(self._held())
+        except DegenerateGeometryError:
+            raise self._indefinite() from None
+
+    def _held(self) -> scipy.sparse.csr_matrix:
+        """Return the information with a prior on what it leaves open."""
+        assert self.information is not None
+        if self.gauge != "free":
+            return self.information
+        # Any prior on position and yaw of a pose will do: the alignment takes it out again.
+        held = [0, 1, 2, 5]
+        prior = np.zeros(self.information.shape[0])
+        prior[held] = self.information.diagonal()[held]
+        return (self.information + scipy.sparse.diags(prior)).tocsr()
+
+    def _indefinite(self) -> InputError:
+        return InputError(
+            "the joint information matrix is not positive definite"
+            + (" but for position and yaw" if self.gauge == "free" else "")
+            + "; say gauge free if it has no prior, and give it of one connected run"
+        )
+
+    def _require_free_gauge(self) -> None:
+        """An information matrix of the free gauge must know nothing of translations."""
+        assert self.information is not None
+        shifts = orbit_basis(Gauge.YAW, np.zeros((len(self.stamps), 3)))[:, :3, 1:]
+        padding = ((0, 0), (0, self.block - 3), (0, 0))
+        moves = np.pad(shifts, padding).reshape(-1, 3)
+        known = np.einsum("nk,nk->k", moves, self.information @ moves)
+        scale = np.einsum("nk,n,nk->k", moves, self.information.diagonal(), moves)
+        if (known > _LEFT_IN_GAUGE * scale).any():
+            raise InputError(
+                "the joint information matrix says that its gauge is free, but it resists a "
+                "translation of all poses: its rank is too high, it has a prior; say gauge prior"
+            )

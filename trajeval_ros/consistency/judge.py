@@ -1,0 +1,90 @@
+"""Judge the covariances of an evaluated estimate."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.evaluation import Evaluation
+
+
+def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
+    """Judge whether the errors of an evaluation fit the estimate's covariances.
+
+    Covariances are of the estimate at its own stamps and, from messages, perhaps about the body's
+    axes; both are undone here: the time offset is taken off, and axes are turned.
+
+    Args:
+        evaluation: With paired states, and covariances of the estimate where `request` asks for
+            those of messages.
+        request: Which covariances; its source isn't `none`.
+
+    Raises:
+        InputError: Covariances that say nothing, or are of other poses.
+        SettingsError: An alignment that covariances can't be brought to.
+        DegenerateGeometryError: States that don't determine the alignment.
+
+    Example:
+        >>> import numpy as np
+        >>> from dataclasses import replace
+        >>> from trajeval_ros import CovarianceRequest, Protocol, evaluate, judge, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> block = np.diag([0.1**2] * 3 + [0.01**2] * 3)
+        >>> blocks = np.broadcast_to(block, (len(flight.estimate), 6, 6))
+        >>> estimate = replace(flight.estimate, covariances=blocks)
+        >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
+        >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
+        >>> consistency = judge(found, request)
+        >>> consistency.exactness, consistency.nees.shape == (len(found.association),)
+        ('bound', True)
+    """
+    aligned = _aligned(evaluation, request)
+    if request.joint is not None:
+        try:
+            return judge_joint(aligned, request.joint, request.name.rpartition("/")[2])
+        except InputError as error:
+            raise InputError(f"{request.name}: {error}") from error
+    at_start = bool(aligned.estimate.stamps[0] == evaluation.estimate.stamps[0])
+    return judge_marginals(aligned, from_the_start=at_start)
+
+
+def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
+    protocol, pairs = evaluation.protocol, evaluation.association
+    if protocol.align_weights != "none":
+        raise SettingsError(
+            "consistency knows no alignment that is weighted by covariances; use align "
+            "weights none"
+        )
+    if evaluation.alignment.undetermined:
+        why = evaluation.alignment.undetermined
+        raise InputError(f"no covariance can be brought into this gauge: {why}")
+    offset = round(protocol.association.time_offset_s * NANOSECONDS)
+    estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)
+    if request.rotation_frame == "body" and estimate.covariances is not None:
+        if estimate.quaternions is None:
+            raise InputError("the estimate has no orientations to turn its covariances by")
+        turned = world_from_body_rotations(
+            estimate.covariances, lie.to_matrix(estimate.quaternions)
+        )
+        estimate = dataclasses.replace(estimate, covariances=turned)
+    variances = None
+    if request.groundtruth_noise is not None:
+        position_m, rotation_deg = request.groundtruth_noise
+        variances = np.square([position_m] * 3 + [math.radians(rotation_deg)] * 3)
+    return Aligned(
+        groundtruth=pairs.groundtruth,
+        estimate=estimate,
+        similarity=evaluation.alignment.similarity,
+        gauge=protocol.gauge,
+        states=protocol.align_states,
+        variances=variances,
+    )

@@ -1,0 +1,227 @@
+"""The S-transformation: a joint covariance in the gauge of the evaluator's own alignment.
+
+An alignment a by the group G with tangent U is where conditions hold whose gradient is V. The
+errors of the aligned states are, to first order, e = Q (T d - n) with Q = I - U (V'U)^-1 V', d
+the estimator's errors in any gauge within G, T how the alignment turns them, and n the
+groundtruth's. So Cov(e) = Q (T Sigma T' + Sigma_gt) Q': eq. (12) and (14) of the gauge paper for
+any alignment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import (
+    Gauge,
+    first_state_normals,
+    least_squares_normals,
+    orbit_basis,
+)
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+# Of V'U, columns scaled: beyond it the alignment is not determined by its states.
+_WORST_CONDITION = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class STransformation:
+    """Takes perturbations of N aligned states into the alignment's gauge.
+
+    Attributes:
+        gauge: Of the alignment.
+        orbit: U (N, d, k), how the gauge moves the aligned states.
+        normals: V (N, d, k), gradients of the conditions that the alignment fulfils.
+    """
+
+    gauge: Gauge
+    orbit: Array
+    normals: Array
+
+    @classmethod
+    def of_alignment(
+        cls,
+        gauge: Gauge,
+        align_states: int | None,
+        groundtruth: Trajectory,
+        aligned: Trajectory,
+        *,
+        velocities: bool = False,
+    ) -> STransformation:
+        """Return the transformation of an alignment as `evaluation` makes it.
+
+        Args:
+            gauge: Of the alignment.
+            align_states: By the first so many states, 1 by eq. (19) and (20); None for all.
+            groundtruth: N states.
+            aligned: N states, paired and aligned with them.
+            velocities: Whether perturbations are of position, rotation and velocity, d = 9, or
+                of the first two, d = 6.
+
+        Raises:
+            InputError: States without orientations, or velocities where they are asked for.
+            SettingsError: A gauge that covariances can't be brought into.
+            DegenerateGeometryError: The states don't determine the alignment.
+        """
+        _require_columns(groundtruth, aligned, velocities=velocities)
+        count, block = len(aligned), 9 if velocities else 6
+        weights = np.zeros(count)
+        weights[:align_states] = 1.0 / len(weights[:align_states])
+        # Turns about the aligned states' middle: with the same translations they span the same,
+        # and lose no digits to coordinates of a million metres.
+        centred = aligned.positions - weights @ aligned.positions
+        orbit = orbit_basis(gauge, centred, aligned.velocities if velocities else None)
+        if align_states == 1 and gauge is not Gauge.NONE:
+            turn = _turns_between(groundtruth[:1], aligned[:1])[0]
+            normals = first_state_normals(gauge, count, block, turn)
+        else:
+            normals = least_squares_normals(
+                gauge, block, groundtruth.positions, aligned.positions, weights
+            )
+        transformation = cls(gauge, orbit, normals)
+        transformation._require_transversal()
+        return transformation
+
+    @property
+    def coefficients(self) -> Array:
+        """X = (V'U)^-1 V' (k, N d): the gauge's move that undoes a perturbation's part in it."""
+        orbit, normals = self._flat()
+        return np.asarray(np.linalg.solve(normals.T @ orbit, normals.T))
+
+    def covariance(self, covariance: Array) -> Array:
+        """Return Q C Q' for a covariance (N d, N d) of perturbations of the aligned states."""
+        orbit, _ = self._flat()
+        coefficients = self.coefficients
+        image = coefficients @ covariance
+        cross = orbit @ image
+        projected: Array = covariance - cross - cross.T
+        projected = projected + orbit @ (image @ coefficients.T) @ orbit.T
+        symmetric: Array = (projected + projected.T) / 2.0
+        return symmetric
+
+    @property
+    def pull(self) -> Array:
+        """The coefficients' part in position and rotation of each state, (N, k, 6)."""
+        count, _, open_ = self.orbit.shape
+        return self.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
+
+    def blocks(self, own: Array, image: Array) -> Array:
+        """Return the states' own blocks (N, 6, 6) of Q C Q', for C of position and rotation.
+
+        Args:
+            own: (N, 6, 6) or (6, 6), the states' own blocks of C.
+            image: X C (N, k, 6), X the coefficients.
+        """
+        orbit = self.orbit[:, :6]
+        shared = np.einsum("nki,nli->kl", image, self.pull)
+        cross = orbit @ image
+        blocks: Array = own - cross - np.swapaxes(cross, 1, 2)
+        blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
+        return blocks
+
+    @property
+    def dof(self) -> int:
+        """Rank of a covariance in this gauge: N d less the gauge's dimension."""
+        count, block, open_ = self.orbit.shape
+        return int(count * block - open_)
+
+    def _flat(self) -> tuple[Array, Array]:
+        count, block, open_ = self.orbit.shape
+        shape = (count * block, open_)
+        return self.orbit.reshape(shape), self.normals.reshape(shape)
+
+    def _require_transversal(self) -> None:
+        orbit, normals = self._flat()
+        product = normals.T @ orbit
+        if not product.size:
+            return
+        scale = np.sqrt(np.abs(np.diagonal(product)))
+        open_ = not (scale > 0.0).all()
+        if open_ or np.linalg.cond(product / scale / scale[:, None]) > _WORST_CONDITION:
+            raise DegenerateGeometryError(
+                f"the states that were aligned don't determine gauge {self.gauge.value}, so there "
+                "is no covariance in it; align by more states, or by a gauge that turns less"
+            )
+
+
+def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
+    """Return T Sigma T' (N d, N d), or by pose (N, d, d): a covariance turned with its states.
+
+    Args:
+        covariance: (N d, N d) or (N, d, d), of left perturbations in the estimate's frame.
+        similarity: The alignment; its scale acts on position and velocity.
+        block: d: 6 for position and rotation, 9 with velocity.
+    """
+    turn = turning(similarity, block)
+    if covariance.ndim == 3:
+        return np.asarray(turn @ covariance @ turn.T)
+    size = len(covariance)
+    rows = (turn @ covariance.reshape(-1, block, size)).reshape(size, size)
+    return np.asarray((turn @ rows.T.reshape(-1, block, size)).reshape(size, size).T)
+
+
+def turning(similarity: Similarity, block: int) -> Array:
+    """Return T (d, d), how a left perturbation of a state turns with it."""
+    scales = np.array([similarity.scale, 1.0, similarity.scale])[: block // 3]
+    return np.asarray(np.kron(np.diag(scales), similarity.rotation))
+
+
+def carried_information(
+    information: scipy.sparse.csr_matrix, similarity: Similarity, block: int
+) -> scipy.sparse.csr_matrix:
+    """Return T^-T Lambda T^-1 (n, n): an information matrix turned with its states."""
+    turn = np.linalg.inv(turning(similarity, block)).T
+    count = information.shape[0] // block
+    blocks = scipy.sparse.kron(scipy.sparse.eye(count), turn, format="csr")
+    return (blocks @ information @ blocks.T).tocsr()
+
+
+def independent_noise(transformation: STransformation, variances: Array) -> Array:
+    """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
+
+    Args:
+        transformation: Q, of N states.
+        variances: (6,), of position (m^2) and rotation (rad^2); G has them for every state.
+    """
+    own = np.diag(variances)
+    return transformation.blocks(own, transformation.pull @ own)
+
+
+def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Array:
+    """Return the errors (N, 6 or 9) of aligned states: p' - p, Log(R' R^T), v' - v.
+
+    Raises:
+        InputError: States without orientations, or velocities where they are asked for.
+    """
+    _require_columns(groundtruth, aligned, velocities=velocities)
+    columns = [aligned.positions - groundtruth.positions, _turns_between(groundtruth, aligned)]
+    if velocities:
+        assert aligned.velocities is not None
+        assert groundtruth.velocities is not None
+        columns.append(aligned.velocities - groundtruth.velocities)
+    return np.concatenate(columns, axis=1)
+
+
+def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Array:
+    truth, other = groundtruth.quaternions, aligned.quaternions
+    assert truth is not None
+    assert other is not None
+    return lie.log(lie.to_matrix(other) @ np.swapaxes(lie.to_matrix(truth), 1, 2))
+
+
+def _require_columns(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool) -> None:
+    for who, side in (("groundtruth", groundtruth), ("estimate", aligned)):
+        if side.quaternions is None:
+            raise InputError(
+                f"the {who} has no orientations, so no pose covariance can be judged by it"
+            )
+        if velocities and side.velocities is None:
+            raise InputError(f"the {who} has no velocities to judge a covariance of them by")

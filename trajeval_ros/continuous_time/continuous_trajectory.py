@@ -1,0 +1,242 @@
+"""A groundtruth that can be asked for any time, by the model that the user names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.continuous_time.gp_segments import MOST_TURN_RAD
+from trajeval_ros.continuous_time.interpolated import LinearInterpolation, NearestSample
+from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
+from trajeval_ros.continuous_time.manifolds import Positions, Rotations
+from trajeval_ros.continuous_time.markov import Interpolator, Process
+from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODELS
+from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
+from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.two_scale import TwoScaleGP
+from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.covariance_frames import body_from_world_positions
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+_HOLD_OUT_EVERY = 4
+_MOST_HELD_OUT = 3000
+_FEW = 10
+# Of the Markov prior where correlations are asked of a model that has none: WNOA.
+_ORDER = 2
+
+
+class PoseModel(Protocol):
+    """Any model, fitted."""
+
+    def at(self, times: Array) -> Belief:
+        """Return what is known at times (Q,), seconds, within those of the samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkovPoses:
+    """Positions and rotations as Markov processes apart.
+
+    Attributes:
+        positions: In the world.
+        rotations: None where the groundtruth has none.
+    """
+
+    positions: Interpolator
+    rotations: Interpolator | None
+
+    @classmethod
+    def fit(cls, samples: Samples, order: int) -> MarkovPoses:
+        """Fit both processes; `order` is 2 for white noise on acceleration, 3 on jerk."""
+        return cls.with_rotations(_positions(samples, order), samples, order)
+
+    @classmethod
+    def with_rotations(cls, positions: Process, samples: Samples, order: int) -> MarkovPoses:
+        """Add rotations to positions that are fitted already."""
+        rotations = None
+        if samples.oriented:
+            measured, noise = samples.poses[:, :3, :3], samples.noise.rotation_rad
+            process = Process.fit(Rotations(), order, samples.times, measured, noise)
+            rotations = process.interpolator()
+        return cls(positions.interpolator(), rotations)
+
+    def at(self, times: Array) -> Belief:
+        """Return what is known at times (Q,), seconds, within those of the samples."""
+        positions, spread = self.positions.at(times)
+        covariances = np.zeros((len(times), 6, 6))
+        rotations = np.broadcast_to(np.eye(3), (len(times), 3, 3))
+        if self.rotations is not None:
+            rotations, covariances[:, 3:, 3:] = self.rotations.at(times)
+        covariances[:, :3, :3] = body_from_world_positions(spread, rotations)
+        return Belief(se3.poses(rotations, positions), covariances)
+
+
+def _positions(samples: Samples, order: int) -> Process:
+    measured, noise = samples.poses[:, :3, 3], samples.noise.position_m
+    return Process.fit(Positions(), order, samples.times, measured, noise)
+
+
+_FITS: dict[str, Callable[[Samples], PoseModel]] = {
+    "matern": lambda samples: TwoScaleGP.fit(samples, (MATERN_32, MATERN_52)),
+    "matern32": lambda samples: TwoScaleGP.fit(samples, (MATERN_32,)),
+    "matern52": lambda samples: TwoScaleGP.fit(samples, (MATERN_52,)),
+    "paper": lambda samples: PiecewiseGP.fit(samples, (SQUARED_EXPONENTIAL,), joint=True),
+    "wnoa": lambda samples: MarkovPoses.fit(samples, 2),
+    "wnoj": lambda samples: MarkovPoses.fit(samples, 3),
+    "linear": LinearInterpolation,
+    "nearest": NearestSample,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousTrajectory:
+    """A groundtruth at any time.
+
+    Attributes:
+        model: Its name; of `auto`, the one that was chosen.
+        samples: What it was fitted to.
+        poses: The model, fitted.
+        statements: What can't be said, and why, one sentence each.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> bool(continuous.covers(slow.stamps).all())
+        True
+    """
+
+    model: str
+    samples: Samples
+    poses: PoseModel
+    statements: tuple[str, ...]
+
+    def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which stamps (Q,), nanoseconds, are neither before nor after all samples."""
+        times = self.samples.seconds(stamps)
+        inside: NDArray[np.bool_] = (times >= self.samples.times[0]) & (
+            times <= self.samples.times[-1]
+        )
+        return inside
+
+    def at(self, stamps: NDArray[np.int64]) -> Belief:
+        """Return what is known at stamps (Q,), nanoseconds.
+
+        Raises:
+            InputError: One is before or after all samples: nothing is extrapolated.
+        """
+        covered = self.covers(stamps)
+        if not covered.all():
+            raise InputError(
+                f"{np.count_nonzero(~covered)} of {len(stamps)} stamps are before or after the "
+                "groundtruth, where it can't be known"
+            )
+        return self.poses.at(self.samples.seconds(stamps))
+
+    @cached_property
+    def position_process(self) -> Process:
+        """Positions with all correlations: the model's own, or white noise on acceleration."""
+        if isinstance(self.poses, MarkovPoses):
+            return self.poses.positions.process
+        return _positions(self.samples, _ORDER)
+
+    @cached_property
+    def markov(self) -> MarkovPoses:
+        """Poses with all their correlations, likewise."""
+        if isinstance(self.poses, MarkovPoses):
+            return self.poses
+        return MarkovPoses.with_rotations(self.position_process, self.samples, _ORDER)
+
+
+@lru_cache(maxsize=1)
+def fit_trajectory(
+    groundtruth: Trajectory, model: str = DEFAULT_MODEL, noise: Noise | None = None
+) -> ContinuousTrajectory:
+    """Fit a model to a groundtruth, once for all estimates that are compared with it.
+
+    Args:
+        groundtruth: Its samples; repeated stamps are dropped, nearly equal ones merged.
+        model: One of `MODELS`. `auto` chooses between `matern` and the Markov priors,
+            by the likelihood of samples that are held out.
+        noise: Of the samples; by default 2 mm and 0.1 deg.
+
+    Raises:
+        SettingsError: There is no such model.
+        InputError: Fewer than two samples.
+
+    Example:
+        >>> from trajeval_ros import Noise, fit_trajectory, simulate
+        >>> slow = simulate(seed=1, duration_s=30.0).groundtruth[::100]
+        >>> continuous = fit_trajectory(slow, "wnoa", Noise(position_m=0.005, rotation_rad=0.01))
+        >>> belief = continuous.at(slow.stamps[:-1] + 50_000_000)
+        >>> belief.poses.shape == (len(slow) - 1, 4, 4)
+        True
+    """
+    require_one_of(model, MODELS, "continuous model")
+    samples = Samples.of(groundtruth, noise or Noise())
+    if model == "auto":
+        model = _most_predictive(samples)
+    return ContinuousTrajectory(model, samples, _FITS[model](samples), _statements(samples))
+
+
+def _most_predictive(samples: Samples) -> str:
+    """Return the candidate under which samples that it has not seen are most likely."""
+    if len(samples) < 2 * _HOLD_OUT_EVERY:
+        return CANDIDATES[0]
+    skip = max(0, (len(samples) - _MOST_HELD_OUT) // 2)
+    some = samples[np.arange(skip, min(skip + _MOST_HELD_OUT, len(samples)))]
+    # Neither the first nor the last one, between which the others must lie.
+    held = np.zeros(len(some), dtype=bool)
+    held[2 : len(some) - 1 : _HOLD_OUT_EVERY] = True
+    kept, truth = some[~held], some.poses[held]
+
+    def cost(model: str) -> float:
+        belief = _FITS[model](kept).at(some.times[held])
+        axes = 6 if samples.oriented else 3
+        noise = NearestSample(kept).at(some.times[held]).covariances
+        spread = (belief.covariances + noise)[:, :axes, :axes]
+        missed = se3.log(se3.inverse(belief.poses) @ truth)[:, :axes]
+        surprise = np.einsum(
+            "ni,ni->n", missed, np.linalg.solve(spread, missed[..., None])[..., 0]
+        )
+        return float(np.sum(surprise + np.linalg.slogdet(spread)[1]))
+
+    return min(CANDIDATES, key=cost)
+
+
+def _statements(samples: Samples) -> tuple[str, ...]:
+    """Return what a reader of this groundtruth must know."""
+    statements = []
+    if samples.merged:
+        statements.append(
+            f"{samples.merged} groundtruth poses were merged into others within 1 % of the usual "
+            "step"
+        )
+    if len(samples) < _FEW:
+        statements.append(
+            f"{len(samples)} groundtruth samples say little of how fast the body moves between "
+            "them, so that all uncertainties are guesses"
+        )
+    spread = samples.poses[:, :3, 3].std(axis=0).max()
+    turns = samples.step_turns()
+    if spread < samples.noise.position_m and turns.max() < 2.0 * samples.noise.rotation_rad:
+        statements.append(
+            "the groundtruth does not move beyond its noise of "
+            f"{samples.noise.position_m:g} m, so it says nothing of how fast this body can move "
+            "between samples"
+        )
+    wild = np.count_nonzero(turns > MOST_TURN_RAD)
+    if wild:
+        statements.append(
+            f"between two groundtruth poses the body turns by more than "
+            f"{np.degrees(MOST_TURN_RAD):.0f} deg at {wild} place{'s' if wild > 1 else ''}; which "
+            "way, or how often, can't be known, and rotations there are not to be trusted"
+        )
+    return tuple(statements)

@@ -1,0 +1,155 @@
+"""Overlapping segments of samples, each in coordinates about a pose of its own.
+
+Section IV-B of the probabilistic paper. Its coordinates are those of se(3). There a rotation bends
+the path of the translation, which costs a factor of two to four in gaps; so positions and
+rotations are coordinates apart, unless the paper's are asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.continuous_time.samples import Samples
+from trajeval_ros.geometry import lie, se3
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+SIZE = 20
+_SMALLEST = 6
+# Rotation vectors bend more the longer they are, and are of no use beyond pi.
+MOST_TURN_RAD = 2.0
+_NOWHERE = np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class GPSegments:
+    """S segments of n samples, each overlapping its neighbours by half, if it has any.
+
+    Attributes:
+        rows: (S, n), indices of samples.
+        times: (S, n), seconds.
+        references: (S, 4, 4), the pose in the middle of each.
+        coordinates: (S, n, 6) of the samples, about their segment's reference.
+        joint: Whether coordinates are those of se(3).
+    """
+
+    rows: Indices
+    times: Array
+    references: Array
+    coordinates: Array
+    joint: bool
+
+    @classmethod
+    def of(
+        cls,
+        samples: Samples,
+        size: int = SIZE,
+        *,
+        joint: bool = False,
+        breaks: Indices = _NOWHERE,
+    ) -> GPSegments:
+        """Cut samples into segments, smaller ones where rotations would grow too large.
+
+        Args:
+            samples: At least two.
+            size: n, even; all samples are one segment where there are no more.
+            joint: Use coordinates of se(3), as the paper does.
+            breaks: Samples after which no segment goes on, if there is any run of n between them.
+                Shorter runs are in no segment.
+        """
+        while True:
+            rows = _rows(len(samples), size, breaks)
+            middle = rows[:, rows.shape[1] // 2]
+            turns = lie.log(
+                se3.transposed(samples.poses[middle, None, :3, :3]) @ samples.poses[rows, :3, :3]
+            )
+            if size <= _SMALLEST or np.linalg.norm(turns, axis=-1).max() < MOST_TURN_RAD:
+                break
+            size = max(size * 3 // 4 // 2 * 2, _SMALLEST)
+        references, poses = samples.poses[middle], samples.poses[rows]
+        if joint:
+            coordinates = se3.log(se3.inverse(references)[:, None] @ poses)
+        else:
+            moved = poses[..., :3, 3] - references[:, None, :3, 3]
+            coordinates = np.concatenate([moved, turns], axis=-1)
+        return cls(rows, samples.times[rows], references, coordinates, joint)
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.rows)
+
+    def poses_at(self, segment: Indices, means: Array, variances: Array) -> tuple[Array, Array]:
+        """Turn coordinates into poses.
+
+        Args:
+            segment: (Q,), of each.
+            means: (Q, 6), coordinates.
+            variances: (Q, 6), of the coordinates, independent.
+
+        Returns:
+            Poses (Q, 4, 4) and covariances (Q, 6, 6) of perturbations on the right.
+        """
+        references = self.references[segment]
+        if self.joint:
+            poses = references @ se3.exp(means)
+            jacobian = se3.left_jacobian(-means)
+        else:
+            rotations = references[:, :3, :3] @ lie.exp(means[:, 3:])
+            poses = se3.poses(rotations, references[:, :3, 3] + means[:, :3])
+            jacobian = np.zeros((len(means), 6, 6))
+            jacobian[:, :3, :3] = se3.transposed(rotations)
+            jacobian[:, 3:, 3:] = lie.left_jacobian(-means[:, 3:])
+        spread = jacobian * np.sqrt(variances)[:, None, :]
+        return poses, spread @ se3.transposed(spread)
+
+    def around(self, times: Array) -> tuple[Indices, Indices, Array]:
+        """Return the two segments (Q,) that know of each time, and the weight (Q,) of the second.
+
+        From the start of a segment, its predecessor's say fades and its own grows, until the
+        predecessor or the next segment's turn ends it: `min` keeps the last segment, which begins
+        out of step, from making a jump. Across a break, the nearer one alone knows.
+        """
+        starts, ends = self.times[:, 0], self.times[:, -1]
+        begins_run = np.append(True, self.rows[1:, 0] > self.rows[:-1, -1])
+        before = np.append(starts[0], ends[:-1])
+        since = np.where(begins_run, 0.5 * (before + starts), starts)
+        second = np.clip(np.searchsorted(since, times, side="right") - 1, 0, len(self) - 1)
+        first = np.where(begins_run[second], second, second - 1)
+        following = np.append(starts[1:], np.inf)
+        begin = starts[second]
+        end = np.minimum(ends[first], following[second])
+        weight = smooth_step((times - begin) / np.where(end > begin, end - begin, 1.0))
+        return first, second, np.where(first == second, 1.0, weight)
+
+
+def smooth_step(share: Array) -> Array:
+    """Return 0 to 1 over [0, 1] with two derivatives that vanish at both ends."""
+    u = np.clip(share, 0.0, 1.0)
+    step: Array = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    return step
+
+
+def runs_between(count: int, breaks: Indices) -> tuple[Indices, Indices]:
+    """Return the first of the samples of each run, and how many there are."""
+    first = np.concatenate([[0], breaks + 1])
+    return first, np.diff(np.append(first, count))
+
+
+def _rows(count: int, size: int, breaks: Indices) -> Indices:
+    """Return the rows (S, n) of the segments of all runs that are long enough, or of the whole."""
+    runs = zip(*runs_between(count, breaks), strict=True)
+    long = [first + _rows_of_run(length, size) for first, length in runs if length >= size]
+    return np.concatenate(long or [_rows_of_run(count, size)])
+
+
+def _rows_of_run(count: int, size: int) -> Indices:
+    """Return the rows (S, n) of the segments; the last one is shifted back to be full."""
+    size = min(size, count)
+    starts = np.arange(0, count - size + 1, max(size // 2, 1))
+    if starts[-1] != count - size:
+        starts = np.append(starts, count - size)
+    return starts[:, None] + np.arange(size)

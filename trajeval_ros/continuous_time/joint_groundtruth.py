@@ -1,0 +1,132 @@
+"""The joint covariance of a groundtruth at many times, which errors of neighbours share.
+
+Covariances of single poses, taken as independent, count the same groundtruth sample once for every
+query beside it: log Bayes factors then grow with the estimate's rate without end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.continuous_time.markov import Process
+from trajeval_ros.geometry.block_tridiagonal import Factor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Queries closer than this share of the usual step to a sample are at the sample: information
+# between knots that are closer than a thousandth can't be held in double precision.
+_SAME_SHARE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class JointPosterior:
+    """A Markov process with knots at Q query times, which no sample measures.
+
+    Attributes:
+        dimension: d, of each query's error.
+        blocks: (N, d m, d m), of the information on its diagonal.
+        lower: (N - 1, d m, d m), of the information, below.
+        factor: Of the information.
+        rows: (Q,), the knots of the queries.
+    """
+
+    dimension: int
+    blocks: Array
+    lower: Array
+    factor: Factor
+    rows: Indices
+
+    @classmethod
+    def of(cls, process: Process, times: Array) -> JointPosterior:
+        """Add knots at times (Q,), seconds, within those of the process."""
+        own = process.times
+        after = np.clip(np.searchsorted(own, times), 1, len(own) - 1)
+        nearest = after - (times - own[after - 1] < own[after] - times)
+        close = np.abs(times - own[nearest]) < _SAME_SHARE * float(np.median(np.diff(own)))
+        asked = np.where(close, own[nearest], times)
+        union, place = np.unique(np.concatenate([own, asked]), return_inverse=True)
+        samples, rows = place[: len(own)], place[len(own) :]
+        states, _ = process.interpolator().at(union)
+        measured, information = states.copy(), np.zeros((len(union), process.dimension))
+        measured[samples], information[samples] = process.measured, process.information
+        columns = process.rates.reshape(len(own), -1).T
+        rates = np.empty((len(union), len(columns)))
+        for axis, column in enumerate(columns):
+            rates[:, axis] = np.interp(union, own, column)
+        dense = replace(
+            process,
+            times=union,
+            measured=measured,
+            information=information,
+            states=states,
+            rates=rates.reshape(len(union), *process.rates.shape[1:]),
+        ).solved(15, 1e-10)
+        blocks, lower, _, _ = dense._normal_equations()
+        return cls(process.dimension, blocks, lower, Factor.of(blocks, lower), rows)
+
+    def covariance(self) -> Array:
+        """Return the covariance (d Q, d Q) of all queries: dense, for a few."""
+        count, dimension = len(self.rows), self.dimension
+        size = count * dimension
+        units = np.eye(size).reshape(count, dimension, size)
+        return self.times(units).reshape(size, size)
+
+    def marginals(self) -> Array:
+        """Return the covariances (Q, d, d) of single queries."""
+        return self.factor.inverse_blocks()[0][self.rows, : self.dimension, : self.dimension]
+
+    def draws(self, count: int, random: np.random.Generator) -> Array:
+        """Return draws (count, Q, d) of the error at the queries."""
+        white = random.normal(size=(*self.factor.scale.shape, count))
+        return np.moveaxis(self.factor.coloured(white)[self.rows, : self.dimension], -1, 0)
+
+    def times(self, vectors: Array) -> Array:
+        """Return P v for v (Q, d, k), in O(Q) and without P."""
+        spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))
+        np.add.at(spread[:, : self.dimension], self.rows, vectors)
+        product: Array = self.factor.solve(spread)[self.rows, : self.dimension]
+        return product
+
+    def observed(self, tolerance: Array) -> ObservedPosterior:
+        """Add errors that are independent of each other, of covariances R (Q, d, d)."""
+        inverse = np.asarray(np.linalg.inv(tolerance))
+        blocks = self.blocks.copy()
+        np.add.at(blocks[:, : self.dimension, : self.dimension], self.rows, inverse)
+        both = Factor.of(blocks, self.lower)
+        determinant = both.log_determinant - self.factor.log_determinant
+        determinant += float(np.linalg.slogdet(tolerance)[1].sum())
+        return ObservedPosterior(both, self.rows, inverse, determinant)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPosterior:
+    """The covariance P + R of what is seen at the queries, by the matrix inversion lemma.
+
+    Attributes:
+        factor: Of the process's information with that of the queries.
+        rows: (Q,), the knots of the queries.
+        inverse: R^-1, (Q, d, d).
+        log_determinant: Of P + R.
+    """
+
+    factor: Factor
+    rows: Indices
+    inverse: Array
+    log_determinant: float
+
+    def solve(self, errors: Array) -> Array:
+        """Return (P + R)^-1 x for x (Q, d, k), in O(Q)."""
+        weighted, dimension = self.inverse @ errors, errors.shape[1]
+        spread = np.zeros((*self.factor.scale.shape, errors.shape[-1]))
+        np.add.at(spread[:, :dimension], self.rows, weighted)
+        solved: Array = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :dimension]
+        return solved
+
+    def log_density(self, errors: Array) -> float:
+        """Return log N(errors; 0, P + R) of errors (Q, d)."""
+        squared = float(np.vdot(errors, self.solve(errors[..., None])[..., 0]))
+        return -0.5 * (squared + self.log_determinant + errors.size * float(np.log(2.0 * np.pi)))

@@ -1,0 +1,1 @@
+"""What a user may have got wrong: warnings, restarts, clocks that seem to differ."""

@@ -1,0 +1,85 @@
+"""Whether clocks seem to differ: a remark for whoever reads the numbers, which changes none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association import Association
+
+# A correlation's peak is this wide on data whose clocks agree. A lever arm moves that of speeds.
+_LEAST_S = {"angular rate": 0.010, "speed": 0.150}
+_LONGEST_S = 600.0
+_FEWEST_STATES = 50
+# By the speed alone: the share of the squared error that a late stamp explains, and how late.
+_EXPLAINED = 0.5
+_LATE_S = 0.020
+
+
+def clock_hint(pairs: Association, aligned: Trajectory) -> list[str]:
+    """Return a warning if clocks seem to differ, by rates of motion or by errors along the speed.
+
+    Of pairs alone, so that a live run, which keeps nothing else, is told the same.
+
+    Args:
+        pairs: N pairs.
+        aligned: Their estimated states, aligned.
+    """
+    rule = pairs.rule
+    if rule.method == "index" or len(pairs) < _FEWEST_STATES:
+        return []
+    guess = _guess(pairs)
+    if guess.is_usable:
+        apart_s = guess.offset_s
+        step_s = float(np.median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
+        # Nearest stamps are as far apart as the rule allows.
+        within_s = 0.0 if rule.method in ("linear", "continuous") else rule.max_time_difference_s
+        if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
+            return []
+        how = f"the {guess.signal}s of the two match best"
+    else:
+        late_s = _late(pairs, aligned)
+        if late_s is None:
+            return []
+        apart_s, how = late_s, "the position error goes with the speed, as"
+    more = "more " if rule.time_offset_s else ""
+    return [
+        f"the clocks of groundtruth and estimate seem to differ: {how} with {1e3 * apart_s:+.0f} "
+        f"ms {more}added to the estimate's stamps; --time-offset auto tests it"
+    ]
+
+
+def _guess(pairs: Association) -> OffsetGuess:
+    """Correlate ten minutes from the middle of the run: enough, and no more on long runs."""
+    stamps = pairs.estimate.stamps
+    middle = (int(stamps.min()) + int(stamps.max())) // 2
+    near = np.abs(stamps - middle) <= round(_LONGEST_S / 2.0 * NANOSECONDS)
+    # Pairs of many to one may share a stamp.
+    if len(np.unique(stamps[near])) < _FEWEST_STATES:
+        return OffsetGuess(0.0, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
+    return guess_offset(pairs.groundtruth[near], pairs.estimate[near])
+
+
+def _late(pairs: Association, aligned: Trajectory) -> float | None:
+    """Return by how much the stamps seem late if that explains the error, seconds, else None."""
+    truth = pairs.groundtruth
+    steps = np.diff(truth.stamps) / NANOSECONDS
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    whole = (steps > 0.0) & (steps <= 2.0 * usual)
+    both = whole[1:] & whole[:-1]
+    if np.count_nonzero(both) < _FEWEST_STATES:
+        return None
+    moved = truth.positions[2:] - truth.positions[:-2]
+    velocity = moved[both] / (steps[1:] + steps[:-1])[both, None]
+    error = (aligned.positions - truth.positions)[1:-1][both]
+    # What is constant has gone into the alignment.
+    velocity = velocity - velocity.mean(axis=0)
+    error = error - error.mean(axis=0)
+    squared = float(np.square(velocity).sum())
+    product = float((velocity * error).sum())
+    total = float(np.square(error).sum())
+    if squared == 0.0 or product**2 < _EXPLAINED * squared * total:
+        return None
+    late_s = product / squared
+    return late_s if abs(late_s) > _LATE_S else None

@@ -1,0 +1,1 @@
+"""Rigid motions, trajectories and gauges: what everything else computes with."""

@@ -1,0 +1,107 @@
+"""A Gaussian whose information matrix is banded: samples and marginals without its covariance.
+
+Parameters are cut into links, each at least as long as the band is wide. Then a link depends on
+the next one alone, and elimination from the first to the last takes one small Cholesky factor
+for each link.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError
+
+Array = NDArray[np.float64]
+
+
+def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
+    """Return how far an entry is from the diagonal at the most."""
+    entries = matrix.tocoo()
+    return int(np.abs(entries.row - entries.col).max(initial=0))
+
+
+class BandedGaussian:
+    """The factors of an information matrix (n, n), positive definite and banded."""
+
+    def __init__(self, information: scipy.sparse.csr_matrix) -> None:
+        """Eliminate link after link.
+
+        Raises:
+            DegenerateGeometryError: The matrix is not positive definite.
+        """
+        size = information.shape[0]
+        links = max(size // max(bandwidth(information), 1), 1)
+        cuts = np.linspace(0, size, links + 1).astype(int)
+        self._rows = [slice(*each) for each in itertools.pairwise(cuts)]
+        # Of each link: the Cholesky factor of what is left of it, and its regression -D^-1 U on
+        # the next link.
+        self._factors: list[Array] = []
+        self._regressions: list[Array] = []
+        correction: Array | float = 0.0
+        for rows, after in zip(self._rows, [*self._rows[1:], slice(size, size)], strict=True):
+            left = information[rows, rows].toarray() - correction
+            coupling = information[rows, after].toarray()
+            try:
+                factor = scipy.linalg.cholesky(left, lower=True)
+            except np.linalg.LinAlgError as error:
+                raise DegenerateGeometryError(
+                    "the measurements leave directions open besides position and yaw, which the "
+                    "gauge accounts for; add landmarks, or keyframes that see them from elsewhere"
+                ) from error
+            whitened = scipy.linalg.solve_triangular(factor, coupling, lower=True)
+            correction = whitened.T @ whitened
+            self._factors.append(factor)
+            self._regressions.append(
+                -scipy.linalg.solve_triangular(factor, whitened, lower=True, trans="T")
+            )
+
+    def sampled(self, normals: Array) -> Array:
+        """Return a sample (n, ...) of the Gaussian from standard normal numbers (n, ...)."""
+        sample = np.empty_like(normals)
+        ahead = np.empty((0, *normals.shape[1:]))
+        for rows, factor, regression in self._backwards():
+            noise = scipy.linalg.solve_triangular(factor, normals[rows], lower=True, trans="T")
+            ahead = noise + regression @ ahead
+            sample[rows] = ahead
+        return sample
+
+    def solved(self, columns: Array) -> Array:
+        """Return the covariance times columns (n, k)."""
+        found = columns.astype(float)
+        for rows, after, regression in zip(
+            self._rows[:-1], self._rows[1:], self._regressions[:-1], strict=True
+        ):
+            found[after] += regression.T @ found[rows]
+        ahead = np.empty((0, columns.shape[1]))
+        for rows, factor, regression in self._backwards():
+            ahead = scipy.linalg.cho_solve((factor, True), found[rows]) + regression @ ahead
+            found[rows] = ahead
+        return found
+
+    def marginals(self, starts: NDArray[np.int64], size: int) -> Array:
+        """Return the blocks (B, size, size) on the covariance's diagonal that begin at `starts`.
+
+        Blocks may lie across two links.
+        """
+        blocks = np.empty((len(starts), size, size))
+        covariance = np.empty((0, 0))
+        for rows, factor, regression in self._backwards():
+            cross = regression @ covariance
+            own = scipy.linalg.cho_solve((factor, True), np.eye(len(factor)))
+            own += cross @ regression.T
+            # This link with the next one, so that a block across both is whole.
+            joint = np.block([[own, cross], [cross.T, covariance]])
+            here = np.flatnonzero((starts >= rows.start) & (starts < rows.stop))
+            within = (starts[here] - rows.start)[:, None] + np.arange(size)
+            blocks[here] = joint[within[:, :, None], within[:, None, :]]
+            covariance = own
+        return blocks
+
+    def _backwards(self) -> Iterator[tuple[slice, Array, Array]]:
+        return zip(self._rows[::-1], self._factors[::-1], self._regressions[::-1], strict=True)

@@ -1,0 +1,135 @@
+"""Moving trajectories between a body and a marker on it: T_G_B = T_G_M T_B_M^-1."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye:
+    """T_B_M: the pose of the marker, whose groundtruth it is, in the estimate's body.
+
+    Attributes:
+        rotation_xyzw: (4,), from the marker's axes to the body's.
+        lever_m: (3,), the marker's origin in the body, metres.
+        body: Name of the body's frame, "" if unknown.
+        marker: Name of the marker's frame, "" if unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import HandEye
+        >>> HandEye(np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.2])).inverse().lever_m
+        array([-0.1, -0. , -0.2])
+    """
+
+    rotation_xyzw: Array
+    lever_m: Array
+    body: str = ""
+    marker: str = ""
+
+    @classmethod
+    def of(cls, rotation_vector: Array | None, lever_m: Array | None) -> HandEye:
+        """Make one of what is known; None for no rotation, or no lever arm."""
+        vector = np.zeros(3) if rotation_vector is None else rotation_vector
+        lever = np.zeros(3) if lever_m is None else lever_m
+        return cls(lie.from_rotation_vector(vector), lever)
+
+    def inverse(self) -> HandEye:
+        """Return the pose of the body in the marker."""
+        back = lie.conjugate(self.rotation_xyzw)
+        return HandEye(back, -lie.rotate(back, self.lever_m), self.marker, self.body)
+
+    def require_frames(self, groundtruth: Trajectory, estimate: Trajectory) -> None:
+        """Check that names of frames, where both are known, don't say the opposite.
+
+        Raises:
+            InputError: They say that the transform is the inverse of what is needed.
+        """
+        named = self.body and self.body == groundtruth.child_frame
+        if named and self.marker == estimate.child_frame and self.body != self.marker:
+            raise InputError(
+                f"the hand-eye transform is of {self.marker!r} in {self.body!r}, but the "
+                f"groundtruth is of {self.body!r} and the estimate of {self.marker!r}: its "
+                f"inverse is needed, with frame_id {self.marker} and child_frame_id {self.body}"
+            )
+
+    def of_body(self, groundtruth: Trajectory, body: str = "") -> Trajectory:
+        """Return the groundtruth of the body, from poses of the marker.
+
+        Velocities are the marker's and are left out if there is a lever arm; biases are turned
+        into the body's axes.
+
+        Args:
+            groundtruth: Poses, with rotations.
+            body: Name of the body's frame.
+        """
+        marker = groundtruth.quaternions
+        assert marker is not None
+        quaternions = lie.multiply(marker, lie.conjugate(self.rotation_xyzw))
+        arm = lie.rotate(quaternions, self.lever_m)
+        velocities, notes = groundtruth.velocities, groundtruth.notes
+        if velocities is not None and self.lever_m.any():
+            velocities = None
+            notes = (*notes, "velocities are the marker's, not the body's, and are left out")
+        return dataclasses.replace(
+            groundtruth,
+            positions=groundtruth.positions - arm,
+            quaternions=lie.normalized(quaternions),
+            velocities=velocities,
+            covariances=None,
+            matrices=None,
+            child_frame=body or groundtruth.child_frame,
+            notes=notes,
+            gyroscope_biases=self._turned(groundtruth.gyroscope_biases),
+            accelerometer_biases=self._turned(groundtruth.accelerometer_biases),
+        )
+
+    def _turned(self, vectors: Array | None) -> Array | None:
+        return None if vectors is None else lie.rotate(self.rotation_xyzw, vectors)
+
+    def of_marker(self, estimate: Trajectory, scale: float, marker: str = "") -> Trajectory:
+        """Return the estimate of the marker's position, for groundtruth of positions alone.
+
+        Args:
+            estimate: Poses of the body, with rotations.
+            scale: Groundtruth metres in a unit of the estimate.
+            marker: Name of the marker's frame.
+
+        Raises:
+            InputError: The estimate has positions only.
+        """
+        quaternions = estimate.quaternions
+        if quaternions is None:
+            raise InputError(
+                f"{estimate.name or 'the estimate'} has no orientations, so no lever arm can be "
+                "applied to it"
+            )
+        arm = lie.rotate(quaternions, self.lever_m / scale)
+        velocities, notes = estimate.velocities, estimate.notes
+        if velocities is not None and self.lever_m.any():
+            velocities = None
+            notes = (*notes, "velocities are the body's, not the marker's, and are left out")
+        covariances = estimate.covariances
+        if covariances is not None:
+            # p + R l under R <- Exp(dphi) R: dp - [R l]x dphi.
+            change = np.broadcast_to(np.eye(6), (len(arm), 6, 6)).copy()
+            change[:, :3, 3:] = -lie.skew(arm)
+            covariances = change @ covariances @ change.swapaxes(1, 2)
+        return dataclasses.replace(
+            estimate,
+            positions=estimate.positions + arm,
+            velocities=velocities,
+            covariances=covariances,
+            child_frame=marker or estimate.child_frame,
+            notes=notes,
+        )

@@ -1,0 +1,56 @@
+"""Repeated stamps: which of them have positions that contradict each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STEPS = 3.0  # of the usual size: what noise explains of a body that hardly moves
+
+
+class Conflicts(NamedTuple):
+    """States that have the stamp of another one and are elsewhere.
+
+    Attributes:
+        number: How many they are.
+        largest_m: How far they are from the first state of the same stamp, at most, metres.
+    """
+
+    number: int
+    largest_m: float
+
+
+def conflicts_of(stamps: NDArray[np.int64], positions: NDArray[np.float64]) -> Conflicts:
+    """Compare states of equal stamps with the first one of each stamp.
+
+    Stamps that were rounded repeat with different positions, too, but these are between the
+    states before and after. So positions conflict where they are further apart than those two
+    states are, and than three usual steps, which is for the noise of a body at rest.
+
+    Args:
+        stamps: (N,) sorted, nanoseconds.
+        positions: (N, 3), metres.
+    """
+    is_first = np.concatenate([[True], np.diff(stamps) > 0])
+    repeats = np.flatnonzero(~is_first)
+    firsts = np.flatnonzero(is_first)
+    if not len(repeats):
+        return Conflicts(0, 0.0)
+    distinct = positions[firsts]
+    group = np.cumsum(is_first)[repeats] - 1
+    apart_m = _lengths(positions[repeats] - distinct[group])
+    before, after = np.maximum(group - 1, 0), np.minimum(group + 1, len(firsts) - 1)
+    steps_m = _lengths(np.diff(distinct, axis=0))
+    usual_m = float(np.median(steps_m)) if len(steps_m) else 0.0
+    passed_m = _lengths(distinct[after] - distinct[before])
+    conflict = apart_m > np.maximum(passed_m, _STEPS * usual_m)
+    return Conflicts(int(np.count_nonzero(conflict)), float(apart_m[conflict].max(initial=0.0)))
+
+
+def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Positions may not be finite: what uses the states refuses them later.
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths: NDArray[np.float64] = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return lengths

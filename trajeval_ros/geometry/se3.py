@@ -1,0 +1,145 @@
+"""Rigid motions, batched: exponential, logarithm, adjoint and Jacobians of SE(3).
+
+Poses are homogeneous matrices (..., 4, 4). Twists (..., 6) are translation first, rotation second,
+and perturb on the right, in the body: T' = T Exp(xi), eq. (1) of the probabilistic paper. The
+package's other covariances are about the fixed frame's axes: see `covariance_frames`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry import lie
+
+Array = NDArray[np.float64]
+# Squared angle below which series replace closed forms that cancel.
+_SMALL = 0.04
+
+
+def poses(rotations: Array, positions: Array) -> Array:
+    """Return the matrices (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3)."""
+    shape = np.broadcast_shapes(rotations.shape[:-2], positions.shape[:-1])
+    matrices = np.zeros((*shape, 4, 4))
+    matrices[..., :3, :3] = rotations
+    matrices[..., :3, 3] = positions
+    matrices[..., 3, 3] = 1.0
+    return matrices
+
+
+def inverse(pose: Array) -> Array:
+    """Return the inverse motions (..., 4, 4)."""
+    turned = transposed(pose[..., :3, :3])
+    return poses(turned, -times(turned, pose[..., :3, 3]))
+
+
+def exp(twist: Array) -> Array:
+    """Return the poses (..., 4, 4) of twists (..., 6)."""
+    translation, rotation = twist[..., :3], twist[..., 3:]
+    return poses(lie.exp(rotation), times(lie.left_jacobian(rotation), translation))
+
+
+def log(pose: Array) -> Array:
+    """Return the twists (..., 6) of poses (..., 4, 4), rotations at most pi."""
+    rotation = lie.log(pose[..., :3, :3])
+    translation = times(lie.inverse_left_jacobian(rotation), pose[..., :3, 3])
+    return np.concatenate([translation, rotation], axis=-1)
+
+
+def adjoint(pose: Array) -> Array:
+    """Return Ad_T (..., 6, 6): T Exp(x) = Exp(Ad_T x) T, eq. (2), of determinant 1."""
+    rotation = pose[..., :3, :3]
+    return _triangular(rotation, lie.skew(pose[..., :3, 3]) @ rotation)
+
+
+def left_jacobian(twist: Array) -> Array:
+    """Return J_l (..., 6, 6) with Exp(x + d) = Exp(J_l d) Exp(x); J_r(x) is J_l(-x)."""
+    return _triangular(lie.left_jacobian(twist[..., 3:]), _coupling(twist))
+
+
+def inverse_left_jacobian(twist: Array) -> Array:
+    """Return the inverse of J_l (..., 6, 6), for angles below 2 pi."""
+    turn = lie.inverse_left_jacobian(twist[..., 3:])
+    return _triangular(turn, -turn @ _coupling(twist) @ turn)
+
+
+def log_determinant(rotation: Array) -> Array:
+    """Return log |det J| (...) of SO(3) at rotation vectors (..., 3); SE(3)'s is twice it."""
+    squared = np.sum(rotation * rotation, axis=-1)
+    half = np.sqrt(squared) / 2.0
+    # (sin(t/2) / (t/2))^2, which numpy's sinc has without a division by zero.
+    determinant: Array = 2.0 * np.log(np.abs(np.sinc(half / np.pi)))
+    return determinant
+
+
+def log_determinant_gradient(rotation: Array) -> Array:
+    """Return the gradient (..., 3) of `log_determinant`: (cot(t/2) - 2/t) / t times the vector."""
+    squared = np.sum(rotation * rotation, axis=-1)[..., None]
+    small = squared < 1e-2
+    angle = np.sqrt(np.where(small, 1.0, squared))
+    series = -(1.0 + squared / 60.0 * (1.0 + squared / 42.0 * (1.0 + squared / 40.0))) / 6.0
+    closed = (1.0 / np.tan(angle / 2.0) - 2.0 / angle) / angle
+    gradient: Array = np.where(small, series, closed) * rotation
+    return gradient
+
+
+def transposed(matrices: Array) -> Array:
+    """Return the transposes of the last two axes."""
+    return np.swapaxes(matrices, -1, -2)
+
+
+def times(matrices: Array, vectors: Array) -> Array:
+    """Return the products (..., n) of matrices (..., n, m) and vectors (..., m)."""
+    product: Array = (matrices @ vectors[..., None])[..., 0]
+    return product
+
+
+def congruent(matrices: NDArray[Any], covariances: Array) -> Array:
+    """Return A S A^T (..., n, n), symmetric to the last bit."""
+    carried = matrices @ covariances @ transposed(matrices)
+    symmetric: Array = 0.5 * (carried + transposed(carried))
+    return symmetric
+
+
+def _triangular(diagonal: Array, corner: Array) -> Array:
+    blocks = np.zeros((*diagonal.shape[:-2], 6, 6))
+    blocks[..., :3, :3] = blocks[..., 3:, 3:] = diagonal
+    blocks[..., :3, 3:] = corner
+    return blocks
+
+
+def _coupling(twist: Array) -> Array:
+    """Return the block Q (..., 3, 3) of J_l (Barfoot, State Estimation for Robotics, eq. 7.86)."""
+    r, f = lie.skew(twist[..., :3]), lie.skew(twist[..., 3:])
+    s = np.sum(np.square(twist[..., 3:]), axis=-1)[..., None, None]
+    small = s < _SMALL
+    # Of each closed form, the value at an angle where it doesn't cancel stands in for small ones.
+    t2 = np.where(small, 1.0, s)
+    t = np.sqrt(t2)
+    sine, cosine = np.sin(t), np.cos(t)
+    third = np.where(
+        small,
+        (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156))))) / 6,
+        (t - sine) / (t * t2),
+    )
+    fourth = np.where(
+        small,
+        (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132 * (1 - s / 182))))) / 24,
+        (t2 / 2 + cosine - 1) / t2**2,
+    )
+    fifth = np.where(
+        small,
+        1 / 120 - s / 2520 + s**2 / 120960 - s**3 / 9979200 + s**4 / 1245404160,
+        (2 * t - 3 * sine + t * cosine) / (2 * t2**2 * t),
+    )
+    fr, rf = f @ r, r @ f
+    frf = fr @ f
+    coupling: Array = (
+        0.5 * r
+        + third * (fr + rf + frf)
+        + fourth * (f @ fr + rf @ f - 3.0 * frf)
+        + fifth * (frf @ f + f @ frf)
+    )
+    return coupling

@@ -1,0 +1,334 @@
+"""A trajectory as columns: stamps, positions, quaternions and what else was measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+NANOSECONDS = 1_000_000_000
+# Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
+LARGEST = 1e12
+_SHORTEST = 1e-6  # of a quaternion
+_UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; rounding is far less
+# Reasons for dropping what was no state of its own, and counts in no coverage.
+NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
+# Shapes of a row of each column.
+_COLUMNS: dict[str, tuple[int, ...]] = {
+    "stamps": (),
+    "frames": (),
+    "matrices": (3, 3),
+    "positions": (3,),
+    "quaternions": (4,),
+    "velocities": (3,),
+    "gyroscope_biases": (3,),
+    "accelerometer_biases": (3,),
+    "covariances": (6, 6),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """States of a moving body over time, in one fixed frame. Nothing in it is ever changed.
+
+    Build one from raw numbers with `from_columns`, which drops what can't be a pose.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds.
+        positions: (N, 3), metres, of the body in the frame.
+        quaternions: (N, 4), xyzw, of length 1, rotations from the body to the frame; None for a
+            position-only sensor.
+        velocities: (N, 3), m/s, in the frame, or None.
+        gyroscope_biases: (N, 3), rad/s, in the body, or None.
+        accelerometer_biases: (N, 3), m/s^2, in the body, or None.
+        covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
+            the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
+        frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
+        matrices: (N, 3, 3), the left parts of KITTI's matrices as the file has them, which with
+            few digits are only nearly the rotations of `quaternions`; None where there are none.
+        frame: Name of the fixed frame, "" if unknown.
+        child_frame: Name of the body's frame, "" if unknown.
+        name: What a table calls it.
+        source: What it was read from, as a user names it; "" if from nothing.
+        stamped: False if the file had no stamps; then they count the rows, one second apart.
+        numbered: Whether the file gave the `frames`; else they count its rows.
+        dropped: Number of rows that were dropped, by reason.
+        notes: What the reader recognised or repaired, one sentence each, for the user.
+        damage: What of its source could not be read, one sentence each: the user must know.
+        conflicts: How its states contradict each other, one sentence each: the user must know.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import Trajectory
+        >>> stamps = np.array([0, 500_000_000])
+        >>> Trajectory.from_columns(stamps, [[0, 0, 0], [2, 0, 0]], [[0, 0, 0, 1], [0, 0, 0, 2]])
+        <Trajectory unnamed, 2 poses, 0.5 s, 2.0 m>
+    """
+
+    stamps: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    quaternions: NDArray[np.float64] | None = None
+    velocities: NDArray[np.float64] | None = None
+    gyroscope_biases: NDArray[np.float64] | None = None
+    accelerometer_biases: NDArray[np.float64] | None = None
+    covariances: NDArray[np.float64] | None = None
+    frames: NDArray[np.int64] | None = None
+    matrices: NDArray[np.float64] | None = None
+    frame: str = ""
+    child_frame: str = ""
+    name: str = ""
+    source: str = ""
+    stamped: bool = True
+    numbered: bool = False
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
+    conflicts: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the columns, so that a wrong one fails where it was made.
+
+        Raises:
+            TypeError: The stamps are not int64, or a column is no array.
+            ValueError: A column has another shape, or quaternions don't have the length 1.
+        """
+        count = len(self.stamps)
+        for name, row_shape in _COLUMNS.items():
+            column = getattr(self, name)
+            if column is None:
+                continue
+            if not isinstance(column, np.ndarray):
+                raise TypeError(f"{name} must be a numpy array, not {type(column).__name__}")
+            if column.shape != (count, *row_shape):
+                raise ValueError(
+                    f"{name} has shape {column.shape}, expected {(count, *row_shape)}"
+                )
+        if self.stamps.dtype != np.int64:
+            raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
+        if self.quaternions is not None:
+            # A NaN, a zero and rows that were not normalised show in the mean, which is cheap:
+            # trajectories are made often.
+            excess = float(np.vdot(self.quaternions, self.quaternions)) - count
+            if not abs(excess) <= _UNIT * count:
+                raise ValueError(
+                    "quaternions must have the length 1; Trajectory.from_columns normalises them"
+                )
+
+    @classmethod
+    def from_columns(
+        cls,
+        stamps: NDArray[np.int64],
+        positions: ArrayLike,
+        quaternions: ArrayLike | None = None,
+        **columns: object,
+    ) -> Trajectory:
+        """Make a trajectory from raw numbers; rows that aren't poses are dropped and counted.
+
+        Args:
+            stamps: (N,) int64, nanoseconds.
+            positions: (N, 3), metres.
+            quaternions: (N, 4), xyzw, of any length but zero; None for a position-only sensor.
+            **columns: Any other attribute of `Trajectory`.
+
+        Rows with a NaN or infinity in position or quaternion, or with what is too large to be
+        squared, are dropped as `not_finite`, quaternions of (nearly) zero length as
+        `zero_quaternion`: see `judge_poses`. Velocities or biases that aren't finite throughout
+        are left out, with a note. A covariance that is not finite stays, for whoever uses it to
+        judge.
+        """
+        position_rows = np.asarray(positions, dtype=np.float64)
+        quaternion_rows: NDArray[np.float64] | None = None
+        if quaternions is not None:
+            quaternion_rows = np.asarray(quaternions, dtype=np.float64)
+        finite, nonzero = judge_poses(position_rows, quaternion_rows)
+        keep = finite & nonzero
+        dropped = {
+            "not_finite": int(np.count_nonzero(~finite)),
+            "zero_quaternion": int(np.count_nonzero(finite & ~nonzero)),
+        }
+        if not keep.all():
+            stamps, position_rows = stamps[keep], position_rows[keep]
+            quaternion_rows = None if quaternion_rows is None else quaternion_rows[keep]
+            columns = {
+                name: value[keep] if isinstance(value, np.ndarray) else value
+                for name, value in columns.items()
+            }
+        if quaternion_rows is not None:
+            quaternion_rows = lie.normalized(quaternion_rows)
+        trajectory = cls(stamps, position_rows, quaternion_rows, **columns)  # type: ignore[arg-type]
+        return dataclasses.replace(
+            trajectory, dropped=add_counts(trajectory.dropped, dropped)
+        )._with_finite_columns()
+
+    def _with_finite_columns(self) -> Trajectory:
+        bad = [
+            name
+            for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
+            if (column := getattr(self, name)) is not None
+            and not (np.abs(column) <= LARGEST).all()
+        ]
+        if not bad:
+            return self
+        note = f"the {' and '.join(bad).replace('_', ' ')} are not finite throughout and left out"
+        columns: dict[str, Any] = dict.fromkeys(bad)
+        return dataclasses.replace(self, **columns, notes=(*self.notes, note))
+
+    def __len__(self) -> int:
+        """Return the number of states."""
+        return len(self.stamps)
+
+    def __repr__(self) -> str:
+        """Return a line that says what it is, without its arrays."""
+        count = len(self)
+        parts = [
+            self.name or "unnamed",
+            f"{count} pose{'' if count == 1 else 's'}",
+            f"{self.duration_s:.1f} s",
+            f"{self.path_length_m:.1f} m",
+        ]
+        if self.frame or self.child_frame:
+            parts.append(f"{self.child_frame or '?'} in {self.frame or '?'}")
+        return f"<Trajectory {', '.join(parts)}>"
+
+    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Trajectory:
+        """Return the states of a slice, a mask or an array of indices; of all of them, self."""
+        if isinstance(rows, np.ndarray) and len(rows) == len(self):
+            everything = rows if rows.dtype == bool else rows == np.arange(len(self))
+            if everything.all():
+                return self
+        picked = {
+            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **picked)
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """Time since the first state, (N,), seconds."""
+        since: NDArray[np.float64] = (self.stamps - self.stamps[0]) / NANOSECONDS
+        return since
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the earliest to the latest state, seconds."""
+        return float(self.stamps.max() - self.stamps.min()) / NANOSECONDS if len(self) else 0.0
+
+    @property
+    def travelled(self) -> NDArray[np.float64]:
+        """Distance travelled up to each state along the straight lines between them, (N,), m."""
+        return travelled_distance(self.positions)
+
+    @property
+    def path_length_m(self) -> float:
+        """Length of the path through all states, metres."""
+        return float(self.travelled[-1]) if len(self) else 0.0
+
+    @property
+    def rotations(self) -> Rotation | None:
+        """The quaternions as scipy's `Rotation`, N in a batch; imports `scipy.spatial`."""
+        if self.quaternions is None:
+            return None
+        from scipy.spatial.transform import Rotation
+
+        # They are unit already, and `from_quat` would change last digits.
+        return Rotation(self.quaternions, normalize=False)
+
+    def in_order(self) -> Trajectory:
+        """Return the states sorted by stamp, of equal stamps only the first; says what it did."""
+        steps = np.diff(self.stamps)
+        if (steps > 0).all():
+            return self
+        order = np.argsort(self.stamps, kind="stable")
+        first = np.concatenate([[True], np.diff(self.stamps[order]) > 0])
+        conflicts = conflicts_of(self.stamps[order], self.positions[order])
+        duplicates = int(np.count_nonzero(~first))
+        backwards = int(np.count_nonzero(steps < 0))
+        notes = list(self.notes)
+        if backwards:
+            notes.append(
+                f"{self.name or 'the trajectory'} steps back in time at {backwards} "
+                f"place{'s' if backwards > 1 else ''}; its poses were sorted by stamp"
+            )
+        ordered = self[order[first]]
+        return dataclasses.replace(
+            ordered,
+            notes=tuple(notes),
+            dropped=add_counts(self.dropped, {"duplicate_stamp": duplicates}),
+            conflicts=(*self.conflicts, *self._said(conflicts, duplicates)),
+        )
+
+    def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
+        """Say which repeated stamps contradict each other, if any do."""
+        if not conflicts.number:
+            return []
+        return [
+            f"{self.name or 'the trajectory'} has {conflicts.number} repeated "
+            f"stamp{'' if conflicts.number == 1 else 's'} (of {duplicates}) with positions that "
+            "are further apart than the motion there explains, by up to "
+            f"{conflicts.largest_m:.3g} m; the first pose of each stamp was used, which may be "
+            "the wrong one: remove the rows that are wrong"
+        ]
+
+    def require_usable(self) -> None:
+        """Check that there is a state, and that all are finite.
+
+        Raises:
+            InputError: There is none, or one that isn't; `from_columns` drops such rows.
+        """
+        name = self.name or "the trajectory"
+        if not len(self):
+            why = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
+            raise InputError(f"{name} has no usable pose" + (f" (dropped: {why})" if why else ""))
+        if not judge_poses(self.positions)[0].all():
+            raise InputError(
+                f"{name} has positions that are not finite, or beyond {LARGEST:g} m; drop those "
+                "states"
+            )
+
+
+def judge_poses(
+    positions: NDArray[np.float64], quaternions: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which rows are finite, (N,), and which have a quaternion of some length, (N,).
+
+    An estimate that has diverged may have numbers that are finite, but whose squares are not: they
+    count as infinite, too.
+
+    Args:
+        positions: (N, 3), metres.
+        quaternions: (N, 4); None where there are none.
+    """
+    finite = np.logical_and.reduce(np.abs(positions) <= LARGEST, axis=1)
+    if quaternions is None:
+        return finite, np.ones(len(positions), dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        squared_length = np.einsum("ni,ni->n", quaternions, quaternions)
+    finite &= np.isfinite(squared_length)
+    return finite, squared_length > _SHORTEST**2
+
+
+def travelled_distance(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance travelled up to each of the positions (N, 3), (N,), metres."""
+    steps = np.diff(positions, axis=0)
+    lengths = np.sqrt(np.einsum("ni,ni->n", steps, steps))
+    return np.concatenate([[0.0], np.cumsum(lengths)])[: len(positions)]
+
+
+def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
+    """Return the sums by key, without the zeros."""
+    total: dict[str, int] = {}
+    for each in counts:
+        for reason, count in each.items():
+            if count:
+                total[reason] = total.get(reason, 0) + count
+    return total

@@ -1,0 +1,393 @@
+"""Bags as containers: rosbag2 (sqlite3 and MCAP, directory or bare file) and ROS 1.
+
+The containers are read by the low-level readers of `rosbags`. A bag is untrusted input: a topic's
+type definition is parsed only when that topic is wanted, so that one odd topic doesn't lose the
+bag, and whatever a damaged file raises becomes one sentence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags import foxglove
+from trajeval_ros.io.bags.blocks import Block, in_order, merged
+from trajeval_ros.io.bags.containers import Container, open_file
+from trajeval_ros.io.bags.metadata import Metadata, read_metadata
+from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.selection import TopicSelection
+from trajeval_ros.io.checks import nearest
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+Advance = Callable[[int, int], None]
+Key = tuple[int, int]  # which file, and which of its connections
+
+_ENCODINGS = ("cdr", "ros1")
+_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """A topic of a bag.
+
+    Attributes:
+        name: With a slash before it.
+        type: Of its messages.
+        declared: The number of messages that the bag says it has, None if it says nothing.
+        connections: Where it is recorded.
+    """
+
+    name: str
+    type: str
+    declared: int | None
+    connections: tuple[Connection, ...] = field(repr=False, default=())
+
+    @property
+    def count(self) -> int:
+        """The number of its messages; counted if the bag doesn't say it."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
+
+    @property
+    def holds_poses(self) -> bool:
+        """Whether its messages are poses."""
+        return self.type in (*POSE_TYPES, foxglove.POSE_TYPE) and self._is_readable
+
+    @property
+    def holds_transforms(self) -> bool:
+        """Whether its messages are TF."""
+        types = (*TRANSFORM_TYPES, *foxglove.TRANSFORM_TYPES)
+        return self.type in types and self._is_readable
+
+    @property
+    def lacks_protobuf(self) -> bool:
+        """Whether it could be read if what decodes protobuf were installed."""
+        return (
+            self.type in foxglove.TYPES
+            and not self._is_readable
+            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
+        )
+
+    def connections_in(self, container: Container) -> frozenset[int]:
+        """Return the ids of its connections in one file of the bag."""
+        return frozenset(each.id for each in self.connections if each.owner is container)
+
+    @property
+    def _is_readable(self) -> bool:
+        encodings = [encoding_of(each) for each in self.connections]
+        if self.type in foxglove.TYPES:
+            return all(foxglove.is_decodable(each) for each in encodings)
+        return all(each in _ENCODINGS for each in encodings)
+
+
+@dataclass(eq=False)
+class Reading:
+    """A topic that is read, and what was found wrong in doing so.
+
+    Attributes:
+        topic: Which one.
+        count: Number of messages read so far.
+        damage: What of it can't be read, one sentence each; known when all is read.
+        notes: What else to know about how it was read.
+    """
+
+    topic: Topic
+    count: int = 0
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+class Bag:
+    """A bag that is open; a context manager.
+
+    Attributes:
+        path: The file or directory.
+        topics: Its topics by name; a name with several types is one topic per type.
+        notes: What had to be worked around.
+        damage: What of it can't be read, one sentence each. `messages` adds what it finds.
+    """
+
+    def __init__(
+        self, path: Path, advance: Advance | None = None, *, strict: bool = False
+    ) -> None:
+        """Open the bag.
+
+        Args:
+            path: A file, or the directory of a rosbag2.
+            advance: Called with the messages done and all messages, now and then.
+            strict: Whether to verify all that is read, and to refuse what is damaged.
+
+        Raises:
+            InputError: It is no bag, or nothing of it can be read.
+        """
+        self.path = path
+        self.notes: list[str] = []
+        self.damage: list[str] = []
+        self._advance = advance
+        self._strict = strict
+        self._metadata: Metadata | None = None
+        self._containers: list[Container] = []
+        self._unread: list[Exception] = []
+        with contextlib.ExitStack() as self._stack, _one_sentence(path):
+            self._open()
+            if not self._containers:
+                raise self._unread[0]
+            if strict and self.damage:
+                raise InputError("; ".join(self.damage))
+            self.topics = sorted(self._list_topics(), key=lambda topic: topic.name)
+            self._stack = self._stack.pop_all()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The first and the last log time of all messages, ns.
+
+        Raises:
+            InputError: There is no message.
+        """
+        with _one_sentence(self.path):
+            spans = [span for each in self._containers if (span := each.span) is not None]
+        if not spans:
+            raise InputError(f"{self.path} is an empty bag: it has no messages")
+        return min(first for first, _ in spans), max(last for _, last in spans)
+
+    def blocks(self, readings: Sequence[Reading]) -> Iterator[tuple[Reading, Key, Block]]:
+        """Yield all messages of some topics in blocks of one connection, in one pass over the bag.
+
+        What is missing of the messages that the bag counts is told in each reading, when all
+        blocks were taken.
+        """
+        done = 0
+        total = sum(each.topic.declared or 0 for each in readings)
+        with _one_sentence(self.path):
+            for container in self._containers:
+                selections = {
+                    TopicSelection(ids): each
+                    for each in readings
+                    if (ids := each.topic.connections_in(container))
+                }
+                if not selections:
+                    continue
+                for own, block in merged(container.blocks(tuple(selections))):
+                    for plain in block.decompressed():
+                        for connection, messages in plain.by_connection():
+                            for selection in own:
+                                if connection in selection.connections:
+                                    selections[selection].count += len(messages)
+                                    done += len(messages)
+                                    yield (
+                                        selections[selection],
+                                        (id(container), connection),
+                                        messages,
+                                    )
+                    if self._advance is not None:
+                        self._advance(done, max(done, total))
+                for selection, reading in selections.items():
+                    reading.damage += selection.damage
+                    reading.notes += selection.notes
+        if self._advance is not None and not done:
+            self._advance(done, max(done, total))
+        for reading in readings:
+            reading.damage += self._missing([reading.topic], reading.count)
+
+    def findings(self, readings: Sequence[Reading]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the notes and the damage of readings, those of opening the bag included.
+
+        Raises:
+            InputError: There is damage, and the bag is read strictly.
+        """
+        notes, damage = [*self.notes], [*self.damage]
+        for reading in readings:
+            notes += reading.notes
+            damage += reading.damage
+            if self._strict and damage:
+                raise InputError("; ".join(dict.fromkeys(damage)))
+        return tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(damage))
+
+    def messages(
+        self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield topic, log time in ns and payload of the messages, in order of their log times.
+
+        Args:
+            topics: Those wanted.
+            begin: The first log time wanted, ns.
+            end: The first log time that isn't wanted any more, ns.
+
+        Raises:
+            InputError: The bag is damaged, and is read strictly.
+        """
+        done = 0
+        selections: list[TopicSelection] = []
+        with _one_sentence(self.path):
+            streams = []
+            for container in self._containers:
+                wanted = {
+                    connection: topic
+                    for topic in topics
+                    for connection in topic.connections_in(container)
+                }
+                if wanted:
+                    selections.append(TopicSelection(frozenset(wanted)))
+                    streams.append(self._stream(container, selections[-1], wanted, begin, end))
+            for message in heapq.merge(*streams, key=_log_time):
+                yield message
+                done += 1
+        if begin is None and end is None:
+            damage = [each for selection in selections for each in selection.damage]
+            damage += self._missing(topics, done)
+            self.damage = list(dict.fromkeys([*self.damage, *damage]))
+            notes = [each for selection in selections for each in selection.notes]
+            self.notes = list(dict.fromkeys([*self.notes, *notes]))
+            if self._strict and self.damage:
+                raise InputError("; ".join(self.damage))
+
+    @staticmethod
+    def _stream(
+        container: Container,
+        selection: TopicSelection,
+        wanted: dict[int, Topic],
+        begin: int | None,
+        end: int | None,
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield the messages that one file has of the topics, in order."""
+        blocks = container.blocks([selection], begin, end, in_order=True)
+        plain = itertools.chain.from_iterable(each.decompressed() for _, each in blocks)
+        for connection, log_time, payload in in_order(plain):
+            yield wanted[connection], log_time, payload
+
+    def _missing(self, topics: Sequence[Topic], done: int) -> list[str]:
+        """Return what is missing of what the bag counts, given the number of messages read."""
+        counts = [topic.declared for topic in topics]
+        total = sum(each or 0 for each in counts)
+        if done == total or None in counts:
+            return []
+        names = ", ".join(topic.name for topic in topics)
+        return [f"{self.path} counts {total} messages on {names}, but {done} were read"]
+
+    def find(self, name: str) -> list[Topic]:
+        """Return the topics of that name, one per type.
+
+        Raises:
+            InputError: There is none, or what reads it isn't installed.
+        """
+        found = [topic for topic in self.topics if topic.name == name]
+        if any(topic.lacks_protobuf for topic in found):
+            raise InputError(
+                f"{self.path}: {name} is in protobuf, which needs pip install '{foxglove.EXTRA}'"
+            )
+        if found:
+            return found
+        names = {topic.name for topic in self.topics}
+        raise InputError(f"{self.path} has no topic {name}; it has {nearest(name, names)}")
+
+    def _list_topics(self) -> Iterator[Topic]:
+        """Yield the topics of all readers, with the connections of the same name and type."""
+        by_name: dict[tuple[str, str], list[Connection]] = {}
+        for container in self._containers:
+            for connection in container.connections:
+                name = "/" + connection.topic.lstrip("/")  # ROS 1 records names without slash, too
+                by_name.setdefault((name, connection.msgtype), []).append(connection)
+        for (name, message_type), connections in by_name.items():
+            counts = [connection.msgcount for connection in connections]
+            declared = sum(counts) if min(counts) >= 0 else None
+            if self._metadata is not None:
+                declared = self._metadata.counts.get((name, message_type), declared)
+            yield Topic(name, message_type, declared, tuple(connections))
+
+    def _open(self) -> None:
+        """Open the files of the path."""
+        if self.path.is_file():
+            self._add(self.path)
+            return
+        files = sorted(
+            (file for ending in _ENDINGS for file in self.path.glob(f"*{ending}")),
+            key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
+        )
+        metadata = self.path / "metadata.yaml"
+        if metadata.exists():
+            try:
+                self._metadata = read_metadata(metadata)
+            except ValueError as error:
+                self.notes.append(f"{metadata} was not used: {error}")
+        if self._metadata is not None:
+            missing = [each for each in self._metadata.files if not (self.path / each).exists()]
+            self.damage += [f"{metadata} names {each}, which is missing" for each in missing]
+        if self._metadata is not None:
+            listed = [file for file in files if file.name in self._metadata.files]
+            files = listed or files
+        if not files:
+            why = "; ".join(self.damage) or "it holds no *.mcap or *.db3"
+            raise InputError(f"{self.path} is a directory without a bag: {why}")
+        for file in files:
+            self._add(file)
+
+    def _add(self, file: Path) -> None:
+        """Open a file; one of several that can't be read is damage."""
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="trajeval-")))
+        try:
+            container = open_file(file, folder, strict=self._strict)
+        except Exception as error:  # of a dozen kinds, see `_one_sentence`
+            if self.path.is_file() or isinstance(error, PermissionError):
+                raise
+            self._unread.append(error)
+            said = str(error) if isinstance(error, InputError) else _sentence(error)
+            self.damage.append(f"{file.name} was not read: {said}")
+            return
+        self._stack.callback(container.close)
+        self._containers.append(container)
+        self.damage += container.damage
+
+
+def _log_time(message: tuple[Topic, int, bytes]) -> int:
+    return message[1]
+
+
+def encoding_of(connection: Connection) -> str:
+    """Return how the messages of a connection are serialised: `cdr`, `ros1` or else."""
+    return getattr(connection.ext, "serialization_format", "ros1")
+
+
+def _split(name: str) -> list[str]:
+    """Return a name in parts that sort as people count: `bag_2` before `bag_10`."""
+    return re.split(r"(\d+)", name)
+
+
+@contextlib.contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """Turn whatever reading a damaged bag raises into one sentence.
+
+    The readers and what they stand on raise a dozen kinds of exceptions for bad input, from their
+    own to bare TypeError, so that every kind is caught here, and only here.
+    """
+    try:
+        yield
+    except (InputError, PermissionError):
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path} can't be read as a bag: {_sentence(error)}; if its recording was cut short, "
+            "`mcap recover`, `ros2 bag reindex` or `rosbag reindex` may save it"
+        ) from error
+
+
+def _sentence(error: Exception) -> str:
+    """Return what an exception says, on one line."""
+    said = " ".join(str(error).split()).rstrip(".")
+    return said[:300] if " " in said else f"it is damaged ({type(error).__name__} {said[:100]})"

@@ -1,0 +1,235 @@
+"""The steps of a walk through serialised messages, made from a type's definition.
+
+Numbers that follow each other keep their distances wherever they begin, as long as none of them is
+aligned coarser than the first: they are one step, however many there are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Repeated, UnplannedError
+
+_CLOSE = 64  # bytes between columns that are fetched at once
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of numbers in a run."""
+
+    path: str
+    offset: int
+    type: str
+    shape: tuple[int, ...]
+
+    @property
+    def end(self) -> int:
+        """Where it ends, from the beginning of the run."""
+        return self.offset + np.dtype(self.type).itemsize * math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class FixedFields:
+    """Numbers one after the other, at fixed distances from the first.
+
+    Attributes:
+        alignment: Of the first; nothing in it is aligned coarser.
+        size: Bytes.
+        spans: The wanted columns; those close to each other are fetched at once.
+    """
+
+    alignment: int
+    size: int
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Columns of a run that are fetched at once.
+
+    Attributes:
+        offset: From the beginning of the run.
+        columns: Their names.
+        types: The numpy type of a row by byte order, with a field for each column.
+    """
+
+    offset: int
+    columns: tuple[str, ...]
+    types: dict[str, np.dtype[Any]]
+
+
+@dataclass(frozen=True)
+class String:
+    """A string; without path it isn't wanted."""
+
+    path: str | None
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Several of a kind; without path they aren't wanted."""
+
+    path: str | None
+    steps: tuple[Step, ...]
+    count: int | None
+    is_delimited: bool
+    smallest: int
+
+    @property
+    def stride(self) -> int | None:
+        """The distance between elements that are all of one size; None if they may not be."""
+        if len(self.steps) == 1 and isinstance(run := self.steps[0], FixedFields):
+            return -(-run.size // run.alignment) * run.alignment
+        return None
+
+
+Step = FixedFields | String | Elements
+
+
+@dataclass
+class _Leaves:
+    """The numbers of a run while it grows."""
+
+    alignment: int
+    size: int = 0
+    leaves: list[Column] = field(default_factory=list)
+
+    def add(self, path: str, kind: str, count: int | None, alignment: int) -> None:
+        offset = -(-self.size // alignment) * alignment
+        self.leaves.append(Column(path, offset, kind, () if count is None else (count,)))
+        self.size = self.leaves[-1].end
+
+
+@functools.lru_cache(maxsize=256)
+def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple[Step, ...]:
+    """Return the steps of a walk through the fields."""
+    steps: list[Step] = []
+    run: _Leaves | None = None
+    for path, kind in _leaves(fields, ""):
+        count = kind.count if isinstance(kind, Repeated) else None
+        inner = kind.kind if isinstance(kind, Repeated) and count is not None else kind
+        if isinstance(inner, str) and inner != TEXT:
+            alignment = min(np.dtype(inner).itemsize, limit)
+            # A run keeps its distances wherever it begins if nothing in it is aligned coarser.
+            if run is None or alignment > run.alignment:
+                steps += _finished(run, wanted)
+                run = _Leaves(alignment)
+            run.add(path, inner, count, alignment)
+            continue
+        steps += _finished(run, wanted)
+        run = None
+        is_wanted = wanted is None or path in wanted
+        if kind == TEXT:
+            steps.append(String(path if is_wanted else None))
+        else:
+            assert isinstance(kind, Repeated)
+            steps.append(_elements(path, kind, wanted, limit))
+    steps += _finished(run, wanted)
+    missing = (wanted or frozenset()) - {
+        name for step in steps for name in _found(step, wanted or frozenset())
+    }
+    if missing:
+        raise UnplannedError(f"there is no field {', '.join(sorted(missing))} of one kind")
+    return tuple(steps)
+
+
+def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
+    """Return the paths and kinds of all fields, those of nested messages one by one."""
+    leaves: list[tuple[str, Kind]] = []
+    for name, kind in fields:
+        if isinstance(kind, tuple):
+            leaves += _leaves(kind, f"{prefix}{name}.")
+        else:
+            leaves.append((prefix + name, kind))
+    return leaves
+
+
+def _elements(path: str, kind: Repeated, wanted: frozenset[str] | None, limit: int) -> Elements:
+    inside: frozenset[str] | None
+    if wanted is None or path in wanted:
+        inside = None
+    else:
+        inside = frozenset(name[len(path) + 1 :] for name in wanted if name.startswith(f"{path}."))
+    fields = kind.kind if isinstance(kind.kind, tuple) else (("", kind.kind),)
+    steps = steps_of(fields, inside, limit)
+    is_delimited = isinstance(kind.kind, tuple) or kind.kind == TEXT
+    smallest = sum(_smallest(step) for step in steps)
+    if not smallest:
+        raise UnplannedError(f"{path} is made of nothing")
+    is_wanted = inside is None or bool(inside)
+    return Elements(path if is_wanted else None, steps, kind.count, is_delimited, smallest)
+
+
+def _smallest(step: Step) -> int:
+    """Return the least number of bytes that a step takes."""
+    if isinstance(step, FixedFields):
+        return step.size
+    if isinstance(step, Elements) and step.count is not None:
+        return step.count * step.smallest
+    return 4
+
+
+def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
+    """Return a run as a step, with its wanted columns."""
+    if run is None:
+        return []
+    names = [leaf.path for leaf in run.leaves] if wanted is None else wanted
+    found = (_column(run, name) for name in names)
+    columns = sorted((each for each in found if each is not None), key=lambda each: each.offset)
+    spans: list[list[Column]] = []
+    for column in columns:
+        if spans and column.offset - spans[-1][-1].end <= _CLOSE:
+            spans[-1].append(column)
+        else:
+            spans.append([column])
+    return [FixedFields(run.alignment, run.size, tuple(_span(each) for each in spans))]
+
+
+def _column(run: _Leaves, name: str) -> Column | None:
+    """Return the column of that name in a run: a leaf, or leaves of one kind in a row."""
+    own = [leaf for leaf in run.leaves if leaf.path == name or leaf.path.startswith(f"{name}.")]
+    if not own:
+        return None
+    if own[0].path == name:
+        return own[0]
+    size = np.dtype(own[0].type).itemsize
+    in_a_row = [
+        dataclasses.replace(own[0], path=leaf.path, offset=own[0].offset + number * size)
+        for number, leaf in enumerate(own)
+    ]
+    if own != in_a_row or own[0].shape:
+        return None
+    return Column(name, own[0].offset, own[0].type, (len(own),))
+
+
+def _span(columns: list[Column]) -> Span:
+    begin = columns[0].offset
+    types = {
+        order: np.dtype(
+            {
+                "names": [each.path for each in columns],
+                "formats": [(f"{order}{each.type}", each.shape) for each in columns],
+                "offsets": [each.offset - begin for each in columns],
+                "itemsize": max(each.end for each in columns) - begin,
+            }
+        )
+        for order in "<>"
+    }
+    return Span(begin, tuple(each.path for each in columns), types)
+
+
+def _found(step: Step, wanted: frozenset[str]) -> set[str]:
+    """Return the wanted paths that a step gives."""
+    if isinstance(step, FixedFields):
+        return {path for span in step.spans for path in span.columns}
+    if step.path is None:
+        return set()
+    if isinstance(step, String):
+        return {step.path}
+    return {name for name in wanted if name == step.path or name.startswith(f"{step.path}.")}

@@ -1,0 +1,94 @@
+"""The files that bags are made of, opened by what they begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags.byte_source import RemoteFile, source_of
+from trajeval_ros.io.bags.compression import decompress_file
+from trajeval_ros.io.bags.mcap_records import MAGIC
+from trajeval_ros.io.bags.selection import TopicSelection
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+_SQLITE, _ROS1, _ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
+
+
+class Container(Protocol):
+    """An open file of a bag.
+
+    Attributes:
+        connections: Topics, by connection, with the number of messages that they should have.
+        damage: What opening it found that can't be read, one sentence each.
+    """
+
+    connections: list[Connection]
+    damage: list[str]
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+
+    def blocks(
+        self,
+        selections: Sequence[TopicSelection],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+        """Yield the messages of some connections, of all selections in one pass over the file.
+
+        Each block comes with the selections that it is for: of its messages, each gets those of
+        its own connections. What can't be read is told in each selection when all blocks were
+        taken.
+
+        Args:
+            selections: Those wanted.
+            begin: The first log time wanted, ns.
+            end: The first log time that isn't wanted any more, ns.
+            in_order: Whether blocks must come in order of their earliest log times.
+        """
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
+    """Return an open file.
+
+    Args:
+        path: The file.
+        folder: Where a file that is compressed as a whole is decompressed.
+        strict: Whether to verify all that is read.
+
+    Raises:
+        InputError: It is no bag.
+    """
+    source = source_of(path)
+    beginning = source.read(0, 16)
+    if beginning.startswith(MAGIC):
+        from trajeval_ros.io.bags.mcap_index import McapReader
+
+        return McapReader(source, strict=strict)
+    source.close()
+    if isinstance(source, RemoteFile):
+        raise InputError(f"{path} is no MCAP; only those are read in place, so copy it here first")
+    if beginning.startswith(_ZSTD):
+        return open_file(decompress_file(path, folder), folder, strict=strict)
+    if not beginning:
+        raise InputError(f"{path} is empty; was the recording stopped before it was written?")
+    if beginning.startswith(_ROS1):
+        from trajeval_ros.io.bags.ros1_bag import Ros1Reader
+
+        return Ros1Reader(path)
+    if beginning.startswith(_SQLITE):
+        from trajeval_ros.io.bags.sqlite_bag import SqliteReader
+
+        return SqliteReader(path)
+    raise InputError(f"{path} is no bag: it begins as neither MCAP, sqlite3 nor ROS 1")

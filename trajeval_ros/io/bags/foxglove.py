@@ -1,0 +1,166 @@
+"""Poses and transforms by Foxglove's own schemas, in JSON and protobuf.
+
+Neither has fields at a place that could be known before, so that messages are parsed one by one,
+and then become columns as those of ROS do.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from itertools import chain
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.io.bags.blocks import block_of
+from trajeval_ros.io.bags.cdr import Buffer, Columns, Index, StringColumn
+
+POSE_TYPE = "foxglove.PoseInFrame"
+TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")
+TYPES = (POSE_TYPE, *TRANSFORM_TYPES)
+ENCODINGS = ("json", "protobuf")
+EXTRA = "trajeval-ros[foxglove]"
+
+_SECONDS = range(-(2**31), 2**32)  # as many as those of either ROS
+_NANOSECONDS = range(2**32)
+_IN_JSON = attrgetter("timestamp.sec", "timestamp.nsec")
+_IN_PROTOBUF = attrgetter("timestamp.seconds", "timestamp.nanos")
+_POSE = attrgetter(
+    "frame_id",
+    *(f"pose.position.{axis}" for axis in "xyz"),
+    *(f"pose.orientation.{axis}" for axis in "xyzw"),
+)
+_TRANSFORM = attrgetter(
+    "parent_frame_id",
+    "child_frame_id",
+    *(f"translation.{axis}" for axis in "xyz"),
+    *(f"rotation.{axis}" for axis in "xyzw"),
+)
+# Stamp (s, ns), frames (only a transform has two), and seven numbers.
+_Row = tuple[tuple[int, ...], tuple[str, ...], tuple[float, ...]]
+
+
+def is_decodable(encoding: str) -> bool:
+    """Return whether what it takes to decode an encoding is installed."""
+    return encoding == "json" or (
+        encoding == "protobuf" and find_spec("foxglove_schemas_protobuf") is not None
+    )
+
+
+class FoxglovePlan:
+    """How messages of one type and encoding become the columns of their counterpart in ROS."""
+
+    def __init__(self, message_type: str, encoding: str) -> None:
+        """Prepare to decode.
+
+        Args:
+            message_type: `POSE_TYPE` or one of `TRANSFORM_TYPES`.
+            encoding: One of `ENCODINGS` that `is_decodable`.
+        """
+        self._parse = _from_json if encoding == "json" else _from_protobuf(message_type)
+        self._stamp = _IN_JSON if encoding == "json" else _IN_PROTOBUF
+        self._type = message_type
+
+    def decode(self, payloads: Sequence[bytes | memoryview]) -> Columns:
+        """Return the columns of messages; those that can't be decoded are left out."""
+        block = block_of([], [], payloads)
+        return self.decode_at(block.buffer, block.begins, block.sizes)
+
+    def decode_at(self, buffer: Buffer, begins: Index, sizes: Index) -> Columns:
+        """Return the columns of messages that lie in a buffer; see `Plan.decode_at`."""
+        whole = memoryview(buffer.data)
+        good: list[int] = []
+        found: list[list[_Row]] = []
+        for row, (begin, size) in enumerate(zip(begins.tolist(), sizes.tolist(), strict=True)):
+            try:
+                found.append(self._rows(self._parse(bytes(whole[begin : begin + size]))))
+            except (ValueError, AttributeError, TypeError, OverflowError, RecursionError):
+                continue
+            good.append(row)
+        rows = np.array(good, dtype=np.int64)
+        owners = np.repeat(np.arange(len(good)), [len(each) for each in found])
+        elements = self._columns(owners, list(chain.from_iterable(found)))
+        if self._type == POSE_TYPE:
+            return replace(elements, rows=rows)
+        return Columns(rows, {}, {}, {"transforms": elements})
+
+    def _rows(self, message: Any) -> list[_Row]:
+        """Return what a message holds.
+
+        Raises:
+            AttributeError: A field is missing.
+            TypeError, ValueError, OverflowError: A field is of the wrong kind.
+        """
+        if self._type == POSE_TYPE:
+            return [self._row(message, _POSE, 1)]
+        several = message.transforms if self._type == TRANSFORM_TYPES[1] else [message]
+        return [self._row(each, _TRANSFORM, 2) for each in several]
+
+    def _row(self, message: Any, fields: Callable[[Any], tuple[Any, ...]], frames: int) -> _Row:
+        stamp, values = self._stamp(message), fields(message)
+        names, numbers = values[:frames], values[frames:]
+        if not (
+            all(type(each) is int for each in stamp)
+            and stamp[0] in _SECONDS
+            and stamp[1] in _NANOSECONDS
+            and all(type(each) is str for each in names)
+            and all(type(each) in (int, float) for each in numbers)
+        ):
+            raise ValueError("a field is of the wrong kind")
+        return stamp, names, tuple(map(float, numbers))
+
+    def _columns(self, owners: Index, rows: list[_Row]) -> Columns:
+        stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64).reshape(-1, 2)
+        numbers = np.array([numbers for _, _, numbers in rows], dtype=np.float64).reshape(-1, 7)
+        place = ("transform.translation", "transform.rotation")
+        if self._type == POSE_TYPE:
+            place = ("pose.position", "pose.orientation")
+        texts = {"header.frame_id": _texts([names[0] for _, names, _ in rows])}
+        if self._type != POSE_TYPE:
+            texts["child_frame_id"] = _texts([names[1] for _, names, _ in rows])
+        return Columns(
+            owners,
+            {
+                "header.stamp.sec": stamps[:, 0],
+                "header.stamp.nanosec": stamps[:, 1],
+                place[0]: numbers[:, :3],
+                place[1]: numbers[:, 3:],
+            },
+            texts,
+            {},
+        )
+
+
+def _texts(column: list[str]) -> StringColumn:
+    codes: dict[str, int] = {}
+    rows = [codes.setdefault(name, len(codes)) for name in column]
+    # JSON may hold halves of characters, which nobody could print.
+    names = tuple(name.encode("utf-8", "replace").decode() for name in codes)
+    return StringColumn(names, np.array(rows, dtype=np.int64))
+
+
+def _from_json(payload: bytes) -> Any:
+    return json.loads(payload, object_hook=lambda fields: SimpleNamespace(**fields))
+
+
+def _from_protobuf(message_type: str) -> Callable[[bytes], Any]:
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+    from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+    from google.protobuf.message import DecodeError
+
+    kinds: tuple[Any, ...] = (PoseInFrame, FrameTransform, FrameTransforms)
+    kind = dict(zip(TYPES, kinds, strict=True))[message_type]
+
+    def parse(payload: bytes) -> Any:
+        try:
+            return kind.FromString(payload)
+        except DecodeError as error:
+            raise ValueError("it is no message of that type") from error
+
+    return parse

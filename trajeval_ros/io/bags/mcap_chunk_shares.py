@@ -1,0 +1,190 @@
+"""One chunk of MCAP for several selections: its bytes are read, decompressed and verified once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.mcap_chunks import (
+    GAP,
+    Chunk,
+    block_in,
+    index_of,
+    index_range,
+    measured,
+    of_channels,
+    partial,
+    require_size,
+    runs_of,
+    walked,
+    whole,
+)
+from trajeval_ros.io.bags.mcap_records import DamagedError, MessageIndex
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
+
+Range = tuple[int, int]  # offset and size, bytes
+
+
+@dataclass(frozen=True)
+class Share:
+    """What selections get of one piece of a file.
+
+    Attributes:
+        selections: Whose it is.
+        block: Their messages, or why they can't be read.
+        is_partial: Whether the chunk had not to be read whole for them, and was not verified.
+    """
+
+    selections: Sequence[TopicSelection]
+    block: Block | str
+    is_partial: bool = False
+
+
+def read_chunk(
+    source: ByteSource, chunk: Chunk, selections: Sequence[TopicSelection], *, strict: bool
+) -> list[Share]:
+    """Return what each selection gets of a chunk.
+
+    Each gets what it would get alone: whether a chunk is read in part, and what is lost where it
+    is damaged, is decided for each selection by itself.
+
+    Args:
+        source: The file.
+        chunk: One that may hold messages of all selections.
+        selections: Those wanted.
+        strict: Whether to read and verify it whole.
+    """
+    try:
+        require_size(chunk)
+    except DamagedError as error:
+        return [Share(selections, str(error))]
+    reading = _Reading(source, chunk, is_indexed=bool(chunk.indexes) and not strict)
+    if len(selections) > 1 and (share := reading.together(selections)) is not None:
+        return [share]
+    return [reading.share_of(each) for each in selections]
+
+
+class _Reading:
+    """A chunk while it is read."""
+
+    def __init__(self, source: ByteSource, chunk: Chunk, *, is_indexed: bool) -> None:
+        self._source = _HeldBytes(source)
+        self._chunk = chunk
+        self._is_indexed = is_indexed
+        self._whole: bytes | DamagedError | None = None
+        self._walked: MessageIndex | None = None
+
+    def together(self, selections: Sequence[TopicSelection]) -> Share | None:
+        """Return what all selections get, looked up and measured as one.
+
+        Returns:
+            None if each must be looked at by itself: not all of them read the chunk in part, or
+            not all of them whole, or something is wrong. What is in memory then stays there.
+        """
+        if not self._is_indexed:
+            return None
+        chunk, wanted = self._chunk, all_connections(selections)
+        self._source.hold(*index_range(chunk, wanted))
+        try:
+            indexed = index_of(self._source, chunk, wanted)
+            own = [of_channels(indexed, each.connections) for each in selections]
+            runs = [runs_of(chunk, each) for each in own]
+            if all(each is not None for each in runs):
+                united = _united(run for each in runs if each for run in each)
+                base = chunk.data_offset
+                self._source.hold_all([(base + begin, end - begin) for begin, end in united])
+                block, is_partial = partial(self._source, chunk, indexed, united), True
+            elif any(each is not None for each in runs):
+                self._source.hold(chunk.offset, chunk.length)
+                return None
+            else:
+                data = self._data()
+                block = block_in(data, measured(data, indexed, len(data)), chunk.first)
+                is_partial = False
+        except DamagedError:
+            return None
+        return Share(selections, block, is_partial)
+
+    def share_of(self, selection: TopicSelection) -> Share:
+        """Return what a selection gets."""
+        chunk, indexed = self._chunk, None
+        if self._is_indexed:
+            try:
+                indexed = index_of(self._source, chunk, selection.connections)
+                if (runs := runs_of(chunk, indexed)) is not None:
+                    return Share([selection], partial(self._source, chunk, indexed, runs), True)
+            except DamagedError:
+                indexed = None  # the chunk itself may be well
+        try:
+            data = self._data()
+        except DamagedError as error:
+            return Share([selection], str(error))
+        if indexed is not None:
+            try:
+                found = measured(data, indexed, len(data))
+                return Share([selection], block_in(data, found, chunk.first))
+            except DamagedError:
+                pass
+        if self._walked is None:
+            self._walked = walked(data)
+        found = of_channels(self._walked, selection.connections)
+        return Share([selection], block_in(data, found, chunk.first))
+
+    def _data(self) -> bytes:
+        """Return the records of the whole chunk, decompressed and verified once."""
+        if self._whole is None:
+            try:
+                self._whole = whole(self._source, self._chunk)
+            except DamagedError as error:
+                self._whole = error
+        if isinstance(self._whole, DamagedError):
+            raise self._whole
+        return self._whole
+
+
+class _HeldBytes:
+    """A source of which some ranges are in memory already."""
+
+    is_far = False  # what is held comes at once
+
+    def __init__(self, source: ByteSource) -> None:
+        self.name, self.size = source.name, source.size
+        self._source = source
+        self._held: list[tuple[int, bytes]] = []
+
+    def hold(self, offset: int, size: int) -> None:
+        """Fetch the bytes from an offset on."""
+        self._held.append((offset, self._source.read(offset, size)))
+
+    def hold_all(self, ranges: Sequence[Range]) -> None:
+        """Fetch the bytes of several ranges (offset, size)."""
+        pieces = self._source.read_all(ranges)
+        self._held += [(begin, piece) for (begin, _), piece in zip(ranges, pieces, strict=True)]
+
+    def read(self, offset: int, size: int) -> bytes:
+        """Return the bytes from an offset on, fewer where the end is near."""
+        end = min(offset + size, self.size)
+        for begin, piece in self._held:
+            if begin <= offset and end <= begin + len(piece):
+                return piece[offset - begin : end - begin]
+        return self._source.read(offset, size)
+
+    def read_all(self, ranges: Sequence[Range]) -> list[bytes]:
+        """Return the bytes of several ranges (offset, size)."""
+        return [self.read(offset, size) for offset, size in ranges]
+
+    def close(self) -> None:
+        """Nothing of its own is open."""
+
+
+def _united(runs: Iterable[Range]) -> list[Range]:
+    """Return ranges (begin, end) that cover all runs; small gaps between them are covered, too."""
+    united: list[Range] = []
+    for begin, end in sorted(runs):
+        if united and begin - united[-1][1] <= GAP:
+            united[-1] = united[-1][0], max(united[-1][1], end)
+        else:
+            united.append((begin, end))
+    return united

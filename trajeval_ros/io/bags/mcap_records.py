@@ -1,0 +1,168 @@
+"""Records of MCAP: framing by hand, since damaged files need it; contents by the mcap package."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Schema
+    from rosbags.interfaces import Connection
+
+Index = NDArray[np.int64]
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = (
+    0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08, 0x0B, 0x0F,
+)  # fmt: skip
+LAST_KNOWN = 0x0F
+HEAD = 9  # bytes of opcode and length
+MESSAGE_HEAD = 22  # bytes of a message before its payload
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQ")
+
+
+class DamagedError(Exception):
+    """Bytes aren't what they should be; the message says what."""
+
+
+class NoIndexError(DamagedError):
+    """A file has no index, as it may."""
+
+
+@dataclass
+class MessageIndex:
+    """Where messages lie: in a chunk, or in a file.
+
+    Attributes:
+        channels: (N,) ids.
+        log_times: (N,) ns.
+        offsets: (N,) of their records.
+        sizes: (N,) bytes of their payloads.
+    """
+
+    channels: Index
+    log_times: Index
+    offsets: Index
+    sizes: Index
+
+    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> MessageIndex:
+        """Return some of them."""
+        return MessageIndex(
+            self.channels[rows], self.log_times[rows], self.offsets[rows], self.sizes[rows]
+        )
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.offsets)
+
+
+class MessageIndexBuilder:
+    """`MessageIndex` while they are found, one by one."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[int, int, int, int]] = []
+
+    def add(self, record: bytes | memoryview, place: int, offset: int, length: int) -> None:
+        """Add the message whose record's content begins at a place of `record`."""
+        channel, _, log_time = _MESSAGE.unpack_from(record, place)
+        self.rows.append((channel, log_time, offset, length - MESSAGE_HEAD))
+
+    def done(self) -> MessageIndex:
+        """Return what was found."""
+        columns = np.array(self.rows, dtype=np.uint64).reshape(-1, 4).astype(np.int64).T
+        return MessageIndex(*columns)
+
+
+@dataclass
+class Registry:
+    """The schemas and channels of a file, by their ids."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+    def add(self, opcode: int, content: bytes) -> None:
+        """Add what a record of a schema or channel says; the first of an id holds.
+
+        Raises:
+            DamagedError: The record is none.
+        """
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Channel, Schema
+
+        stream = ReadDataStream(io.BytesIO(content))
+        try:
+            if opcode == SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == CHANNEL:
+                channel = Channel.read(stream)
+                self.channels.setdefault(channel.id, channel)
+        except Exception as error:  # of half a dozen kinds, by what is damaged
+            raise DamagedError("a schema or channel is damaged") from error
+
+    def connections(self, counts: dict[int, int], owner: object) -> list[Connection]:
+        """Return the channels as connections, with the messages that each is said to have."""
+        return [
+            _connection(channel, self.schemas.get(channel.schema_id), counts, owner)
+            for channel in self.channels.values()
+        ]
+
+
+def records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, offset and length of the content of all complete records in memory."""
+    offset = 0
+    while offset + HEAD <= len(data):
+        opcode, length = _HEAD.unpack_from(data, offset)
+        if not opcode > 0 or offset + HEAD + length > len(data):
+            return
+        yield opcode, offset + HEAD, length
+        offset += HEAD + length
+
+
+def head_of(data: bytes, place: int = 0) -> tuple[int, int]:
+    """Return opcode and length of the record at a place."""
+    opcode, length = _HEAD.unpack_from(data, place)
+    return opcode, length
+
+
+def _connection(
+    channel: Channel, schema: Schema | None, counts: dict[int, int], owner: object
+) -> Connection:
+    from rosbags.interfaces import (
+        Connection,
+        ConnectionExtRosbag2,
+        MessageDefinition,
+        MessageDefinitionFormat,
+    )
+
+    from trajeval_ros.io.bags.metadata import qos_of
+
+    formats = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL"}
+    name, encoding, text = "", "", ""
+    if schema is not None:
+        name, encoding = schema.name, schema.encoding
+        if encoding in formats:
+            text = schema.data.decode("utf-8", errors="replace")
+    kind = MessageDefinitionFormat[formats.get(encoding, "NONE") if text.strip() else "NONE"]
+    package, slash, rest = name.partition("/")
+    if slash and "/" not in rest:  # ROS 1 has no /msg/ in the names of types
+        name = f"{package}/msg/{rest}"
+    return Connection(
+        channel.id,
+        channel.topic,
+        name,
+        MessageDefinition(kind, text),
+        "",
+        counts.get(channel.id, 0),
+        ConnectionExtRosbag2(
+            channel.message_encoding, qos_of(channel.metadata.get("offered_qos_profiles", ""))
+        ),
+        owner,
+    )

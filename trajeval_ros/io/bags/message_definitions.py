@@ -1,0 +1,202 @@
+"""What the fields of a message are: the standard types, and those that a bag defines itself.
+
+The usual types are written down here, so that live messages are decoded without any library that
+would have to be imported first.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Union
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+    from rosbags.interfaces.typing import Typesdict
+
+TEXT = "text"
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """Several of a kind: as many as `count` says, or as the message says if it is None."""
+
+    kind: Kind
+    count: int | None = None
+
+
+# A number (numpy's name of it, such as "f8"), `TEXT`, the fields of a message, or several of one.
+Kind = Union[str, "Fields", Repeated]  # evaluated at run time
+Fields = tuple[tuple[str, Kind], ...]
+
+
+class UnplannedError(Exception):
+    """A type has fields that can't be decoded by column, or lacks one that is wanted."""
+
+
+_XYZ: Fields = (("x", "f8"), ("y", "f8"), ("z", "f8"))
+_XYZW: Fields = (*_XYZ, ("w", "f8"))
+_STAMP: Fields = (("sec", "i4"), ("nanosec", "u4"))
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_HEADER: Fields = (("stamp", _STAMP), ("frame_id", TEXT))
+_POSE: Fields = (("position", _XYZ), ("orientation", _XYZW))
+_TWIST: Fields = (("linear", _XYZ), ("angular", _XYZ))
+_COVARIANCE = ("covariance", Repeated("f8", 36))
+_POSE_STAMPED: Fields = (("header", _HEADER), ("pose", _POSE))
+_TRANSFORM_STAMPED: Fields = (
+    ("header", _HEADER),
+    ("child_frame_id", TEXT),
+    ("transform", (("translation", _XYZ), ("rotation", _XYZW))),
+)
+STANDARD: dict[str, Fields] = {
+    "geometry_msgs/msg/PointStamped": (("header", _HEADER), ("point", _XYZ)),
+    "geometry_msgs/msg/PoseStamped": _POSE_STAMPED,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        ("header", _HEADER),
+        ("pose", (("pose", _POSE), _COVARIANCE)),
+    ),
+    "geometry_msgs/msg/TransformStamped": _TRANSFORM_STAMPED,
+    "nav_msgs/msg/Odometry": (
+        ("header", _HEADER),
+        ("child_frame_id", TEXT),
+        ("pose", (("pose", _POSE), _COVARIANCE)),
+        ("twist", (("twist", _TWIST), _COVARIANCE)),
+    ),
+    "nav_msgs/msg/Path": (("header", _HEADER), ("poses", Repeated(_POSE_STAMPED))),
+    "tf2_msgs/msg/TFMessage": (("transforms", Repeated(_TRANSFORM_STAMPED)),),
+}
+
+_NUMBERS = {
+    "bool": "?",
+    "byte": "u1",
+    "octet": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
+
+
+def ros1_fields(fields: Fields) -> Fields:
+    """Return standard fields as ROS 1 has them: its headers count, and times have no sign."""
+    return tuple((name, _ros1_kind(kind)) for name, kind in fields)
+
+
+def _ros1_kind(kind: Kind) -> Kind:
+    if kind == _HEADER:
+        return (("seq", "u4"), ("stamp", (("sec", "u4"), ("nanosec", "u4"))), ("frame_id", TEXT))
+    if isinstance(kind, Repeated):
+        return Repeated(_ros1_kind(kind.kind), kind.count)
+    return ros1_fields(kind) if isinstance(kind, tuple) else kind
+
+
+def fields_of(types: Typesdict, message_type: str) -> Fields:
+    """Return the fields of a type, by types that rosbags has parsed.
+
+    Raises:
+        UnplannedError: A field is of a kind that can't be decoded by column, or of no known type.
+    """
+    if message_type not in types:
+        if message_type in _TIMES:
+            return _STAMP
+        raise UnplannedError(f"{message_type} is not defined")
+    return tuple(
+        (name, _kind_of(types, description)) for name, description in types[message_type][1]
+    )
+
+
+def recorded_fields(connection: Connection) -> Fields | None:
+    """Return the fields of a connection's type by its own definition, None if that is no help."""
+    definition = connection.msgdef
+    return _recorded_fields(definition.format.name, definition.data, connection.msgtype)
+
+
+@functools.lru_cache(maxsize=64)
+def _recorded_fields(language: str, text: str, message_type: str) -> Fields | None:
+    if language == "MSG" and is_standard(text, message_type):
+        return STANDARD[message_type]
+    try:
+        return fields_of(types_in(language, text, message_type), message_type)
+    except Exception:  # rosbags raises half a dozen kinds for a definition that is none
+        return None
+
+
+def is_standard(text: str, message_type: str) -> bool:
+    """Return whether a definition in the language MSG has the standard fields of a type.
+
+    Most do, and to compare costs a hundredth of what it costs to parse. What isn't understood,
+    such as constants, is not standard.
+    """
+    if message_type not in STANDARD:
+        return False
+    name, *others = re.split(r"^=+\s*\nMSG:\s*(\S+)[ \t]*\n", text, flags=re.MULTILINE)
+    sections = {message_type: name}
+    for other, section in zip(others[::2], others[1::2], strict=True):
+        package, _, last = other.replace("/msg/", "/").rpartition("/")
+        sections[f"{package}/msg/{last}"] = section
+    return _has_fields(sections, message_type, STANDARD[message_type])
+
+
+def _has_fields(sections: dict[str, str], name: str, fields: Fields) -> bool:
+    """Return whether a message of several definitions has certain fields, and no others."""
+    if name not in sections:
+        return name in _TIMES and fields == _STAMP
+    lines = [line.partition("#")[0].split() for line in sections[name].splitlines()]
+    lines = [line for line in lines if line]
+    if len(lines) != len(fields):
+        return False
+    for line, (field, kind) in zip(lines, fields, strict=True):
+        if len(line) < 2 or line[1] != field or any("=" in word for word in line):
+            return False
+        base, bracket, count = line[0].partition("[")
+        if bracket != ("[" if isinstance(kind, Repeated) else ""):
+            return False
+        if isinstance(kind, Repeated):
+            if count != f"{'' if kind.count is None else kind.count}]":
+                return False
+            kind = kind.kind
+        if isinstance(kind, tuple):
+            package, _, last = base.replace("/msg/", "/").rpartition("/")
+            if not _has_fields(sections, f"{package or name.split('/')[0]}/msg/{last}", kind):
+                return False
+        elif (TEXT if base == "string" else _NUMBERS.get(base)) != kind:
+            return False
+    return True
+
+
+def types_in(language: str, text: str, message_type: str) -> Any:
+    """Return the types that a recorded definition holds, in the language `MSG` or `IDL`."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    if language == "MSG":
+        return get_types_from_msg(text, message_type)
+    types: Any = {}
+    for part in re.split("=" * 80 + r"\nIDL: .*\n", text):
+        if part.strip():
+            types.update(get_types_from_idl(part))
+    return types
+
+
+def _kind_of(types: Typesdict, description: Any) -> Kind:
+    from rosbags.interfaces import Nodetype
+
+    node, content = description
+    if node == Nodetype.NAME:
+        return fields_of(types, content)
+    if node == Nodetype.BASE:
+        name = content[0]
+        if name == "string":
+            return TEXT
+        if name not in _NUMBERS:
+            raise UnplannedError(f"{name} can't be decoded by column")
+        return _NUMBERS[name]
+    kind, count = content
+    return Repeated(_kind_of(types, kind), count if node == Nodetype.ARRAY else None)

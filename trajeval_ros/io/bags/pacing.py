@@ -1,0 +1,96 @@
+"""When recorded messages are due again: bag time as a function of a monotonic clock."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+
+TICK_S = 0.01
+_SHORTEST_SLEEP_S = 0.001  # what is due within is sent at once: a wake-up costs as much as sending
+
+ChannelT = TypeVar("ChannelT", bound=Hashable)
+
+
+@dataclass
+class PlaybackResult(Generic[ChannelT]):
+    """What was played.
+
+    Attributes:
+        counts: Number of messages by channel.
+        worst_lag_s: By how much the latest message was late, seconds; waiting is not counted.
+        waited_s: How long sending waited for subscribers, seconds.
+        reached_ns: Bag time of the end.
+        took_s: How long it took, seconds.
+        is_complete: Whether it came to the end, not stopped before.
+    """
+
+    counts: Counter[ChannelT] = field(default_factory=Counter)
+    worst_lag_s: float = 0.0
+    waited_s: float = 0.0
+    reached_ns: int = 0
+    took_s: float = 0.0
+    is_complete: bool = True
+
+
+def play(
+    messages: Iterable[tuple[int, ChannelT, bytes]],
+    begin_ns: int,
+    rate: float,
+    *,
+    publish: Callable[[ChannelT, bytes], float],
+    tick: Callable[[int], None],
+    is_stopped: Callable[[], bool] = lambda: False,
+    now: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> PlaybackResult[ChannelT]:
+    """Publish messages when they are due; what is late is published at once, never left out.
+
+    While sending waits for subscribers, bag time stands still. Otherwise all that became due
+    meanwhile would be sent at once to those that are behind already.
+
+    Args:
+        messages: Bag time in ns, channel and payload, in order of time.
+        begin_ns: Bag time of the beginning.
+        rate: Seconds of bag time per second.
+        publish: Sends a message; returns how long it waited for subscribers, seconds.
+        tick: Told the bag time every `TICK_S`; it never goes back, nor past a message unsent.
+        is_stopped: Asked at least every `TICK_S` while waiting.
+        now: A monotonic clock, seconds.
+        sleep: Waits some seconds.
+    """
+    played: PlaybackResult[ChannelT] = PlaybackResult(reached_ns=begin_ns)
+    stream = iter(messages)
+    opening = list(itertools.islice(stream, 1))  # opening the bag must not make its message late
+    began = next_tick = now()
+    for time_ns, channel, payload in itertools.chain(opening, stream):
+        due = began + (time_ns - begin_ns) / NANOSECONDS / rate
+        while True:
+            if is_stopped():
+                played.is_complete = False
+                break
+            moment = now()
+            if moment >= next_tick:
+                elapsed_ns = int((moment - began) * rate * NANOSECONDS)
+                played.reached_ns = max(played.reached_ns, min(begin_ns + elapsed_ns, time_ns))
+                tick(played.reached_ns)
+                next_tick += TICK_S * (1 + (moment - next_tick) // TICK_S)
+            if moment >= due:
+                break
+            sleep(max(_SHORTEST_SLEEP_S, min(due, next_tick) - moment))
+        if not played.is_complete:
+            break
+        waited_s = publish(channel, payload)
+        began += waited_s
+        played.waited_s += waited_s
+        played.counts[channel] += 1
+        played.worst_lag_s = max(played.worst_lag_s, moment - due)
+        played.reached_ns = max(played.reached_ns, time_ns)
+    tick(played.reached_ns)
+    played.took_s = now() - began
+    return played

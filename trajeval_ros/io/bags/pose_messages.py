@@ -1,0 +1,305 @@
+"""ROS messages to columns of poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
+from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
+
+Floats = NDArray[np.float64]
+TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+PATH_TYPE = "nav_msgs/msg/Path"
+
+
+@dataclass(frozen=True)
+class PoseColumns:
+    """The poses of a topic.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds, of the headers.
+        positions: (N, 3), metres.
+        quaternions: (N, 4), xyzw, or None if the type has none.
+        body_velocities: (N, 3), m/s, in the body, or None.
+        covariances: (N, 6, 6), position first, or None.
+        frames: (frame, child frame) as they follow each other, and the first row of each.
+        rows: (N,) int64, which message each pose is from.
+        undecodable: Number of messages that can't be decoded.
+    """
+
+    stamps: NDArray[np.int64]
+    positions: Floats
+    quaternions: Floats | None
+    body_velocities: Floats | None
+    covariances: Floats | None
+    frames: list[tuple[int, str, str]]
+    rows: NDArray[np.int64]
+    undecodable: int
+
+
+@dataclass(frozen=True)
+class TransformColumns:
+    """The transforms of one edge, in order of arrival.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds, of the headers.
+        numbers: (N, 7): translation in metres, quaternion xyzw.
+        rows: (N,) int64, which message each is from.
+    """
+
+    stamps: NDArray[np.int64]
+    numbers: Floats
+    rows: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """Where a type keeps what a pose is made of; "" is nowhere."""
+
+    position: str
+    quaternion: str = ""
+    body_velocity: str = ""
+    covariance: str = ""
+    child_frame: str = ""
+
+    def wanted(self, *, covariance: bool) -> list[str]:
+        """Return the fields to decode."""
+        own = [self.position, self.quaternion, self.body_velocity, self.child_frame]
+        own += [self.covariance] if covariance else []
+        return [*_HEADER, *(path for path in own if path)]
+
+
+_HEADER = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
+_PATHS = {
+    "nav_msgs/msg/Odometry": _Paths(
+        "pose.pose.position",
+        "pose.pose.orientation",
+        "twist.twist.linear",
+        "pose.covariance",
+        "child_frame_id",
+    ),
+    "geometry_msgs/msg/PoseStamped": _Paths("pose.position", "pose.orientation"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _Paths(
+        "pose.pose.position", "pose.pose.orientation", covariance="pose.covariance"
+    ),
+    "geometry_msgs/msg/TransformStamped": _Paths(
+        "transform.translation", "transform.rotation", child_frame="child_frame_id"
+    ),
+    "geometry_msgs/msg/PointStamped": _Paths("point"),
+}
+POSE_TYPES = (*_PATHS, PATH_TYPE)
+COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
+_POSE_SIZE = 56  # bytes: position and quaternion
+_OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
+_OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
+
+
+def decode_poses(
+    payloads: Sequence[bytes | memoryview], message_type: str, *, covariance: bool = False
+) -> PoseColumns:
+    """Return the poses of messages of ROS 2, by the standard definition of their type.
+
+    Args:
+        payloads: The messages in CDR. Nothing is assumed of their bytes: what isn't a message of
+            that type is left out and counted.
+        message_type: One of `POSE_TYPES` but `nav_msgs/msg/Path`.
+        covariance: Whether to decode the covariances.
+    """
+    columns = _plan(message_type, covariance=covariance).decode(payloads)
+    return poses_of(columns, message_type, len(payloads) - len(columns.rows))
+
+
+def decode_path(payload: bytes | memoryview) -> PoseColumns:
+    """Return the poses of a nav_msgs/Path of ROS 2; none, and 1 undecodable, if it is no Path."""
+    columns = _plan(PATH_TYPE).decode([payload])
+    return poses_of(columns, PATH_TYPE, 1 - len(columns.rows))
+
+
+def decode_transforms(
+    payloads: Sequence[bytes | memoryview],
+) -> tuple[dict[tuple[str, str], TransformColumns], int]:
+    """Return the transforms of tf2_msgs/TFMessage of ROS 2 by edge (parent, child).
+
+    Returns:
+        The edges, and the number of messages that can't be decoded.
+    """
+    columns = _plan(TRANSFORM_TYPES[0]).decode(payloads)
+    return edges_of(columns), len(payloads) - len(columns.rows)
+
+
+@cache
+def _plan(message_type: str, *, covariance: bool = False) -> CdrPlan:
+    """Return how a standard type of ROS 2 is decoded."""
+    return plan_of(STANDARD[message_type], message_type, covariance=covariance)
+
+
+def plan_of(
+    fields: Fields | None, message_type: str, *, covariance: bool = False, is_ros1: bool = False
+) -> CdrPlan:
+    """Return how the poses or transforms of a type are decoded.
+
+    Args:
+        fields: Of the type, as a bag defines it. Where that is None, or lacks what poses are made
+            of, the standard definition is as good.
+        message_type: One of `POSE_TYPES` or `TRANSFORM_TYPES`.
+        covariance: Whether to decode covariances.
+        is_ros1: Whether messages are serialised as by ROS 1.
+    """
+    wanted = _wanted(message_type, covariance=covariance)
+    if fields is not None:
+        try:
+            return CdrPlan(fields, wanted, is_ros1=is_ros1)
+        except UnplannedError:
+            pass
+    name = TRANSFORM_TYPES[0] if message_type in TRANSFORM_TYPES else message_type
+    standard = ros1_fields(STANDARD[name]) if is_ros1 else STANDARD[name]
+    return CdrPlan(standard, wanted, is_ros1=is_ros1)
+
+
+def _wanted(message_type: str, *, covariance: bool) -> list[str]:
+    """Return the fields of a type that poses or transforms are made of."""
+    if message_type == PATH_TYPE:
+        return [f"poses.{path}" for path in _OF_A_PATH.wanted(covariance=False)]
+    if message_type in TRANSFORM_TYPES:
+        return [f"transforms.{path}" for path in _OF_TRANSFORMS.wanted(covariance=False)]
+    return _PATHS[message_type].wanted(covariance=covariance)
+
+
+def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
+    """Return decoded columns as poses; of paths, those of all of them.
+
+    Args:
+        columns: As decoded by `plan_of`.
+        message_type: One of `POSE_TYPES`.
+        undecodable: Number of messages that weren't.
+    """
+    paths = _PATHS.get(message_type, _OF_A_PATH)
+    if message_type == PATH_TYPE:
+        inner = columns.sequences["poses"]
+        columns = replace(inner, rows=columns.rows[inner.rows])
+    numbers = columns.numbers
+    covariances = numbers.get(paths.covariance)
+    return PoseColumns(
+        _stamps_of(columns),
+        _floats(numbers[paths.position]),
+        _floats(numbers[paths.quaternion]) if paths.quaternion else None,
+        _floats(numbers[paths.body_velocity]) if paths.body_velocity else None,
+        None if covariances is None else _floats(covariances).reshape(-1, 6, 6),
+        _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
+        columns.rows,
+        undecodable,
+    )
+
+
+def _stamps_of(columns: Columns) -> NDArray[np.int64]:
+    """Return the stamps of the headers, (N,), nanoseconds."""
+    seconds = columns.numbers["header.stamp.sec"].astype(np.int64)
+    stamps: NDArray[np.int64] = seconds * NANOSECONDS + columns.numbers["header.stamp.nanosec"]
+    return stamps
+
+
+def _floats(column: NDArray[Any]) -> Floats:
+    return np.ascontiguousarray(column, dtype=np.float64)
+
+
+def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
+    """Return (frame, child frame) as they follow each other, and the first row of each."""
+    names = [name.lstrip("/") for name in frames.names]
+    child_names = [name.lstrip("/") for name in children.names] if children else [""]
+    if not len(frames.codes):
+        return []
+    if len(names) == len(child_names) == 1:
+        return [(0, names[0], child_names[0])]
+    child_codes = np.zeros_like(frames.codes) if children is None else children.codes
+    both = frames.codes * len(child_names) + child_codes
+    firsts = np.flatnonzero(np.concatenate([[True], both[1:] != both[:-1]])).tolist()
+    changes: list[tuple[int, str, str]] = []
+    for row in firsts:
+        pair = names[frames.codes[row]], child_names[child_codes[row]]
+        if not changes or changes[-1][1:] != pair:
+            changes.append((row, *pair))
+    return changes
+
+
+def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
+    """Return decoded transforms of TF messages by edge (parent, child)."""
+    elements = columns.sequences["transforms"]
+    stamps = _stamps_of(elements)
+    translations = elements.numbers[_OF_TRANSFORMS.position]
+    rotations = elements.numbers[_OF_TRANSFORMS.quaternion]
+    numbers = _floats(np.concatenate([translations, rotations], axis=1))
+    rows = columns.rows[elements.rows]
+    parents, children = elements.texts["header.frame_id"], elements.texts["child_frame_id"]
+    both = parents.codes * len(children.names) + children.codes
+    order = np.argsort(both, kind="stable")
+    found, firsts = np.unique(both[order], return_index=True)
+    edges: dict[tuple[str, str], TransformColumns] = {}
+    for code, own in zip(found.tolist(), np.split(order, firsts)[1:], strict=True):
+        parent, child = divmod(code, len(children.names))
+        key = parents.names[parent].lstrip("/"), children.names[child].lstrip("/")
+        edge = TransformColumns(stamps[own], numbers[own], rows[own])
+        edges[key] = _appended(edges[key], edge) if key in edges else edge
+    return edges
+
+
+def _appended(edge: TransformColumns, other: TransformColumns) -> TransformColumns:
+    """Return both, in order of arrival."""
+    rows = np.concatenate([edge.rows, other.rows])
+    order = np.argsort(rows, kind="stable")
+    return TransformColumns(
+        np.concatenate([edge.stamps, other.stamps])[order],
+        np.concatenate([edge.numbers, other.numbers])[order],
+        rows[order],
+    )
+
+
+def encode_path(
+    stamps: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    quaternions: NDArray[np.float64],
+    frame: str,
+) -> bytes:
+    """Return a nav_msgs/Path in little-endian CDR, stamped as its last pose.
+
+    Args:
+        stamps: (N,) nanoseconds.
+        positions: (N, 3), metres.
+        quaternions: (N, 4), xyzw.
+        frame: Of the path and of each of its poses.
+    """
+    name = frame.encode() + b"\0"
+    header = np.dtype([("stamp", "<i4", 2), ("length", "<u4"), ("name", f"S{len(name)}")])
+    count = len(stamps)
+    # Alignment counts from behind the encapsulation. A pose ends at a multiple of eight bytes, so
+    # that all but the first, which begins where it must, have their numbers at the same distance.
+    first = _aligned(header.itemsize, 4) + 4
+    numbers = _aligned(first + header.itemsize, 8)
+    stride = _aligned(header.itemsize, 8) + _POSE_SIZE
+    payload = bytearray(4 + (numbers + _POSE_SIZE + (count - 1) * stride if count else first))
+    body = memoryview(payload)[4:]
+    payload[:4] = b"\0\1\0\0"
+    np.ndarray((), "<u4", body, first - 4)[...] = count
+    headers = [np.ndarray(1, header, body)]
+    if count:
+        headers += [
+            np.ndarray(1, header, body, first),
+            np.ndarray(count - 1, header, body, numbers + _POSE_SIZE, (stride,)),
+        ]
+        poses = np.ndarray((count, 7), "<f8", body, numbers, (stride, 8))
+        poses[:, :3], poses[:, 3:] = positions, quaternions
+    of_each = (stamps[-1:], stamps[:1], stamps[1:])
+    for fields, times in zip(headers, of_each, strict=False):
+        fields["stamp"] = np.stack(np.divmod(times, NANOSECONDS), axis=-1) if count else 0
+        fields["length"], fields["name"] = len(name), name
+    return bytes(payload)
+
+
+def _aligned(offset: int, alignment: int) -> int:
+    return -(-offset // alignment) * alignment

@@ -1,0 +1,292 @@
+"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
+from trajeval_ros.io.bags.metadata import qos_of
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+Place = tuple[int, int]  # of a message in the order of reading: log time or 0, id
+
+_UNKNOWN = -1  # counting reads the whole file
+_FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
+_LOG_MAGICS = (0x377F0682, 0x377F0683)
+_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
+_SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
+_FEW = 16  # rows, as long as nobody knows how large they are
+
+
+class SqliteReader:
+    """An open .db3 file.
+
+    Attributes:
+        connections: Its topics.
+        damage: What opening it found that can't be read, one sentence each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, and the write-ahead log beside it if there is one.
+
+        Raises:
+            InputError: It is damaged, or its log can't be read.
+        """
+        self.damage: list[str] = []
+        self._counts: dict[int, int] | None = None
+        self._path = path
+        log = path.with_name(f"{path.name}-wal")
+        has_log = log.exists() and log.stat().st_size > 0
+        if not has_log:
+            refuse_truncated(path)
+        # Without a log nobody writes, and sqlite needn't look for locks, which need rights.
+        mode = "mode=ro" if has_log else "immutable=1"
+        uri = f"{path.resolve().as_uri()}?{mode}"
+        self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        try:
+            self.connections = self._list_connections()
+        except sqlite3.Error as error:
+            self._database.close()
+            if has_log:
+                raise InputError(
+                    f"{path} was not closed, and the messages that wait in {log.name} can't be "
+                    f"read ({error}); merge them, where you may write, with `sqlite3 {path} "
+                    "'PRAGMA wal_checkpoint(TRUNCATE)'`"
+                ) from error
+            raise
+        if has_log and (lost := _lost_of(log)):
+            self.damage.append(f"{log}: {lost}, and what only they held is missing")
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+        first, last = self._database.execute(
+            "SELECT min(timestamp), max(timestamp) FROM messages"
+        ).fetchone()
+        return None if first is None else (first, last)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def blocks(
+        self,
+        selections: Sequence[TopicSelection],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+        """Yield the messages of some topics, of all selections in one scan of the table."""
+        yield from self._blocks(selections, _Window(begin, end, in_order), None)
+
+    def _blocks(
+        self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
+    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+        """Yield the messages that come after a place; None means all."""
+        query, values = window.query(all_connections(selections))
+        try:
+            rows = self._database.execute(*window.after(query, values, reached))
+            count = _FEW
+            while some := rows.fetchmany(count):
+                keys, topics, log_times, payloads = zip(*some, strict=True)
+                yield selections, block_of(topics, log_times, payloads)
+                reached = window.place(log_times[-1], keys[-1])
+                size = sum(map(len, payloads)) // len(payloads)
+                count = min(ROWS, 1 + _FETCHED // max(size, 1))
+        except sqlite3.DatabaseError as error:
+            said = f"{self._path} is damaged: {error}"
+        else:
+            return
+        if len(selections) > 1:  # the damage may be of one of them alone
+            for selection in selections:
+                yield from self._blocks([selection], window, reached)
+            return
+        (selection,) = selections
+        selection.damage.append(said)
+        # What leads to a damaged page leads there again: the rest is asked for one by one.
+        left = [
+            window.place(log_time, key)
+            for log_time, key in self._one_by_one(query, values, selection)
+        ]
+        for block in blocks_of(
+            row[1:]
+            for each in sorted(left)
+            if reached is None or each > reached
+            for row in self._row(query, values, each[1])
+        ):
+            yield selections, block
+
+    def _one_by_one(
+        self, query: str, values: tuple[Any, ...], selection: TopicSelection
+    ) -> Iterator[tuple[int, int]]:
+        """Yield log time and id of each message that can be had, whatever damage is around it."""
+        try:
+            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
+        except sqlite3.DatabaseError:
+            return
+        # A row has several bytes, so that larger ids than these are leaps, or damage as well.
+        most = self._path.stat().st_size // _SMALLEST_ROW
+        if last and last > most:
+            selection.damage.append(f"{self._path}: ids beyond {most} were not looked for")
+            last = most
+        for key in range(1, (last or 0) + 1):
+            yield from ((row[2], row[0]) for row in self._row(query, values, key))
+
+    def _row(self, query: str, values: tuple[Any, ...], key: int) -> list[Any]:
+        try:
+            return self._database.execute(f"{query} AND id = ?", (*values, key)).fetchall()
+        except sqlite3.DatabaseError:
+            return []
+
+    def _list_connections(self) -> list[Connection]:
+        """Return the topics, each with the definition of its type if the file has it."""
+        from rosbags.interfaces import (
+            Connection,
+            ConnectionExtRosbag2,
+            MessageDefinition,
+            MessageDefinitionFormat,
+        )
+
+        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
+        texts = {}
+        if self._columns("message_definitions"):
+            rows = self._database.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            texts = {
+                name: MessageDefinition(formats[encoding], text)
+                for name, encoding, text in rows
+                if encoding in formats and text.strip()
+            }
+        if not self._columns("topics") or not self._columns("messages"):
+            raise InputError(f"{self._path} is no bag: it lacks the tables of topics and messages")
+        has_qos = "offered_qos_profiles" in self._columns("topics")
+        rows = self._database.execute(
+            "SELECT id, name, type, serialization_format, "
+            + ("offered_qos_profiles" if has_qos else "''")
+            + " FROM topics ORDER BY id"
+        )
+        none = MessageDefinition(MessageDefinitionFormat.NONE, "")
+        return [
+            Connection(
+                key,
+                name,
+                kind,
+                texts.get(kind, none),
+                "",
+                _UNKNOWN,
+                ConnectionExtRosbag2(serialization, qos_of(qos)),
+                self,
+            )
+            for key, name, kind, serialization, qos in rows
+        ]
+
+    def count(self, topic: int) -> int:
+        """Return the number of messages of a topic; 0 if damaged pages are in the way."""
+        if self._counts is None:
+            query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+            try:
+                self._counts = dict(self._database.execute(query).fetchall())
+            except sqlite3.DatabaseError:
+                self._counts = {}
+        return self._counts.get(topic, 0)
+
+    def _columns(self, table: str) -> set[str]:
+        rows = self._database.execute(f"PRAGMA table_info({table})")
+        return {name for _, name, *_ in rows}
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Which rows of the wanted topics are read, and in what order.
+
+    Attributes:
+        begin: The first log time wanted, ns; None means all.
+        end: The first log time that isn't wanted any more, ns; None means all.
+        in_order: Whether they are read in order of their log times.
+    """
+
+    begin: int | None
+    end: int | None
+    in_order: bool
+
+    def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
+        """Return the query of the wanted messages, and its values."""
+        query = (
+            "SELECT id, topic_id, timestamp, data FROM messages "
+            f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
+        )
+        values: tuple[Any, ...] = tuple(wanted)
+        if self.begin is not None:
+            query, values = f"{query} AND timestamp >= ?", (*values, self.begin)
+        if self.end is not None:
+            query, values = f"{query} AND timestamp < ?", (*values, self.end)
+        return query, values
+
+    def after(
+        self, query: str, values: tuple[Any, ...], place: Place | None
+    ) -> tuple[str, tuple[Any, ...]]:
+        """Return the query of the messages behind a place, in order, and its values."""
+        if place is not None and self.in_order:
+            query, values = f"{query} AND (timestamp, id) > (?, ?)", (*values, *place)
+        elif place is not None:
+            query, values = f"{query} AND id > ?", (*values, place[1])
+        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
+        return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
+
+    def place(self, log_time: int, key: int) -> Place:
+        """Return where in the order a message is."""
+        return (log_time if self.in_order else 0, key)
+
+
+def _lost_of(log: Path) -> str:
+    """Return what of an open database's log sqlite didn't use, which it never tells itself.
+
+    Both are of sqlite's file format, 4.1 and 4.4: the log is a header and frames of one page each,
+    the index beside it says how many frames hold what was committed.
+    """
+    with log.open("rb") as file:
+        header = file.read(_LOG_HEADER)
+        if int.from_bytes(header[:4], "big") not in _LOG_MAGICS or len(header) < _LOG_HEADER:
+            return "none of its pages could be used"
+        frame = _FRAME_HEADER + int.from_bytes(header[8:12], "big")
+        size = log.stat().st_size
+        count = 0
+        while _LOG_HEADER + (count + 1) * frame <= size:
+            file.seek(_LOG_HEADER + count * frame + 8)
+            if file.read(8) != header[16:24]:  # a frame of an older log, written over by this one
+                break
+            count += 1
+    index, used = log.with_name(f"{log.name.removesuffix('-wal')}-shm"), 0
+    if index.exists():  # unless the database says that it has no log
+        with index.open("rb") as file:
+            used = int.from_bytes(file.read(20)[16:], sys.byteorder)
+    return f"{count - used} of its {count} pages could not be used" if used < count else ""
+
+
+def refuse_truncated(path: Path) -> None:
+    """Raise InputError if sqlite's header counts more pages than the file has.
+
+    What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
+    """
+    with path.open("rb") as file:
+        header = file.read(100).ljust(100, b"\0")
+    page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+    page_size = 65536 if page_size == 1 else page_size
+    is_valid = header[24:28] == header[92:96]  # older versions of sqlite don't keep the count
+    size = path.stat().st_size
+    if is_valid and size < pages * page_size:
+        raise InputError(
+            f"{path} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
+            f"save what is left with `sqlite3 {path} .recover`"
+        )

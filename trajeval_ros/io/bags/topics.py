@@ -1,0 +1,251 @@
+"""Trajectories from the topics of a bag: poses, paths and transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.bag import Advance, Bag, Topic
+from trajeval_ros.io.bags.topic_readers import (
+    PoseReader,
+    TransformReader,
+    read_topics,
+    tree_of,
+    tree_topics,
+)
+from trajeval_ros.io.bags.transform_tree import compose_transforms
+from trajeval_ros.io.checks import check_stamps, judge_rotations
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BagSource:
+    """A trajectory in a bag.
+
+    Attributes:
+        topic: Name of the topic, "" for the only one that holds poses.
+        frames: (parent, child) if the topic holds transforms, else None.
+        covariances: Whether to read them, too.
+    """
+
+    topic: str
+    frames: tuple[str, str] | None
+    covariances: bool = True
+
+
+def read_bag(
+    path: Path,
+    sources: Sequence[BagSource],
+    advance: Advance | None = None,
+    *,
+    strict: bool = False,
+) -> list[Trajectory]:
+    """Read trajectories from a bag, all of them in one pass.
+
+    Args:
+        path: A bag.
+        sources: Those wanted.
+        advance: Called with the messages done and all messages, now and then.
+        strict: Whether to verify all that is read, and to refuse what is damaged.
+
+    Returns:
+        A trajectory for each source; the same object for equal sources.
+
+    Raises:
+        InputError: The bag, a topic or its poses can't be used.
+    """
+    with Bag(path, advance, strict=strict) as bag:
+        plan = _Plan(bag)
+        unique = {source: plan.add(source) for source in sources}
+        read_topics(bag, plan.readers)
+        made = {source: make() for source, make in unique.items()}
+        return [made[source] for source in sources]
+
+
+class _Plan:
+    """What is read of a bag for several sources: a topic that several of them need once.
+
+    Attributes:
+        readers: Of all topics.
+    """
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        self._poses: dict[tuple[Topic, bool], PoseReader] = {}
+        self._transforms: dict[Topic, TransformReader] = {}
+
+    @property
+    def readers(self) -> list[PoseReader | TransformReader]:
+        return [*self._poses.values(), *self._transforms.values()]
+
+    def add(self, source: BagSource) -> Callable[[], Trajectory]:
+        """Return what makes the trajectory of a source, once all readers were fed.
+
+        Raises:
+            InputError: There is no such topic, or it holds no poses.
+        """
+        bag, frames = self._bag, source.frames
+        if frames is not None:
+            found = bag.find(source.topic)
+            if not any(each.holds_transforms for each in found):
+                raise InputError(
+                    f"{bag.path}: {source.topic} holds {found[0].type}, no transforms"
+                )
+            tree = [
+                self._transforms.setdefault(each, TransformReader(each))
+                for each in tree_topics(bag, source.topic)
+            ]
+            return lambda: _transform_trajectory(bag, source.topic, frames, tree)
+        topic = _choose(bag, source.topic)
+        key = topic, source.covariances
+        if key not in self._poses:
+            self._poses[key] = PoseReader(topic, covariances=source.covariances)
+        reader = self._poses[key]
+        notes = () if source.topic else (f"{topic.name} is the only topic with poses",)
+        return lambda: trajectory_of(bag, reader, notes)
+
+
+def _choose(bag: Bag, name: str) -> Topic:
+    """Return the topic to read, or raise InputError with those that could be read."""
+    candidates = [topic for topic in bag.topics if topic.holds_poses]
+    transforms = [topic for topic in bag.topics if topic.holds_transforms]
+    listed = ", ".join([topic.name for topic in candidates])
+    if transforms:
+        listed += (", " if listed else "") + f"{transforms[0].name}:PARENT.CHILD"
+    if name:
+        found = bag.find(name)
+        poses = [topic for topic in found if topic.holds_poses]
+        if len(poses) == 1:
+            return poses[0]
+        types = " and ".join(topic.type for topic in found)
+        if len(poses) > 1:
+            raise InputError(f"{bag.path}: {name} carries several types of poses ({types})")
+        raise InputError(
+            f"{bag.path}: {name} holds {types}, no poses"
+            + (f"; poses are on {listed}" if listed else ", and no other topic does")
+        )
+    if len(candidates) == 1:
+        return candidates[0]
+    if not bag.topics:
+        why = "; ".join(bag.damage) or "it has no topics"
+        raise InputError(f"{bag.path} is an empty bag: {why}")
+    if not listed:
+        for topic in bag.topics:
+            if topic.lacks_protobuf:
+                bag.find(topic.name)  # says what to install
+        types = ", ".join(sorted({topic.type for topic in bag.topics}))
+        raise InputError(f"{bag.path} has no topic with poses, only {types}")
+    raise InputError(
+        f"{bag.path} is a bag with several topics; name one as in {bag.path}:TOPIC, of {listed}"
+    )
+
+
+def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> Trajectory:
+    """Return the trajectory of a topic that was read.
+
+    Args:
+        bag: It is of.
+        reader: Of the topic, fed with all messages.
+        notes: What else to know about it.
+
+    Raises:
+        InputError: None of its messages can be used, or the bag is damaged and read strictly.
+    """
+    topic = reader.reading.topic
+    found, damage = bag.findings([reader.reading])
+    columns = reader.poses()
+    where = f"{bag.path}:{topic.name}"
+    if not len(columns.stamps):
+        why = "; ".join(damage)
+        if columns.undecodable:
+            why = f"none of its {columns.undecodable} messages can be decoded"
+        raise InputError(f"{where} holds no pose" + (f": {why}" if why else ""))
+    are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
+    timed = slice(None) if are_times.all() else are_times  # a mask would copy everything
+    quaternions, judgement = judge_rotations(columns.quaternions)
+    velocities = None
+    if columns.body_velocities is not None and quaternions is not None:
+        velocities = _world_velocities(columns.body_velocities, quaternions)
+    covariances = columns.covariances
+    if covariances is not None and not covariances.any():
+        covariances = None
+    changes = [
+        f"{where}: frame_id changes from {before[1:]} to {after[1:]} at pose {after[0]}"
+        for before, after in zip(columns.frames, columns.frames[1:], strict=False)
+    ]
+    if len(changes) > 1:
+        changes = [f"{changes[0]}, and {len(changes) - 1} times more"]
+    everything = Trajectory.from_columns(
+        columns.stamps[timed],
+        columns.positions[timed],
+        None if quaternions is None else quaternions[timed],
+        velocities=None if velocities is None else velocities[timed],
+        covariances=None if covariances is None else covariances[timed],
+        frame=columns.frames[0][1],
+        child_frame=columns.frames[0][2],
+        name=topic.name.strip("/"),
+        dropped={
+            "undecodable": columns.undecodable,
+            "zero_stamp": int(np.count_nonzero(~are_times)),
+        },
+        notes=(f"format: {topic.type}", *notes, *found, *changes, *judgement),
+        damage=damage,
+    )
+    return _usable(everything, where, len(columns.stamps))
+
+
+def _transform_trajectory(
+    bag: Bag, topic: str, frames: tuple[str, str], tree: Sequence[TransformReader]
+) -> Trajectory:
+    """Return the trajectory of a child frame in a parent frame."""
+    parent, child = frames
+    where = f"{bag.path}:{topic}:{parent}.{child}"
+    notes, damage = bag.findings([each.reading for each in tree])
+    stamps, positions, quaternions = compose_transforms(tree_of(tree), parent, child, where)
+    check_stamps(stamps, where)
+    trajectory = Trajectory.from_columns(
+        stamps,
+        positions,
+        quaternions,
+        frame=parent,
+        child_frame=child,
+        name=f"{parent}.{child}",
+        dropped={"undecodable": sum(each.undecodable for each in tree)},
+        notes=("format: TF", *notes),
+        damage=damage,
+    )
+    return _usable(trajectory, where, len(stamps))
+
+
+def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
+    """Return the trajectory, or raise InputError if none of its poses was left."""
+    if not len(trajectory):
+        why = ", ".join(f"{number} {reason}" for reason, number in trajectory.dropped.items())
+        raise InputError(f"{where}: none of {count} messages is a pose ({why})")
+    return trajectory
+
+
+def _world_velocities(body: Floats, quaternions: Floats) -> Floats | None:
+    """Return the velocities (N, 3) in the frame, or None if they were never filled in."""
+    if not body.any() or not np.isfinite(body).any():
+        return None
+    lengths = np.linalg.norm(quaternions, axis=1)
+    usable = np.isfinite(lengths) & (lengths > 1e-6)
+    velocities = np.zeros_like(body)
+    if usable.any():
+        (velocities[usable],) = lie.by_blocks(_turned, quaternions[usable], body[usable])
+    return velocities
+
+
+def _turned(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
+    """Return the vectors (N, 3) turned by quaternions (N, 4) of any length."""
+    matrices = lie.to_matrix(lie.normalized(quaternions))
+    return (np.einsum("nij,nj->ni", matrices, vectors),)

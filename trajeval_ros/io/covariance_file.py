@@ -1,0 +1,134 @@
+"""Joint covariances as npz archives; docs/consistency.md describes the format."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
+from trajeval_ros.io.writing import write_whole
+
+_GAUGES = ("free", "first4", "prior", "unknown")
+_PERTURBATIONS = ("left", "right")
+
+
+def write_joint_covariance(path: Path, joint: JointCovariance) -> None:
+    """Write an npz archive.
+
+    Raises:
+        InputError: The file can't be written.
+    """
+    arrays: dict[str, Any] = {
+        "stamps_ns": joint.stamps,
+        "positions": joint.positions,
+        "quaternions": joint.quaternions,
+        "block": next(name for name, size in BLOCKS.items() if size == joint.block),
+        "perturbation": "left",
+        "gauge": joint.gauge,
+    }
+    if joint.covariance is not None:
+        arrays["cov"] = joint.covariance
+    if joint.information is not None:
+        arrays["info_data"] = joint.information.data
+        arrays["info_indices"] = joint.information.indices
+        arrays["info_indptr"] = joint.information.indptr
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    write_whole(path, write)
+
+
+def read_joint_covariance(path: Path) -> JointCovariance:
+    """Read an npz archive.
+
+    Raises:
+        InputError: It can't be read, something is missing or of the wrong size, or the matrix
+            is no covariance.
+    """
+    arrays = _load(path)
+    try:
+        joint = _joint_of(arrays)
+        joint.require_sound()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return joint
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; check the path of --covariance") from None
+    except (OSError, ValueError, zipfile.BadZipFile, AttributeError, EOFError):
+        raise InputError(
+            f"{path} is no npz archive of plain arrays, as a joint covariance must be"
+        ) from None
+
+
+def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
+    missing = [
+        name for name in ("stamps_ns", "positions", "quaternions", "block") if name not in arrays
+    ]
+    if missing:
+        raise InputError(f"the joint covariance lacks {', '.join(missing)}")
+    stamps = np.asarray(arrays["stamps_ns"], dtype=np.int64).ravel()
+    positions = np.asarray(arrays["positions"], dtype=np.float64)
+    quaternions = np.asarray(arrays["quaternions"], dtype=np.float64)
+    count = len(stamps)
+    if positions.shape != (count, 3) or quaternions.shape != (count, 4) or not count:
+        raise InputError(
+            f"the joint covariance has {count} stamps, positions of shape {positions.shape} and "
+            f"quaternions of shape {quaternions.shape}; they must be as many"
+        )
+    block = BLOCKS.get(_word(arrays, "block", tuple(BLOCKS)))
+    assert block is not None
+    covariance = np.asarray(arrays["cov"], dtype=np.float64) if "cov" in arrays else None
+    information = _information(arrays, count * block)
+    if _word(arrays, "perturbation", _PERTURBATIONS) == "right":
+        rotations = Rotation.from_quat(quaternions).as_matrix()
+        covariance, information = world_from_body_rotations_jointly(
+            covariance, information, rotations, block
+        )
+    return JointCovariance(
+        stamps,
+        positions,
+        quaternions,
+        block,
+        covariance,
+        information,
+        _word(arrays, "gauge", _GAUGES),
+    )
+
+
+def _word(arrays: dict[str, NDArray[Any]], name: str, known: tuple[str, ...]) -> str:
+    """Return a word of the archive; the first one known where there is none."""
+    word = str(arrays[name]) if name in arrays else known[0 if name != "gauge" else -1]
+    if word not in known:
+        raise InputError(f"the joint covariance's {name} is {word!r}; use {', '.join(known)}")
+    return word
+
+
+def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr_matrix | None:
+    if "info" in arrays:
+        return scipy.sparse.csr_matrix(np.asarray(arrays["info"], dtype=np.float64))
+    if "info_data" not in arrays:
+        return None
+    try:
+        parts = tuple(arrays[f"info_{name}"] for name in ("data", "indices", "indptr"))
+        return scipy.sparse.csr_matrix(parts, shape=(size, size))
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"info_data, info_indices and info_indptr are no {size} x {size} matrix in compressed "
+            "rows"
+        ) from error

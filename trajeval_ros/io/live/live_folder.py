@@ -1,0 +1,243 @@
+"""What a live run leaves in its folder, evaluated as a recorded one.
+
+`NAME.pairs` holds the pairs of an estimate as they came. `NAME.revised.npz` holds the last message
+of an estimate that is a `nav_msgs/Path`: the trajectory as its estimator sees it in the end. Then
+the errors are of the revised trajectory, as they are of the recorded topic, and those of each pose
+as it was first published stand beside them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.io.checks import judge_rotations
+from trajeval_ros.io.live.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, read_pairs
+from trajeval_ros.io.results.result_json import statistics_json
+from trajeval_ros.metrics.association import Association, AssociationRule
+from trajeval_ros.metrics.coverage import coverage_of
+from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.pipeline import FailedRun, Outcome, Request, RunOutcome, run_pairs
+
+REVISED_SUFFIX = ".revised.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class _EvaluatedEstimate:
+    """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
+
+    place: int
+    groundtruth: InputSummary
+    run: RunOutcome
+
+
+def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
+    """Evaluate all estimates of a live run, whether it still goes on or has ended.
+
+    Args:
+        folder: The live evaluator's output folder.
+        request: What to calibrate and to judge; its protocol is replaced by that of the live run.
+
+    Raises:
+        InputError: There is no pair file, or none can be evaluated.
+        SettingsError: The request needs more than pairs.
+    """
+    request = request or Request()
+    paths = sorted(folder.glob(f"*{SUFFIX}"))
+    if not paths:
+        raise InputError(
+            f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
+            "evaluator's output folder"
+        )
+    found: list[_EvaluatedEstimate] = []
+    failed: list[FailedRun] = []
+    for path in paths:
+        try:
+            estimate = _evaluate(path, request)
+        except SettingsError:
+            raise
+        except TrajevalError as error:
+            name = path.name.removesuffix(SUFFIX)
+            failed.append(FailedRun(name, str(path), str(error)))
+            continue
+        found.append(estimate)
+    if not found:
+        raise InputError("; ".join(each.reason for each in failed))
+    found.sort(key=lambda each: each.place)
+    runs = tuple(each.run for each in found)
+    return Outcome(request, found[0].groundtruth, runs, tuple(failed))
+
+
+def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
+    """Write the poses of a path, (N,), (N, 3), (N, 4), to a file."""
+    with path.open("wb") as file:
+        np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
+
+
+def _evaluate(path: Path, request: Request) -> _EvaluatedEstimate:
+    """Evaluate one estimate."""
+    recorded = read_pairs(path)
+    name = path.name.removesuffix(SUFFIX)
+    if not len(recorded.stamps):
+        raise InputError(f"{name}: no pair of estimate and groundtruth was made")
+    try:
+        return _evaluate_pairs(path, name, recorded, request)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
+
+
+def _evaluate_pairs(
+    path: Path, name: str, recorded: RecordedPairs, request: Request
+) -> _EvaluatedEstimate:
+    description, state = recorded.description, recorded.state
+    truth, estimate = state["groundtruth"], state["estimate"]
+    protocol = protocol_from("default", **state["settings"])
+    if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
+        protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
+    request = dataclasses.replace(request, protocol=protocol)
+    pairs, truth_notes, notes = _association(recorded, protocol)
+    live, warnings = dict(state["live"]), list(state["warnings"])
+    later = len(recorded.stamps) - recorded.pairs_at_state
+    if later or recorded.torn:
+        warnings.append(
+            "the live run ended without its last counts: what was lost and dropped is told as of "
+            f"{later} pairs before the end"
+        )
+    revised = path.with_name(name + REVISED_SUFFIX)
+    if revised.exists():
+        causal = _run(pairs, request, truth, estimate, name).evaluation
+        live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
+        pairs, estimate = _revised(pairs, truth, estimate, revised)
+    run = _run(pairs, request, truth, estimate, name)
+    evaluation = dataclasses.replace(
+        run.evaluation, warnings=(*run.evaluation.warnings, *warnings)
+    )
+    summaries = [
+        InputSummary(
+            source=description[side],
+            name=name,
+            poses=counts["poses"],
+            duration_s=counts["duration_s"],
+            path_length_m=counts.get("path_length_m", 0.0),
+            frame=counts["frame"],
+            child_frame=counts["child_frame"],
+            notes=(*counts["notes"], *said),
+            fingerprint=fingerprint(trajectory),
+        )
+        for side, counts, trajectory, said in (
+            ("groundtruth", truth, pairs.groundtruth, truth_notes),
+            ("estimate", estimate, pairs.estimate, notes),
+        )
+    ]
+    run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
+    return _EvaluatedEstimate(description["place"], summaries[0], run)
+
+
+def _association(
+    recorded: RecordedPairs, protocol: Protocol
+) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
+    """Return the pairs in order of their stamps, with the counts, and notes about either side."""
+    # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
+    stamps, order = np.unique(recorded.stamps, return_index=True)
+    again = len(recorded.stamps) - len(stamps)
+    later = len(recorded.stamps) - recorded.pairs_at_state
+    truth = recorded.state["groundtruth"]
+    groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
+    estimate, notes = _trajectory(stamps, recorded.estimate[order])
+    rule = protocol.association
+    pairs = Association(
+        rule=rule,
+        groundtruth=groundtruth,
+        estimate=estimate,
+        estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
+        groundtruth_coverage=_groundtruth_coverage(stamps, truth, rule),
+        dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
+    )
+    return pairs, truth_notes, notes
+
+
+def _groundtruth_coverage(stamps: Stamps, truth: dict[str, Any], rule: AssociationRule) -> float:
+    return coverage_of(
+        stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
+    )
+
+
+def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
+    """Return states (N, 10) as a trajectory of what was measured, and notes about it."""
+    turns, velocities = rows[:, 3:7], rows[:, 7:]
+    quaternions, notes = judge_rotations(None if np.isnan(turns).any() else turns)
+    return Trajectory(
+        stamps,
+        rows[:, :3],
+        None if quaternions is None else lie.normalized(quaternions),
+        None if np.isnan(velocities).any() or not velocities.any() else velocities,
+    ), notes
+
+
+def _revised(
+    causal: Association, truth: dict[str, Any], counts: dict[str, Any], path: Path
+) -> tuple[Association, dict[str, Any]]:
+    """Return the pairs with the estimator's last word, and the counts of its poses."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            quaternions = lie.normalized(file["quaternions"])
+            revised = Trajectory(file["stamps"], file["positions"], quaternions)
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path} can't be read: {error}") from error
+    stamps = revised.stamps
+    rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
+    estimate = revised[places]
+    unpaired = len(stamps) - len(rows)
+    dropped = causal.dropped
+    if sum(count for reason, count in dropped.items() if reason not in NO_STATE) != unpaired:
+        dropped = add_counts(
+            {reason: count for reason, count in dropped.items() if reason in NO_STATE},
+            {"without_pair_when_first_published": unpaired},
+        )
+    pairs = dataclasses.replace(
+        causal,
+        groundtruth=causal.groundtruth[rows],
+        estimate=estimate,
+        estimate_coverage=len(rows) / len(stamps),
+        groundtruth_coverage=_groundtruth_coverage(estimate.stamps, truth, causal.rule),
+        dropped=dropped,
+    )
+    return pairs, {
+        **counts,
+        "poses": len(stamps),
+        "duration_s": float(stamps.max() - stamps.min()) / NANOSECONDS,
+    }
+
+
+def _run(
+    pairs: Association,
+    request: Request,
+    truth: dict[str, Any],
+    estimate: dict[str, Any],
+    name: str,
+) -> RunOutcome:
+    """Evaluate the pairs; the states that are in none are known by their counts alone."""
+    sides = [
+        dataclasses.replace(
+            trajectory,
+            name=label,
+            frame=counts["frame"],
+            child_frame=counts["child_frame"],
+            dropped=counts["dropped"],
+        )
+        for trajectory, label, counts in (
+            (pairs.groundtruth, "groundtruth", truth),
+            (pairs.estimate, name, {**estimate, "dropped": {}}),
+        )
+    ]
+    pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
+    return run_pairs(pairs, sides[0], sides[1], request)

@@ -1,0 +1,1 @@
+"""What an evaluation writes: result.json, errors.npz, and requirements on them."""

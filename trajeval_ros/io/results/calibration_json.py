@@ -1,0 +1,122 @@
+"""The `calibration` block of result.json."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.io.hand_eye_file import hand_eye_json
+
+if TYPE_CHECKING:
+    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.calibration.calibrate import Calibration
+    from trajeval_ros.calibration.significance import Parameter
+
+
+def calibration_json(calibrated: Calibrated) -> dict[str, Any]:
+    """Return what was estimated, what was applied and why, and what that did to the errors."""
+    wanted, calibration = calibrated.wanted, calibrated.calibration
+    hand_eye = calibrated.hand_eye
+    return {
+        "estimated_from": None if calibration is None else calibrated.estimated_from,
+        "time_offset": _offset(calibrated) if wanted.offset else None,
+        "hand_eye": _hand_eye(calibrated) if wanted.hand_eye or wanted.known is not None else None,
+        "T_body_marker": None if hand_eye is None else hand_eye_json(hand_eye),
+        "errors_of": "marker" if calibrated.of_marker else "body",
+        "parameters_fitted": 0 if calibration is None else calibration.fitted,
+        "parameters_applied": calibrated.parameters_applied,
+        "blocks": None if calibration is None else calibration.blocks,
+        "increments": None if calibration is None else calibration.pairs,
+        "horizon_s": None if calibration is None else calibration.horizon_s,
+        "ate": {
+            name: None if each is None else dataclasses.asdict(each)
+            for name, each in (
+                ("before", calibrated.before),
+                ("after", calibrated.after),
+                ("if_applied", calibrated.if_applied),
+            )
+        },
+    }
+
+
+def _offset(calibrated: Calibrated) -> dict[str, Any]:
+    calibration = calibrated.calibration
+    assert calibration is not None
+    guess, found = calibration.guess, calibration.offset
+    value, sigma, half_width = (
+        None if column is None else float(column[0])
+        for column in (found.value, found.sigma, found.half_width_95)
+    )
+    return {
+        "value_s": value,
+        "sigma_s": sigma,
+        "half_width_95_s": half_width,
+        **_verdict(found, calibrated.offset_applied),
+        "correlation": {
+            "signal": guess.signal,
+            "offset_s": guess.offset_s,
+            "peak": guess.peak,
+            "second": guess.second,
+            "peak_to_sidelobe": guess.peak_to_sidelobe,
+            "overlap_s": guess.overlap_s,
+        },
+        "by_rotations": _row(calibration, "rotation"),
+        "by_positions": _row(calibration, "position"),
+    }
+
+
+def _row(calibration: Calibration, kind: str) -> dict[str, float] | None:
+    if kind not in calibration.rows:
+        return None
+    value, sigma = calibration.rows[kind]
+    return {"value_s": value, "sigma_s": sigma}
+
+
+def _hand_eye(calibrated: Calibrated) -> dict[str, Any]:
+    if calibrated.wanted.known is not None:
+        return {"source": calibrated.wanted.source, "rotation": None, "lever_arm": None}
+    calibration = calibrated.calibration
+    assert calibration is not None
+    turn, lever = calibration.turn, calibration.lever
+    return {
+        "source": "auto",
+        "rotation": {
+            "xyzw": None if turn.value is None else lie.from_rotation_vector(turn.value).tolist(),
+            "angle_deg": None
+            if turn.value is None
+            else float(np.degrees(np.linalg.norm(turn.value))),
+            "sigma_deg": None if turn.sigma is None else np.degrees(turn.sigma).tolist(),
+            "half_width_95_deg": None
+            if turn.half_width_95 is None
+            else np.degrees(turn.half_width_95).tolist(),
+            **_verdict(turn, calibrated.rotation_applied),
+        },
+        "lever_arm": {
+            "value_m": _list(lever.value),
+            "sigma_m": _list(lever.sigma),
+            "half_width_95_m": _list(lever.half_width_95),
+            **_verdict(lever, calibrated.lever_applied),
+        },
+    }
+
+
+def _verdict(found: Parameter, applied: bool) -> dict[str, Any]:
+    return {
+        "reliability": found.reliability.tolist(),
+        "chance": found.chance,
+        "status": found.status,
+        "reason": found.reason,
+        "applied": applied,
+    }
+
+
+def _list(column: NDArray[np.float64] | None) -> list[float | None] | None:
+    """Return the components, null where one is not known."""
+    if column is None:
+        return None
+    return [None if math.isnan(each) else each for each in column.tolist()]

@@ -1,0 +1,51 @@
+"""errors.npz: the errors of every pair and every sub-trajectory, as columns."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
+from trajeval_ros.pipeline import RunOutcome
+
+
+def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
+    """Write stamps and errors of every pair and sub-trajectory, run by run, as an npz archive.
+
+    Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
+    `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
+    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees` (N,);
+    where groundtruth was continuous, `NAME.probabilistic.residuals` and others.
+    """
+    arrays: dict[str, Any] = {}
+    for run in runs:
+        name, evaluation = run.estimate.name, run.evaluation
+        arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
+        arrays |= _columns(name, evaluation.absolute)
+        if run.consistency is not None:
+            arrays |= {
+                f"{name}.consistency.{column}": values
+                for column in ("errors", "sigmas", "nees")
+                if (values := getattr(run.consistency, column)) is not None
+            }
+        if run.likelihood is not None:
+            arrays |= {
+                f"{name}.probabilistic.{column}": values
+                for column, values in probabilistic_columns(run.likelihood).items()
+            }
+        for segment in evaluation.segments or ():
+            arrays |= _columns(f"{name}.{segment.length}", segment.errors)
+    with path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def _columns(prefix: str, errors: Any) -> dict[str, Any]:
+    return {
+        f"{prefix}.{field.name}": column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }

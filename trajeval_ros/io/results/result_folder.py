@@ -1,0 +1,41 @@
+"""The files of an outcome: result.json and errors.npz."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trajeval_ros.io.results.error_archive import write_errors
+from trajeval_ros.io.results.result_json import result_of, to_json
+from trajeval_ros.io.writing import refused_by_disk, write_text, write_whole
+from trajeval_ros.pipeline import Outcome
+
+
+def write_result(outcome: Outcome, folder: str | Path) -> Path:
+    """Write result.json (docs/result.md) and errors.npz, each whole or not at all.
+
+    Args:
+        outcome: What `run` returned.
+        folder: Made if it doesn't exist; files of the same names are replaced.
+
+    Returns:
+        The path of result.json. The same outcome gives the same bytes.
+
+    Raises:
+        InputError: The files can't be written.
+
+    Example:
+        >>> import json, tempfile
+        >>> from trajeval_ros import run, simulate, write_result
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = write_result(run(flight.groundtruth, [flight.estimate]), folder)
+        ...     found = json.loads(path.read_text())
+        >>> path.name, len(found["runs"])
+        ('result.json', 1)
+    """
+    folder = Path(folder)
+    with refused_by_disk(f"the folder {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / "errors.npz", lambda path: write_errors(path, outcome.runs))
+    write_text(folder / "result.json", to_json(result_of(outcome)))
+    return folder / "result.json"

@@ -1,0 +1,151 @@
+"""result.json: what an evaluation leaves behind for other programs.
+
+The schema is `trajeval/1`; docs/result.md describes every field. Two evaluations of the same
+input give the same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros import __version__
+from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.io.results.probabilistic_json import probabilistic_json
+from trajeval_ros.metrics.evaluation import SubTrajectoryErrors
+from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.pipeline import Outcome, RunOutcome
+
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.result import Consistency
+
+SCHEMA = "trajeval/1"
+
+
+def result_of(outcome: Outcome) -> dict[str, Any]:
+    """Return the result of evaluating one or more estimates against one groundtruth."""
+    groundtruth, runs = outcome.groundtruth, outcome.runs
+    protocol = runs[0].evaluation.protocol
+    inputs = {
+        each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
+    }
+    return {
+        "schema": SCHEMA,
+        "groundtruth": {
+            "source": groundtruth.source,
+            "poses": groundtruth.poses,
+            "duration_s": groundtruth.duration_s,
+            "path_length_m": groundtruth.path_length_m,
+            "frame": groundtruth.frame,
+            "child_frame": groundtruth.child_frame,
+            "notes": list(groundtruth.notes),
+        },
+        "runs": [_run(run) for run in runs],
+        "failed": [dataclasses.asdict(each) for each in outcome.failed],
+        "provenance": {
+            "version": __version__,
+            "protocol": protocol.name,
+            "settings": {
+                "align_weights": protocol.align_weights,
+                "in_order": protocol.in_order,
+                "lengths": [str(length) for length in protocol.lengths],
+                "selection": dataclasses.asdict(protocol.selection),
+                "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
+            },
+            "inputs": inputs,
+        },
+    }
+
+
+def _run(run: RunOutcome) -> dict[str, Any]:
+    evaluation, estimate = run.evaluation, run.estimate
+    protocol, pairs = evaluation.protocol, evaluation.association
+    similarity = evaluation.alignment.similarity
+    return {
+        "estimate": {
+            "source": estimate.source,
+            "name": estimate.name,
+            "poses": estimate.poses,
+            "duration_s": estimate.duration_s,
+            "frame": estimate.frame,
+            "child_frame": estimate.child_frame,
+            "notes": list(estimate.notes),
+        },
+        "association": {
+            "method": pairs.rule.method,
+            "model": pairs.rule.model if pairs.rule.method == "continuous" else None,
+            "max_time_difference_s": pairs.rule.max_time_difference_s,
+            "max_gap_s": pairs.rule.max_gap_s,
+            "time_offset_s": pairs.rule.time_offset_s,
+            "pairs": len(pairs),
+            "estimate_coverage": pairs.estimate_coverage,
+            "groundtruth_coverage": pairs.groundtruth_coverage,
+            "dropped": pairs.dropped,
+        },
+        "alignment": {
+            "gauge": protocol.gauge.value,
+            "modality": protocol.modality,
+            "states": "all" if protocol.align_states is None else protocol.align_states,
+            "states_used": evaluation.alignment.states_used,
+            "scale": similarity.scale,
+            "rotation_xyzw": similarity.rotation_xyzw.tolist(),
+            "translation_m": similarity.translation.tolist(),
+        },
+        "ate": {
+            "form": protocol.ate_form,
+            **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
+        },
+        "re": None
+        if evaluation.segments is None
+        else {
+            "form": protocol.re_form,
+            "segments": [_segment(each) for each in evaluation.segments],
+            "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
+        },
+        "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
+        "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
+        "consistency": None if run.consistency is None else _consistency(run.consistency),
+        "probabilistic": None if run.likelihood is None else probabilistic_json(run.likelihood),
+        "live": run.live,
+        "warnings": list(evaluation.warnings),
+    }
+
+
+def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
+    size = (
+        {"duration_s": segment.duration_s}
+        if segment.length_m is None
+        else {"length_m": segment.length_m}
+    )
+    return {
+        **size,
+        "pairs": len(segment.errors.ends),
+        "mean_length_m": segment.mean_length_m,
+        **{metric: statistics_json(value) for metric, value in segment.statistics.items()},
+    }
+
+
+def _consistency(consistency: Consistency) -> dict[str, Any]:
+    joint, per_pose = consistency.joint, consistency.per_pose
+    return {
+        "gauge": consistency.gauge.value,
+        "covariance_source": consistency.covariance_source,
+        "exactness": consistency.exactness,
+        "statement": consistency.statement,
+        "verdict": consistency.verdict,
+        "joint": None
+        if joint is None
+        else {**dataclasses.asdict(joint), "nees_per_dof": joint.nees / joint.dof},
+        "per_pose": None if per_pose is None else dataclasses.asdict(per_pose),
+    }
+
+
+def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | None:
+    """Return STATS of the schema."""
+    return None if statistics is None else dataclasses.asdict(statistics)
+
+
+def to_json(result: dict[str, Any]) -> str:
+    """Return the result as text; a NaN in it is a defect and raises ValueError."""
+    return json.dumps(result, indent=2, allow_nan=False) + "\n"

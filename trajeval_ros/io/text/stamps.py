@@ -1,0 +1,140 @@
+"""Stamps from text, exact to the nanosecond.
+
+A float64 holds seconds since 1970 only to 2.4e-7 s. So a stamp is never a float here: it is read
+as a whole number and a count of billionths, and becomes int64 nanoseconds once the unit of the
+file is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+
+Unsigned = NDArray[np.uint64]
+
+POWERS_OF_TEN: Unsigned = np.array([10**power for power in range(20)], dtype=np.uint64)
+_LARGEST = np.uint64(2**64 - 1)
+_LAST_SECOND = 9.2e9  # int64 nanoseconds end in the year 2262
+_LAST_NANOSECOND = 9.2e18
+_EPOCH_NANOSECONDS = 1e17  # 1973: anything above is nanoseconds since 1970
+_NANOSECOND_STEP = 5e5  # no file in seconds is that sparse, hardly one in nanoseconds that dense
+
+
+@dataclass(frozen=True)
+class ExactNumbers:
+    """Numbers as sign * (whole + billionths * 1e-9).
+
+    Attributes:
+        negative: (N,) bool.
+        whole: (N,) uint64.
+        billionths: (N,) uint64, from 0 to 1e9 (rounding may carry).
+    """
+
+    negative: NDArray[np.bool_]
+    whole: Unsigned
+    billionths: Unsigned
+
+    @classmethod
+    def concatenate(cls, parts: list[ExactNumbers]) -> ExactNumbers:
+        """Return all numbers of the parts in one."""
+        return cls(
+            np.concatenate([part.negative for part in parts]),
+            np.concatenate([part.whole for part in parts]),
+            np.concatenate([part.billionths for part in parts]),
+        )
+
+    def __getitem__(self, rows: NDArray[np.bool_]) -> ExactNumbers:
+        """Return the numbers of a mask."""
+        return ExactNumbers(self.negative[rows], self.whole[rows], self.billionths[rows])
+
+
+def billionths(fraction: Unsigned, decimals: NDArray[np.int64]) -> Unsigned:
+    """Return `fraction` / 10**`decimals` in units of 1e-9, rounded; both (N,), decimals <= 28."""
+    power = POWERS_OF_TEN[np.abs(decimals - 9)]
+    half = power // np.uint64(2)
+    return np.where(decimals <= 9, fraction * power, (fraction + half) // power)
+
+
+def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
+    """Read numbers with any exponent and any number of digits, exactly.
+
+    Args:
+        characters: (N, width) of numbers that `float` understands, padded with zero bytes on the
+            right. Numbers that aren't finite give nonsense: drop them by their float value.
+
+    The loop runs over the characters of a number, for all numbers at once. It keeps 19
+    significant digits and rounds by the 20th.
+    """
+    count = len(characters)
+    mantissa: Unsigned = np.zeros(count, dtype=np.uint64)
+    shift, exponent = np.zeros((2, count), dtype=np.int64)
+    fractional, exponential, shrinking, full, cut, round_up = np.zeros((6, count), dtype=bool)
+    for character in characters.T:
+        digit = character - np.uint8(ord("0"))
+        is_digit = digit <= 9
+        in_mantissa = is_digit & ~exponential
+        kept = in_mantissa & ~full
+        surplus = in_mantissa & full
+        mantissa = np.where(kept, mantissa * np.uint64(10) + digit, mantissa)
+        shift += (surplus & ~fractional).astype(np.int64) - (kept & fractional)
+        round_up |= surplus & ~cut & (digit >= 5)
+        cut |= surplus
+        full |= mantissa >= POWERS_OF_TEN[18]
+        in_exponent = is_digit & exponential
+        exponent = np.where(in_exponent, exponent * 10 + digit, exponent) % 10_000
+        shrinking |= exponential & (character == ord("-"))
+        fractional |= character == ord(".")
+        exponential |= (character | np.uint8(0x20)) == ord("e")
+    mantissa += round_up
+    shift += np.where(shrinking, -exponent, exponent)
+    decimals = np.clip(-shift, 0, 28)
+    unit = POWERS_OF_TEN[np.minimum(decimals, 19)]
+    whole: Unsigned = np.where(decimals < 20, mantissa // unit, np.uint64(0))
+    fraction = mantissa - whole * unit
+    larger = POWERS_OF_TEN[np.clip(shift, 0, 19)]
+    return ExactNumbers(
+        negative=characters[:, 0] == ord("-"),
+        whole=np.where(whole > _LARGEST // larger, _LARGEST, whole * larger),
+        billionths=np.where(shift < -28, np.uint64(0), billionths(fraction, decimals)),
+    )
+
+
+def to_nanoseconds(
+    numbers: ExactNumbers, said_nanoseconds: bool = False
+) -> tuple[NDArray[np.int64], bool]:
+    """Return the stamps (N,) in nanoseconds and whether the file holds nanoseconds.
+
+    Args:
+        numbers: N of them, N > 0.
+        said_nanoseconds: Whether the file's header names the unit.
+
+    Nanoseconds are recognised by their size, or as whole numbers that lie far apart (clocks that
+    began at zero).
+
+    Raises:
+        InputError: The numbers are neither seconds nor nanoseconds.
+    """
+    largest = float(numbers.whole.max())
+    in_nanoseconds = said_nanoseconds or largest >= _EPOCH_NANOSECONDS or _is_sparse(numbers)
+    if largest > (_LAST_NANOSECOND if in_nanoseconds else _LAST_SECOND):
+        raise InputError(
+            f"its stamps (up to {largest:.6g}) are neither seconds nor nanoseconds; convert the "
+            "first column to one of the two"
+        )
+    if in_nanoseconds:
+        stamps = (numbers.whole + (numbers.billionths >= NANOSECONDS // 2)).astype(np.int64)
+    else:
+        stamps = numbers.whole.astype(np.int64) * NANOSECONDS + numbers.billionths.astype(np.int64)
+    return np.where(numbers.negative, -stamps, stamps), in_nanoseconds
+
+
+def _is_sparse(numbers: ExactNumbers) -> bool:
+    """Return whether the numbers are whole and lie as far apart as nanoseconds do."""
+    if len(numbers.whole) < 2 or numbers.billionths.any():
+        return False
+    return float(np.median(np.abs(np.diff(numbers.whole.astype(np.float64))))) >= _NANOSECOND_STEP

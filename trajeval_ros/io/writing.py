@@ -1,0 +1,60 @@
+"""Files written whole or not at all, and what a disk refuses in one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all: under a temporary name, then renamed."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def temporary_name(name: str, process: int) -> str:
+    """Return what a file is called while a process, by its number, writes it."""
+    return f".{name}.{process}.part"
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` make a file under a temporary name beside `path`, then give it that name.
+
+    A link stays one: what it leads to is replaced. A pipe or a device is written to as it is.
+
+    Raises:
+        InputError: The file can't be written.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} can't be written: is a directory; name a file")
+    if path.exists() and not path.is_file():
+        with refused_by_disk(str(path)):
+            write(path)
+        return
+    if path.is_symlink():
+        path = path.resolve()
+    temporary = path.with_name(temporary_name(path.name, os.getpid()))
+    try:
+        with refused_by_disk(str(path)):
+            write(temporary)
+            temporary.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+@contextlib.contextmanager
+def refused_by_disk(what: str) -> Iterator[None]:
+    """Say in one sentence that something can't be written in the block.
+
+    Raises:
+        InputError: It can't.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"{what} can't be written: {reason}") from error

@@ -1,0 +1,104 @@
+"""Elements of a gauge's group as matrices, and a chart about any one of them.
+
+An element is [[s R, t], [0, 1]] (4, 4): p -> s R p + t, R_i -> R R_i. The chart perturbs on the
+left, about a fixed centre c: p -> c + e^lam Exp(phi)(p - c) + tau, delta = (tau, phi, lam). There
+the right Haar measure, which no change of the estimate's frame changes, has density 1 at 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.gauge import Gauge
+
+Array = NDArray[np.float64]
+
+
+def scales(elements: Array) -> Array:
+    """Return the scales (...) of elements (..., 4, 4)."""
+    return np.asarray(np.linalg.norm(elements[..., 0, :3], axis=-1))
+
+
+def act(elements: Array, poses: Array) -> Array:
+    """Return poses moved by elements, arrays (..., 4, 4) that broadcast."""
+    moved = elements @ poses
+    moved[..., :3, :3] /= scales(elements)[..., None, None]
+    return moved
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Coordinates delta of a gauge's elements.
+
+    Attributes:
+        gauge: Which of tau, phi and lam there are; for `yaw`, phi is about z alone.
+        centre: c, (3,), metres; the middle of the groundtruth keeps digits.
+    """
+
+    gauge: Gauge
+    centre: Array
+
+    def __post_init__(self) -> None:
+        """Refuse a plane, which has no twists of six."""
+        if self.gauge is Gauge.PLANAR:
+            raise SettingsError(
+                "likelihoods are of poses in space, and gauge planar leaves a plane; use yaw"
+            )
+
+    @property
+    def axes(self) -> Array:
+        """The axes (0, 1 or 3, 3) of phi."""
+        if self.gauge.turns_freely:
+            return np.eye(3)
+        return np.eye(3)[2:] if self.gauge.turns_about_gravity_only else np.zeros((0, 3))
+
+    @property
+    def turns(self) -> slice:
+        """Where phi is in delta."""
+        start = 3 if self.gauge.has_translation else 0
+        return slice(start, start + len(self.axes))
+
+    @property
+    def dimension(self) -> int:
+        """Length of delta: 0, 3, 4, 6 or 7."""
+        return int(self.turns.stop) + int(self.gauge.has_scale)
+
+    def elements(self, deltas: Array) -> Array:
+        """Return the elements (K, 4, 4) at coordinates (K, d)."""
+        count = len(deltas)
+        linear = lie.exp(deltas[:, self.turns] @ self.axes)
+        if self.gauge.has_scale:
+            linear = np.exp(deltas[:, -1])[:, None, None] * linear
+        shift = deltas[:, :3] if self.gauge.has_translation else np.zeros((count, 3))
+        return se3.poses(linear, self.centre + shift - linear @ self.centre)
+
+    def twists(self, positions: Array) -> Array:
+        """Return how delta moves bodies at positions (M, 3), as twists on the left, (M, 6, d)."""
+        moves = np.zeros((len(positions), 6, self.dimension))
+        if self.gauge.has_translation:
+            moves[:, :3, :3] = np.eye(3)
+        moves[:, :3, self.turns] = lie.skew(self.centre) @ self.axes.T
+        moves[:, 3:, self.turns] = self.axes.T
+        if self.gauge.has_scale:
+            moves[:, :3, -1] = positions - self.centre
+        return moves
+
+    def log_measure(self, deltas: Array) -> Array:
+        """Return the logarithm (K,) of the right Haar measure's density at (K, d).
+
+        Yaw and translation, and log scale, are uniform; SO(3) is not in rotation vectors.
+        """
+        if not self.gauge.turns_freely:
+            return np.zeros(len(deltas))
+        return se3.log_determinant(deltas[:, self.turns])
+
+    def within(self, deltas: Array) -> NDArray[np.bool_]:
+        """Return which coordinates (K, d) turn by at most pi: each rotation counts once."""
+        angles = np.linalg.norm(deltas[:, self.turns], axis=1)
+        inside: NDArray[np.bool_] = angles <= np.pi
+        return inside

@@ -1,0 +1,108 @@
+"""From the shape alone to scale and tilt: what each observable direction adds to a score.
+
+A gauge within another one is the same density under a condition (Savage and Dickey):
+
+    log L_se3 = log L_sim3 + log p(log scale = 0 | data)
+    log L_yaw = log L_se3 + log p(tilt = 0 | data)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.likelihood.alignment_chart import scales
+from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
+from trajeval_ros.likelihood.relative_density import LOG_2_PI
+from trajeval_ros.likelihood.residuals import Residuals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How well a larger gauge's alignment agrees with a smaller gauge.
+
+    Attributes:
+        values: (k,), of the alignment: log scale, or rotation about x and y, rad.
+        sigmas: (k,), their standard deviations.
+        log_density: Of all of them being zero, nats.
+    """
+
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    log_density: float
+
+    @property
+    def z(self) -> tuple[float, ...]:
+        """By how many standard deviations each misses zero."""
+        return tuple(v / s for v, s in zip(self.values, self.sigmas, strict=True))
+
+
+@dataclass(frozen=True)
+class GaugeScores:
+    """Scores of one estimate in three gauges.
+
+    Attributes:
+        sim3: Log likelihood of its shape, nats; None where nothing moves, so there is no scale.
+        se3: With its scale.
+        yaw: With its tilt, too.
+        scale: What is between `sim3` and `se3`; None with `sim3`.
+        tilt: What is between `se3` and `yaw`.
+    """
+
+    sim3: float | None
+    se3: float
+    yaw: float
+    scale: Condition | None
+    tilt: Condition
+
+
+def gauge_scores(residuals: Residuals) -> GaugeScores:
+    """Return the scores of an estimate in all gauges, whatever its own is.
+
+    Raises:
+        DegenerateGeometryError: The alignment's rotation is not observed.
+    """
+    se3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SE3))
+    yaw = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.YAW))
+    try:
+        sim3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SIM3))
+    except DegenerateGeometryError:
+        sim3 = None
+    return GaugeScores(
+        None if sim3 is None else sim3.log_likelihood,
+        se3.log_likelihood,
+        yaw.log_likelihood,
+        None if sim3 is None else _scale_of(sim3),
+        _tilt_of(se3),
+    )
+
+
+def _scale_of(error: AbsoluteErrorDensity) -> Condition:
+    value = np.log(scales(error.mode.element))
+    return _condition(np.array([value]), error.covariance[-1:, -1:])
+
+
+def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
+    """The level rotation vector that, after a yaw, makes the alignment's rotation."""
+    rotation = error.mode.element[:3, :3]
+    yaw = np.array([0.0, 0.0, lie.yaw_of_matrix(rotation)])
+    tilt = lie.log(rotation @ lie.exp(-yaw))[:2]
+    return _condition(tilt, error.covariance[3:5, 3:5])
+
+
+def _condition(values: Array, covariance: Array) -> Condition:
+    squared = float(values @ np.linalg.solve(covariance, values))
+    determinant = float(np.linalg.slogdet(covariance)[1])
+    return Condition(
+        tuple(values.tolist()),
+        tuple(np.sqrt(np.diag(covariance)).tolist()),
+        -0.5 * (squared + determinant + len(values) * LOG_2_PI),
+    )

@@ -1,0 +1,1 @@
+"""The tutorial: association, alignment, absolute and relative errors, statistics, protocols."""

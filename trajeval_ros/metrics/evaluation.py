@@ -1,0 +1,431 @@
+"""The whole evaluation of one estimate: associate, align, measure. Reads like the tutorial."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
+from trajeval_ros.metrics.alignment import Alignment, align, align_first
+from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.columns import arrow_table, html_table, pandas_frame
+from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
+from trajeval_ros.metrics.errors import (
+    AbsoluteErrors,
+    RelativeErrors,
+    absolute_errors,
+    relative_errors,
+)
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.score import Score
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.sub_trajectories import Length, select, select_frames
+from trajeval_ros.metrics.weighted_alignment import align_weighted
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
+Array = NDArray[np.float64]
+
+ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SubTrajectoryErrors:
+    """The relative errors of all sub-trajectories of one length.
+
+    Attributes:
+        length: As asked for.
+        length_m: Its value in metres; None where the length is a duration.
+        duration_s: Its value in seconds; None where it is a distance.
+        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
+        errors: Sub-trajectory by sub-trajectory.
+        statistics: By metric; None where there is nothing to tell.
+    """
+
+    length: Length
+    length_m: float | None
+    duration_s: float | None
+    mean_length_m: float | None
+    errors: RelativeErrors
+    statistics: dict[str, Statistics | None]
+
+    def __repr__(self) -> str:
+        """Return a line that says how large they are, without the arrays."""
+        return f"<SubTrajectoryErrors of {self.length}: {_rmse_text(self.statistics)}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation:
+    """How wrong an estimate is, with everything that the numbers depend on.
+
+    Attributes:
+        protocol: The settings.
+        groundtruth: All groundtruth states, cleaned.
+        estimate: All estimated states, cleaned, in their own frame.
+        association: The pairs, the estimate's in its own frame.
+        alignment: From the estimate's frame to the groundtruth's.
+        aligned: The paired estimated states, aligned.
+        absolute: Errors pair by pair.
+        ate: Their statistics by metric; None where a metric can't be had.
+        segments: Relative errors by length; None where they can't be had at all.
+        pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
+            sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
+        warnings: What a reader of the numbers must know, one sentence each; the pipeline adds
+            them.
+        score: By the protocol's points; None if it has none.
+
+    Example:
+        >>> from trajeval_ros import evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> found = evaluate(flight.groundtruth, flight.estimate)
+        >>> found.absolute.position_m.shape == (len(found.association),)
+        True
+        >>> sorted(found.to_columns("8m"))[:2]
+        ['ends', 'position_m']
+    """
+
+    protocol: Protocol
+    groundtruth: Trajectory
+    estimate: Trajectory
+    association: Association
+    alignment: Alignment
+    aligned: Trajectory
+    absolute: AbsoluteErrors
+    ate: dict[str, Statistics | None]
+    segments: tuple[SubTrajectoryErrors, ...] | None
+    pooled: dict[str, Statistics | None]
+    warnings: tuple[str, ...]
+    score: Score | None = None
+
+    @property
+    def drift(self) -> Drift | None:
+        """The drift over the longest sub-trajectories in metres; None if there are none."""
+        known = [
+            Drift(percent, each.length_m)
+            for each in self.segments or ()
+            if each.length_m is not None and (percent := each.statistics["position_percent"])
+        ]
+        return max(known, key=lambda drift: drift.length_m, default=None)
+
+    def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:
+        """Return errors as columns of equal lengths.
+
+        Args:
+            length: One of the protocol's lengths, for the errors of its K sub-trajectories; None
+                for those of all N pairs.
+
+        Returns:
+            Of pairs `stamps` (int64 ns, of the groundtruth's clock) and each error that
+            `AbsoluteErrors` has; of sub-trajectories `starts` and `ends` (indices of pairs) and
+            each error that `RelativeErrors` has.
+
+        Raises:
+            SettingsError: No relative errors of that length were computed.
+        """
+        if length is None:
+            return {"stamps": self.association.estimate.stamps, **_columns_of(self.absolute)}
+        wanted = Length.of(length)
+        for each in self.segments or ():
+            if each.length == wanted:
+                return _columns_of(each.errors)
+        known = ", ".join(str(each.length) for each in self.segments or ()) or "none"
+        raise SettingsError(f"there are no relative errors of {wanted}; there are: {known}")
+
+    def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
+        """Return `to_columns` as an Arrow table.
+
+        Raises:
+            InputError: pyarrow is not installed.
+        """
+        return arrow_table(self.to_columns(length))
+
+    def to_pandas(self, length: Length | float | str | None = None) -> pandas.DataFrame:
+        """Return `to_columns` as a pandas data frame.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return pandas_frame(self.to_columns(length))
+
+    def __repr__(self) -> str:
+        """Return a few lines that say how wrong the estimate is, without the arrays."""
+        pairs, segments = self.association, self.segments or ()
+        coverage = 100.0 * pairs.groundtruth_coverage
+        lines = [
+            f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
+            f"{self.protocol.gauge.value}, {len(pairs)} pairs, {coverage:.1f} % of groundtruth",
+            f"  ATE: {_rmse_text(self.ate)}",
+            *(f"  RE {each.length}: {_rmse_text(each.statistics)}" for each in segments),
+        ]
+        if self.warnings:
+            lines.append(f"  warnings: {len(self.warnings)}")
+        return "\n".join(lines) + ">"
+
+    def _repr_html_(self) -> str:
+        """Return the statistics as a table, for notebooks."""
+        names = ("rmse", "mean", "median", "std", "max", "count")
+        groups = [("ATE", self.ate)]
+        groups += [(f"RE {each.length}", each.statistics) for each in self.segments or ()]
+        rows = [
+            (kind, metric, *(f"{getattr(found, name):.4g}" for name in names))
+            for kind, statistics in groups
+            for metric, found in statistics.items()
+            if found is not None
+        ]
+        caption = (
+            f"{self.estimate.name or 'unnamed'}: gauge {self.protocol.gauge.value}, "
+            f"{len(self.association)} pairs"
+        )
+        return html_table(caption, ("", "error", *names), rows)
+
+
+def _columns_of(errors: AbsoluteErrors | RelativeErrors) -> dict[str, NDArray[Any]]:
+    return {
+        field.name: column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }
+
+
+def _rmse_text(statistics: dict[str, Statistics | None]) -> str:
+    """Return the rmse of position and rotation as a text."""
+    position, rotation = statistics["position_m"], statistics["rotation_deg"]
+    parts = ["none" if position is None else f"{position.rmse:.4g} m"]
+    if rotation is not None:
+        parts.append(f"{rotation.rmse:.4g} deg")
+    return " ".join(parts)
+
+
+def evaluate(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
+) -> Evaluation:
+    """Evaluate an estimated trajectory against groundtruth.
+
+    Raises:
+        InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
+    protocol = protocol or Protocol()
+    if protocol.in_order:
+        groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
+    if protocol.lever_m is not None:
+        # Surveyed points have no orientation, whatever their file says.
+        groundtruth = dataclasses.replace(groundtruth, quaternions=None)
+        estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
+    if protocol.gauge is Gauge.PLANAR:
+        # After the lever arm, which a tilting body swings to the side.
+        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
+
+    pairs = associate(groundtruth, estimate, protocol.association)
+    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+
+
+def evaluate_pairs(
+    pairs: Association, groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
+) -> Evaluation:
+    """Evaluate what has been associated: align, measure, count.
+
+    Args:
+        pairs: States paired by the protocol's rule.
+        groundtruth: All states that they were chosen from.
+        estimate: Likewise, in their own frame.
+        protocol: The settings.
+
+    Raises:
+        InputError: The pairs lack what the protocol needs.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    """
+    alignment = align_pairs(pairs, protocol)
+    aligned = alignment.similarity.trajectory(pairs.estimate)
+
+    if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
+        why = alignment.undetermined or "one side has positions only"
+        raise InputError(
+            f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
+            "use ATE form plain"
+        )
+    absolute = absolute_errors(
+        pairs.groundtruth, aligned, protocol.ate_form, rotation=not alignment.undetermined
+    )
+    if protocol.gauge is Gauge.PLANAR:
+        absolute = dataclasses.replace(absolute, tilt_deg=None)
+    ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
+    segments = _relative(pairs, groundtruth, alignment, protocol)
+    return Evaluation(
+        protocol=protocol,
+        groundtruth=groundtruth,
+        estimate=estimate,
+        association=pairs,
+        alignment=alignment,
+        aligned=aligned,
+        absolute=absolute,
+        ate=ate,
+        segments=segments,
+        pooled=pooled_drift(
+            [(each.errors, each.length_m) for each in segments or () if each.length_m]
+        ),
+        warnings=(),
+        score=None
+        if protocol.score is None
+        else protocol.score.score(
+            absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
+        ),
+    )
+
+
+def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
+    """Return, for each groundtruth state that is in a pair, the pair that is closest in time."""
+    points = pairs.groundtruth_rows
+    assert points is not None
+    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
+    closest_first = np.lexsort((apart, points))
+    return closest_first[np.unique(points[closest_first], return_index=True)[1]]
+
+
+def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
+    """Align by all matched states, or the first few: Table I of the tutorial.
+
+    Raises:
+        InputError: The states lack what the protocol's weights need.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge.
+    """
+    truth, estimate = pairs.groundtruth, pairs.estimate
+    if protocol.align_states == 1:
+        return align_first(
+            protocol.gauge,
+            truth.positions[0],
+            None if truth.quaternions is None else truth.quaternions[0],
+            estimate.positions[0],
+            None if estimate.quaternions is None else estimate.quaternions[0],
+        )
+    first = slice(protocol.align_states)
+    p, q = truth.positions[first], estimate.positions[first]
+    if protocol.align_weights == "covariance":
+        return align_weighted(protocol.gauge, p, q, _known_covariances(estimate)[first])
+    return align(protocol.gauge, p, q)
+
+
+def _known_covariances(estimate: Trajectory) -> Array:
+    covariances = estimate.covariances
+    if covariances is not None:
+        variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
+        if (np.isfinite(variances) & (variances > 0.0)).all():
+            return covariances
+    raise InputError(
+        f"{estimate.name or 'the estimate'} has no position covariance for every state, so the "
+        "alignment can't be weighted by it; use alignment weighting none"
+    )
+
+
+def _relative(
+    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
+) -> tuple[SubTrajectoryErrors, ...] | None:
+    """Measure the errors (27) of all sub-trajectories of all lengths."""
+    if not protocol.lengths or not _have_rotations(pairs):
+        return None
+    truth = pairs.groundtruth
+    distance, time = travelled_distance(truth.positions), truth.seconds
+    # The devkit measures the path through all frames, those without an estimate included.
+    by_frame = protocol.selection.rule == "first-past" and pairs.rule.method == "index"
+    paired = pairs.groundtruth_rows
+    if by_frame:
+        assert paired is not None
+        whole_m, whole_s = groundtruth.travelled, groundtruth.seconds
+        distance, time = whole_m[paired], whole_s[paired]
+        frames = groundtruth.frames
+        numbers = np.arange(len(groundtruth)) if frames is None else frames
+    if any(length.unit == "s" for length in protocol.lengths) and (np.diff(time) < 0.0).any():
+        raise InputError(
+            "the pairs step back in time, so no sub-trajectory can be chosen by its duration; "
+            "use protocol default, which sorts, or lengths in metres"
+        )
+    segments = []
+    for length in protocol.lengths:
+        value = length.value
+        if length.unit == "%":
+            value = _share_of_path(length.value, distance[-1], groundtruth, protocol)
+        if by_frame:
+            assert paired is not None
+            along = whole_s if length.unit == "s" else whole_m
+            starts, ends = select_frames(along, numbers, paired, value, protocol.selection)
+        else:
+            along = time if length.unit == "s" else distance
+            starts, ends = select(along, value, protocol.selection)
+        errors = relative_errors(
+            truth,
+            pairs.estimate,
+            starts,
+            ends,
+            protocol.gauge,
+            alignment.similarity.scale,
+            protocol.re_form,
+        )
+        if protocol.gauge is Gauge.PLANAR:
+            errors = dataclasses.replace(errors, tilt_deg=None)
+        in_metres = length.unit != "s"
+        segments.append(
+            SubTrajectoryErrors(
+                length=length,
+                length_m=float(value) if in_metres else None,
+                duration_s=None if in_metres else float(value),
+                mean_length_m=float(np.mean(distance[ends] - distance[starts]))
+                if len(ends)
+                else None,
+                errors=errors,
+                statistics=_segment_statistics(errors, float(value) if in_metres else None),
+            )
+        )
+    return tuple(segments)
+
+
+def _share_of_path(
+    percent: float, matched_m: float, groundtruth: Trajectory, protocol: Protocol
+) -> float:
+    """Return a share of the path in metres; the toolbox's is of all groundtruth, in full cm."""
+    if protocol.selection.rule == "toolbox":
+        share = percent / 100.0 * groundtruth.path_length_m
+        return float(np.trunc(100.0 * share) / 100.0)
+    return percent / 100.0 * matched_m
+
+
+def _segment_statistics(
+    errors: RelativeErrors, length_m: float | None
+) -> dict[str, Statistics | None]:
+    position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
+    per_length = statistics_per_length(position, rotation, length_m)
+    return {
+        "position_m": position,
+        "position_percent": per_length["position_percent"],
+        "rotation_deg": rotation,
+        "rotation_deg_per_m": per_length["rotation_deg_per_m"],
+        "yaw_deg": statistics_of(errors.yaw_deg),
+        "tilt_deg": statistics_of(errors.tilt_deg),
+        "velocity_mps": statistics_of(errors.velocity_mps),
+    }
+
+
+def _have_rotations(pairs: Association) -> bool:
+    return pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
+
+
+def _on_plane(trajectory: Trajectory) -> Trajectory:
+    """Return the states projected on the xy plane: no height, and the heading alone."""
+    flat = np.array([1.0, 1.0, 0.0])
+    quaternions = trajectory.quaternions
+    return dataclasses.replace(
+        trajectory,
+        positions=trajectory.positions * flat,
+        quaternions=None if quaternions is None else lie.normalized(lie.heading(quaternions)),
+        velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
+        matrices=None,
+    )

@@ -1,0 +1,57 @@
+"""Pairs without stamps: by the number of the frame, as KITTI's files have it, or row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Indices = NDArray[np.int64]
+
+
+def match_rows(
+    groundtruth: Trajectory, estimate: Trajectory
+) -> tuple[Indices, Indices, dict[str, int]]:
+    """Return the rows of either side that belong together, (K,) each, and what has no partner.
+
+    Frames are paired by their numbers where a file gives them, or where both files have a row
+    for every frame; else rows are paired one by one.
+
+    Raises:
+        InputError: Frames that aren't in order, or repeat; rows that differ in number.
+    """
+    truth, other = groundtruth.frames, estimate.frames
+    numbered = groundtruth.numbered or estimate.numbered
+    as_long = _rows_of(groundtruth) == _rows_of(estimate)
+    if truth is None or other is None or not (numbered or as_long):
+        if len(groundtruth) == len(estimate):
+            rows = np.arange(len(estimate))
+            return rows, rows, {}
+        raise InputError(
+            f"{groundtruth.name or 'the groundtruth'} has {len(groundtruth)} poses and "
+            f"{estimate.name or 'the estimate'} {len(estimate)}, and nothing tells which belong "
+            "together; give files of equal length, or with stamps, or KITTI files with the number "
+            "of the frame as the first of 13 columns"
+        )
+    for side in (groundtruth, estimate):
+        _require_order(side)
+    _, truth_rows, rows = np.intersect1d(truth, other, assume_unique=True, return_indices=True)
+    return truth_rows, rows, {"no_groundtruth_of_this_frame": len(estimate) - len(rows)}
+
+
+def _rows_of(trajectory: Trajectory) -> int:
+    """Return how many rows the file had, with those that are no poses."""
+    return len(trajectory) + sum(trajectory.dropped.values())
+
+
+def _require_order(side: Trajectory) -> None:
+    assert side.frames is not None
+    wrong = np.flatnonzero(np.diff(side.frames) <= 0)
+    if len(wrong):
+        before, after = side.frames[wrong[0] : wrong[0] + 2]
+        raise InputError(
+            f"{side.name or 'a trajectory'} has frame {after} after frame {before}; sort its rows "
+            "by frame, and keep one of each"
+        )

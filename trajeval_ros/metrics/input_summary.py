@@ -1,0 +1,62 @@
+"""What an evaluation says of its inputs: how much there was, in which frames, and a checksum."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.geometry.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class InputSummary:
+    """One side of an evaluation, as it was read.
+
+    Attributes:
+        source: Where it was read from; "" if nobody said.
+        name: What tables call it.
+        poses: Number of poses, repeated stamps included.
+        duration_s: From the earliest to the latest.
+        path_length_m: Of the path through the poses that were used.
+        frame: The frame that poses are in.
+        child_frame: The body that they are of.
+        notes: What the reader recognised or repaired.
+        fingerprint: sha256 of the pose columns.
+    """
+
+    source: str
+    name: str
+    poses: int
+    duration_s: float
+    path_length_m: float
+    frame: str
+    child_frame: str
+    notes: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, read: Trajectory, used: Trajectory) -> InputSummary:
+        """Summarise a trajectory as it was read, and as it was put in order."""
+        return cls(
+            source=read.source,
+            name=read.name,
+            poses=len(read),
+            duration_s=read.duration_s,
+            path_length_m=used.path_length_m,
+            frame=read.frame,
+            child_frame=read.child_frame,
+            notes=used.notes,
+            fingerprint=fingerprint(read),
+        )
+
+
+def fingerprint(trajectory: Trajectory) -> str:
+    """Return the sha256 of the pose columns: stamps, positions, xyzw, little-endian."""
+    digest = hashlib.sha256()
+    digest.update(np.ascontiguousarray(trajectory.stamps, dtype="<i8").data)
+    digest.update(np.ascontiguousarray(trajectory.positions, dtype="<f8").data)
+    if trajectory.quaternions is not None:
+        digest.update(np.ascontiguousarray(trajectory.quaternions, dtype="<f8").data)
+    return digest.hexdigest()

@@ -1,0 +1,56 @@
+"""Relative errors as the KITTI devkit computes them: by matrices that are nearly rotations.
+
+KITTI's files have few digits. The devkit inverts and multiplies the matrices as they are, which
+changes small angles: at 6 digits, on KITTI 00 the smallest by 9 %, their mean by 0.003 %.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def by_matrices(
+    groundtruth: Trajectory, estimate: Trajectory, starts: Indices, ends: Indices, scale: float
+) -> tuple[Array, Array]:
+    """Return the position errors, metres, and rotation errors, degrees, (K,) each.
+
+    With the poses T_i of the groundtruth, and T'_i of the estimate with its positions scaled, the
+    error of s to e is (T'_s^-1 T'_e)^-1 T_s^-1 T_e: the length of its translation, and the arc
+    cosine of half its trace less one.
+
+    Args:
+        groundtruth: N states with rotations; those without matrices take their rotations.
+        estimate: N states with rotations, likewise.
+        starts: (K,) indices of first states.
+        ends: (K,) indices of last states.
+        scale: Groundtruth metres in a unit of the estimate.
+    """
+    true_turn, true_step = _steps(groundtruth, starts, ends)
+    turn, step = _steps(estimate, starts, ends)
+    back = np.linalg.inv(turn)
+    error = back @ true_turn
+    cosine = 0.5 * (np.trace(error, axis1=1, axis2=2) - 1.0)
+    difference = np.einsum("nij,nj->ni", back, true_step - scale * step)
+    position: Array = np.sqrt(np.einsum("ni,ni->n", difference, difference))
+    return position, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _steps(trajectory: Trajectory, starts: Indices, ends: Indices) -> tuple[Array, Array]:
+    """Return the turns (K, 3, 3) and the translations (K, 3) from start to end, at the start."""
+    inverse = np.linalg.inv(_matrices(trajectory, starts))
+    moved = trajectory.positions[ends] - trajectory.positions[starts]
+    return inverse @ _matrices(trajectory, ends), np.einsum("nij,nj->ni", inverse, moved)
+
+
+def _matrices(trajectory: Trajectory, rows: Indices) -> Array:
+    if trajectory.matrices is not None:
+        return trajectory.matrices[rows]
+    assert trajectory.quaternions is not None
+    return lie.to_matrix(trajectory.quaternions[rows])

@@ -1,0 +1,63 @@
+"""Why two trajectories share no pair: the message that a new user meets first."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING
+
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.association import AssociationRule
+
+LATEST_CLOCK_S = 5e9  # the year 2128
+
+
+def explain_no_match(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
+) -> str:
+    """Return both time ranges, and the likely cause of their having no pair, in a sentence.
+
+    Args:
+        groundtruth: With stamps.
+        estimate: Its stamps shifted by the time offset.
+        rule: That paired nothing.
+        dropped: Number of estimated states by the reason why they are in no pair.
+    """
+
+    def span(trajectory: Trajectory) -> tuple[float, float]:
+        return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
+
+    truth, other = span(groundtruth), span(estimate)
+    text = (
+        "no pose of the estimate has a groundtruth: the groundtruth covers "
+        f"{_clock(*truth)}, the estimate {_clock(*other)}"
+    )
+    if dropped.get("in_groundtruth_gap"):
+        return f"{text}; all within fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
+    if truth[0] <= other[1] and other[0] <= truth[1]:
+        return (
+            f"{text}; they overlap, but no stamps are within {rule.max_time_difference_s:g} s: "
+            "use association linear, or a larger max time difference"
+        )
+    thousands = math.log10(max(truth[1], 1e-9) / max(other[1], 1e-9)) / 3.0
+    as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
+    if as_other_unit or max(truth[1], other[1]) > LATEST_CLOCK_S:
+        return f"{text}; the units of the stamps seem to differ (seconds, milliseconds, ...?)"
+    if min(truth[1], other[1]) < 1e7 and max(truth[1], other[1]) > 1e8:
+        return f"{text}; one counts from zero (simulated time?), the other is a clock's time"
+    apart = max(truth[0] - other[1], other[0] - truth[1])
+    shift = truth[0] - other[0]
+    return (
+        f"{text}, {apart:.6g} s apart; if the clocks differ by a constant, give it as the time "
+        f"offset (starting together would be {shift:.6f} s)"
+    )
+
+
+def _clock(start: float, end: float) -> str:
+    text = f"{start:.3f} to {end:.3f} s"
+    if 1e8 < start < 2e10:
+        day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+        text += f" ({day} UTC)"
+    return text

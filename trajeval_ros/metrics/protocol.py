@@ -1,0 +1,221 @@
+"""Protocols: named bundles of settings, so that a published number can be had again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry.gauge import Gauge, gauge_for
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
+
+ATE_FORMS = ("plain", "tutorial")
+RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices")
+ALIGN_WEIGHTS = ("none", "covariance")
+
+
+def metres(*values: float) -> tuple[Length, ...]:
+    """Return lengths in metres."""
+    return tuple(Length(value, "m") for value in values)
+
+
+DEFAULT_LENGTHS = metres(8, 16, 24, 32, 40)
+
+
+def _lengths(lengths: Iterable[Length | float | str] | str) -> tuple[Length, ...]:
+    if isinstance(lengths, str):
+        return parse_lengths(lengths)
+    if not isinstance(lengths, Iterable):
+        raise SettingsError(f"lengths must be several, as in (8, 16), not {lengths!r}")
+    return tuple(Length.of(each) for each in lengths)
+
+
+def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(each) for each in lever_m)
+    except (TypeError, ValueError):
+        raise SettingsError(f"a lever arm is three numbers, metres, not {lever_m!r}") from None
+    return x, y, z
+
+
+@dataclass(frozen=True, init=False)
+class Protocol:
+    """All settings of an evaluation; strings and numbers are accepted and checked here.
+
+    `dataclasses.replace` makes a variant; one for other sensors needs
+    `replace(protocol, gauge=None, modality="mono")`.
+
+    Attributes:
+        name: The bundle that it started from.
+        gauge: What the alignment may change, or its name; by default that of the modality, or
+            `se3`.
+        modality: The sensor set that chooses the gauge (tutorial, Table I); None for none.
+        align_states: Align by the first so many matched states; None for all.
+        align_weights: `none`, or `covariance` to weigh states by their own position covariances.
+        association: How pairs are made: a rule, or the name of a method.
+        in_order: Sort states by stamp and drop repeated stamps first.
+        ate_form: `plain`, or `tutorial` for eq. (23) to the letter.
+        re_form: See `errors.relative_errors`.
+        lengths: Of sub-trajectories: metres as numbers, texts such as "1s" or "10%", or
+            `Length`; empty for no relative error.
+        selection: How a sub-trajectory's end is chosen.
+        lever_m: Where in the estimate's body the point is whose position the groundtruth has;
+            None for poses of the body itself.
+        score: Points for positions that are right; None for no score.
+
+    Raises:
+        SettingsError: A name that there is none of, a gauge that contradicts the modality, or
+            settings that mean nothing together.
+
+    Example:
+        >>> from trajeval_ros import Protocol
+        >>> protocol = Protocol(modality="mono-inertial", lengths=(8, "1s", "10%"))
+        >>> protocol.gauge.value, [str(length) for length in protocol.lengths]
+        ('yaw', ['8m', '1s', '10%'])
+        >>> Protocol(gauge="yaw", lengths="none").lengths
+        ()
+    """
+
+    name: str
+    gauge: Gauge
+    modality: str | None
+    align_states: int | None
+    align_weights: str
+    association: AssociationRule
+    in_order: bool
+    ate_form: str
+    re_form: str
+    lengths: tuple[Length, ...]
+    selection: Selection
+    lever_m: tuple[float, float, float] | None
+    score: PointTable | None
+
+    def __init__(
+        self,
+        name: str = "default",
+        gauge: Gauge | str | None = None,
+        modality: str | None = None,
+        align_states: int | None = None,
+        align_weights: str = "none",
+        association: AssociationRule | str = "linear",
+        in_order: bool = True,
+        ate_form: str = "plain",
+        re_form: str = "gauge",
+        lengths: Iterable[Length | float | str] | str = DEFAULT_LENGTHS,
+        selection: Selection | str = "nearest",
+        lever_m: Sequence[float] | None = None,
+        score: PointTable | None = None,
+    ) -> None:
+        for value, known, what in (
+            (ate_form, ATE_FORMS, "ATE form"),
+            (re_form, RE_FORMS, "RE form"),
+            (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
+        ):
+            require_one_of(value, known, what)
+        values = {
+            "name": name,
+            "gauge": gauge_for(gauge, modality, Gauge.SE3),
+            "modality": modality,
+            "align_states": align_states,
+            "align_weights": align_weights,
+            "association": AssociationRule(association)
+            if isinstance(association, str)
+            else association,
+            "in_order": in_order,
+            "ate_form": ate_form,
+            "re_form": re_form,
+            "lengths": _lengths(lengths),
+            "selection": Selection(selection) if isinstance(selection, str) else selection,
+            "lever_m": None if lever_m is None else _vector(lever_m),
+            "score": score,
+        }
+        for attribute, setting in values.items():
+            object.__setattr__(self, attribute, setting)
+        self._require_sense()
+
+    def _require_sense(self) -> None:
+        """Refuse settings that mean nothing, or nothing together."""
+        states: object = self.align_states
+        if states is not None and not (isinstance(states, (int, np.integer)) and states >= 1):
+            raise SettingsError(f"align states must be all (None) or at least 1, not {states!r}")
+        if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
+            raise SettingsError(
+                "RE form fitted aligns by yaw and position, and gauge "
+                f"{self.gauge.value} doesn't: use gauge yaw, or RE form gauge"
+            )
+        if self.association.method == "continuous" and self.gauge is Gauge.PLANAR:
+            raise SettingsError(
+                "association continuous is of poses in space, and gauge planar leaves a plane; "
+                "use gauge yaw, or association linear"
+            )
+        if self.score is not None and self.association.method in ("linear", "continuous"):
+            raise SettingsError(
+                "a score is by the groundtruth's own points, and association "
+                f"{self.association.method} takes poses between them; use nearest or evo"
+            )
+        if self.lever_m is not None and self.gauge.has_scale:
+            raise SettingsError(
+                "the protocol's lever arm is in metres and gauge sim3 has none; use se3 or yaw"
+            )
+
+
+PROTOCOLS: dict[str, Protocol] = {
+    "default": Protocol(),
+    # uzh-rpg/rpg_trajectory_evaluation at 8c8ceec: what its code does, not its paper.
+    "rpg": Protocol(
+        name="rpg",
+        association=AssociationRule("rpg", max_time_difference_s=0.02),
+        in_order=False,
+        re_form="euler",
+        lengths=tuple(Length(percent, "%") for percent in (10, 20, 30, 40, 50)),
+        selection="toolbox",
+    ),
+    # evo 1.38: evo_ape. Its relative error is of another kind, so none is computed by default.
+    "evo": Protocol(
+        name="evo",
+        association=AssociationRule("evo", max_time_difference_s=0.01),
+        in_order=False,
+        re_form="se3",
+        lengths=(),
+    ),
+    # The KITTI odometry devkit: frames pair by number, nothing is aligned.
+    "kitti": Protocol(
+        name="kitti",
+        gauge=Gauge.NONE,
+        association="index",
+        in_order=False,
+        re_form="matrices",
+        lengths=metres(100, 200, 300, 400, 500, 600, 700, 800),
+        selection=Selection("first-past", every=10),
+    ),
+    # The UZH-FPV competitions: the organisers' answer in issue 3 of
+    # uzh-rpg/IROS2020-FPV-VIO-Competition. Ranked by the means of position and rotation.
+    "uzh-fpv": Protocol(
+        name="uzh-fpv",
+        gauge=Gauge.YAW,
+        re_form="fitted",
+        lengths=metres(40, 60, 80, 100, 120),
+    ),
+    # Hilti-Research/hilti-slam-challenge-2023 at 9af5e39, evaluation-2023: surveyed points under
+    # the tip of the handheld's pole. Those of site 3 count twice: best 200.
+    "hilti-2023": Protocol(
+        name="hilti-2023",
+        association=AssociationRule("evo", max_time_difference_s=2.0),
+        in_order=False,
+        lengths=(),
+        lever_m=(0.059, -0.00855, 0.1964),
+        score=PointTable((0.005, 0.01, 0.03, 0.06, 0.1, 0.4), (20.0, 10.0, 6.0, 5.0, 3.0, 1.0)),
+    ),
+}
+"""Named settings that reproduce published numbers (docs/definitions.md).
+
+Example:
+    >>> from dataclasses import replace
+    >>> from trajeval_ros import PROTOCOLS, Gauge
+    >>> replace(PROTOCOLS["evo"], gauge=Gauge.SIM3).association.method
+    'evo'
+"""

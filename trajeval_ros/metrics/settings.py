@@ -1,0 +1,116 @@
+"""From the words of the command line, and of the node's parameters, to a protocol."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry.gauge import gauge_for
+from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.metrics.sub_trajectories import parse_lengths
+
+_INTERPOLATING = ("linear", "continuous")
+
+
+def protocol_named(name: str) -> Protocol:
+    """Return a protocol by name.
+
+    Raises:
+        SettingsError: There is none of that name.
+    """
+    require_one_of(name, PROTOCOLS, "protocol")
+    return PROTOCOLS[name]
+
+
+def protocol_from(
+    base: str | Protocol,
+    *,
+    gauge: str | None = None,
+    modality: str | None = None,
+    align_states: str | None = None,
+    association: str | None = None,
+    max_time_difference: float | None = None,
+    max_gap: float | None = None,
+    time_offset: float | None = None,
+    continuous_model: str | None = None,
+    groundtruth_noise: tuple[float, float] | None = None,
+    lengths: str | None = None,
+    ate_form: str | None = None,
+    re_form: str | None = None,
+) -> Protocol:
+    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is.
+
+    Args:
+        base: The protocol, or its name.
+        gauge: What alignment may change, by name.
+        modality: The sensors, which choose the gauge.
+        align_states: `all`, or a number.
+        association: How poses are paired.
+        max_time_difference: Seconds.
+        max_gap: Seconds.
+        time_offset: Added to the estimate's stamps, seconds.
+        continuous_model: The groundtruth's motion model, for association continuous.
+        groundtruth_noise: Standard deviations of its samples (m, deg), for association continuous.
+        lengths: Of sub-trajectories, as in "8,16,24", "1s,5s", "10%,20%", "none".
+        ate_form: See `Protocol`.
+        re_form: See `Protocol`.
+
+    Raises:
+        SettingsError: Words that mean nothing, or nothing together.
+    """
+    base = protocol_named(base) if isinstance(base, str) else base
+    method = association or base.association.method
+    if max_time_difference is not None and method in _INTERPOLATING:
+        raise SettingsError(
+            f"association {method} knows no max time difference, it evaluates groundtruth at the "
+            "estimate's stamps; use association nearest with it, or a max gap"
+        )
+    if method != "continuous":
+        if continuous_model is not None:
+            raise SettingsError(
+                f"--continuous-model is for --association continuous, not {method}"
+            )
+        groundtruth_noise = None
+    rule = _replaced(
+        base.association,
+        method=association,
+        model=continuous_model,
+        noise=None
+        if groundtruth_noise is None
+        else Noise(groundtruth_noise[0], math.radians(groundtruth_noise[1])),
+        max_time_difference_s=max_time_difference,
+        max_gap_s=max_gap,
+        time_offset_s=time_offset,
+    )
+    if gauge is not None or modality is not None:
+        # One that the base names goes with its gauge.
+        chosen = gauge_for(gauge, modality, base.gauge)
+        base = dataclasses.replace(base, gauge=chosen, modality=modality)
+    protocol: Protocol = _replaced(
+        base,
+        association=rule,
+        lengths=None if lengths is None else parse_lengths(lengths),
+        ate_form=ate_form,
+        re_form=re_form,
+    )
+    if align_states is None:
+        return protocol
+    return dataclasses.replace(protocol, align_states=parse_states(align_states))
+
+
+def parse_states(text: str) -> int | None:
+    """Read "all" or a number of states."""
+    if text == "all":
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise SettingsError(f"align states must be all or a number of states, not {text!r}")
+    return int(text)
+
+
+def _replaced(base: Any, **changes: Any) -> Any:
+    return dataclasses.replace(
+        base, **{name: value for name, value in changes.items() if value is not None}
+    )

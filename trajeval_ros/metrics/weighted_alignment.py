@@ -1,0 +1,88 @@
+"""Alignment weighted by position covariances.
+
+Each pair of positions has a scalar weight, 1 / (tr Sigma / 3 + e^2 / 3). The size e of the errors
+is a part of the weights, and the errors depend on the alignment in turn, so weights and alignment
+are computed by turns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.alignment import Alignment, align
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 2
+_MOST_ROUNDS = 20
+_SETTLED = 1e-3
+
+
+def position_weights(covariances: Array, error_m: float) -> Array:
+    """Return a scalar weight per state (N,), 1/m^2.
+
+    1 / (tr Sigma / 3 + e^2 / 3): the mean variance of an axis, with the size e of the errors
+    themselves as a floor, so that an over-confident state doesn't rule the alignment.
+
+    Args:
+        covariances: (N, 3, 3) of positions, or (N, 6, 6) of poses, position first; m^2.
+        error_m: Root mean square of the position errors, metres.
+    """
+    variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
+    weights: Array = 1.0 / (variance + error_m**2 / 3.0)
+    return weights
+
+
+def align_weighted(
+    gauge: Gauge, groundtruth: Array, estimate: Array, covariances: Array
+) -> Alignment:
+    """Align by the estimate's covariances, from an alignment that weighs all pairs alike.
+
+    Args:
+        gauge: What the alignment may change.
+        groundtruth: (N, 3), metres.
+        estimate: (N, 3), in units of its own.
+        covariances: (N, 3, 3) or (N, 6, 6) of the estimate, in its own units.
+
+    Raises:
+        DegenerateGeometryError: As for `align`.
+    """
+    alignment = align(gauge, groundtruth, estimate)
+    for _ in range(_ROUNDS):
+        moved = alignment.similarity.positions(estimate)
+        error = float(np.sqrt(np.mean(np.sum(np.square(groundtruth - moved), axis=1))))
+        in_metres = alignment.similarity.scale**2 * covariances
+        weights = position_weights(in_metres, error)
+        alignment = align(gauge, groundtruth, estimate, weights)
+    return alignment
+
+
+def weighted_errors(
+    gauge: Gauge | None, groundtruth: Array, estimate: Array, covariances: Array
+) -> tuple[Array, float]:
+    """Return the errors (N, 3) after a weighted alignment, and their weighted rmse, both metres.
+
+    Args:
+        gauge: What the alignment may change; None for an estimate that is aligned already.
+        groundtruth: (N, 3), metres.
+        estimate: (N, 3), in units of its own.
+        covariances: (N, 3, 3) of the groundtruth, m^2.
+    """
+    weights = np.ones(len(estimate))
+    aligned, rmse = estimate, np.inf
+    for _ in range(_MOST_ROUNDS):
+        if gauge is not None:
+            similarity = align(gauge, groundtruth, estimate, weights).similarity
+            aligned = similarity.positions(estimate)
+        errors = aligned - groundtruth
+        before, rmse = rmse, _rmse(errors, weights)
+        if abs(before - rmse) <= _SETTLED * rmse:
+            break
+        weights = position_weights(covariances, rmse)
+    return errors, rmse
+
+
+def _rmse(errors: Array, weights: Array) -> float:
+    return float(np.sqrt(weights @ np.square(errors).sum(axis=1) / weights.sum()))

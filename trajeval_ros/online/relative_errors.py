@@ -1,0 +1,182 @@
+"""Relative errors as they come: a sub-trajectory is measured when its end has arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.sub_trajectories import nearest_ends
+from trajeval_ros.online.pairing import POSITION, QUATERNION
+from trajeval_ros.online.window import PairStore
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# A robot at rest ends no sub-trajectory; its pairs are not kept for ever.
+MOST_OPEN_STARTS = 200_000
+
+
+class RelativeEnd(NamedTuple):
+    """A sub-trajectory that ended.
+
+    Attributes:
+        length: As asked for, such as 8m.
+        stamp: Of its last state, nanoseconds.
+        position_m: Position error at its end.
+        rotation_deg: Rotation error at its end.
+    """
+
+    length: str
+    stamp: int
+    position_m: float
+    rotation_deg: float
+
+
+@dataclass(frozen=True)
+class RunningErrors:
+    """Errors of the sub-trajectories of one length so far.
+
+    Attributes:
+        count: Number of sub-trajectories.
+        position_m: Mean of their position errors.
+        rotation_deg: Mean of their rotation errors.
+        given_up: Number of starts that were forgotten before their ends came.
+    """
+
+    count: int = 0
+    position_m: float = 0.0
+    rotation_deg: float = 0.0
+    given_up: int = 0
+
+
+class RelativeTracker:
+    """Finds the ends of sub-trajectories of several lengths, each pair once."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        """Begin, for the protocol's lengths in metres and seconds."""
+        self._protocol = protocol
+        chosen = [
+            [length for length in dict.fromkeys(protocol.lengths) if length.unit == unit]
+            for unit in ("m", "s")
+        ]
+        metres, total = len(chosen[0]), sum(map(len, chosen))
+        self._by_unit = {"m": slice(metres), "s": slice(metres, total)}
+        # An entry for each length, those in metres first.
+        self._names = [str(length) for of_unit in chosen for length in of_unit]
+        self._values = np.array([length.value for of_unit in chosen for length in of_unit])
+        self._next, self._given_up, self._count = np.zeros((3, total), dtype=np.int64)
+        self._position_sum, self._rotation_sum = np.zeros((2, total))
+
+    @property
+    def running(self) -> dict[str, RunningErrors]:
+        """Errors so far by length."""
+        counted = np.maximum(self._count, 1)
+        position_m, rotation_deg = self._position_sum / counted, self._rotation_sum / counted
+        columns = (self._count, position_m, rotation_deg, self._given_up)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return {name: RunningErrors(*row) for name, row in zip(self._names, rows, strict=True)}
+
+    def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
+        """Return a tracker of other lengths; new ones count from a pair, by number."""
+        tracker = RelativeTracker(protocol)
+        tracker._next[:] = begin
+        for new, name in enumerate(tracker._names):
+            if name in self._names:
+                old = self._names.index(name)
+                for mine, yours in zip(tracker._columns, self._columns, strict=True):
+                    mine[new] = yours[old]
+        return tracker
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return (
+            self._next,
+            self._given_up,
+            self._count,
+            self._position_sum,
+            self._rotation_sum,
+        )
+
+    def update(self, store: PairStore, scale: float) -> tuple[RelativeEnd, ...]:
+        """Measure the sub-trajectories whose ends have arrived.
+
+        Args:
+            store: All pairs from the oldest open start on.
+            scale: Of the present alignment.
+        """
+        return (*self._measure(store, "m", scale), *self._measure(store, "s", scale))
+
+    def oldest_needed(self, store: PairStore) -> int:
+        """Return the number of the oldest pair that may still begin a sub-trajectory."""
+        oldest = int(self._next.min(initial=store.end))
+        limit = store.end - MOST_OPEN_STARTS
+        if oldest < limit:
+            self._given_up += np.maximum(limit - self._next, 0)
+            np.maximum(self._next, limit, out=self._next)
+        return max(oldest, limit)
+
+    def _measure(self, store: PairStore, unit: str, scale: float) -> Iterator[RelativeEnd]:
+        """Measure the sub-trajectories of the lengths in one unit; yield the newest of each."""
+        group = self._by_unit[unit]
+        names, values, begin = self._names[group], self._values[group], self._next[group]
+        if not names:
+            return
+        first = int(begin.min())
+        along = store.along(first) if unit == "m" else _seconds(store.stamps(first))
+        # An end is decided when there is a pair at or beyond the length.
+        decided = first + along.searchsorted(along[-1] - values, side="right")
+        count = np.maximum(decided - begin, 0)
+        if not count.any():
+            return
+        which = np.repeat(np.arange(len(names)), count)
+        starts = np.arange(len(which)) + (begin - first - np.cumsum(count) + count)[which]
+        self._next[group] += count
+        ends, accepted = nearest_ends(along, starts, values[which])
+        which, starts, ends = which[accepted], starts[accepted], ends[accepted]
+        position_m, rotation_deg = self._errors(store, starts + first, ends + first, scale)
+        count = np.bincount(which, minlength=len(names))
+        self._count[group] += count
+        self._position_sum[group] += np.bincount(which, position_m, len(names))
+        self._rotation_sum[group] += np.bincount(which, rotation_deg, len(names))
+        stamps = store.stamps(first)
+        newest = np.cumsum(count) - 1
+        for name, ended, row in zip(names, count.tolist(), newest.tolist(), strict=True):
+            if ended:
+                errors = float(position_m[row]), float(rotation_deg[row])
+                yield RelativeEnd(name, int(stamps[ends[row]]), *errors)
+
+    def _errors(
+        self, store: PairStore, starts: Indices, ends: Indices, scale: float
+    ) -> list[Floats]:
+        """Return position and rotation errors (K,) at the ends."""
+        truth, other = store.groundtruth(), store.estimate()
+
+        def at_ends(s: Indices, e: Indices) -> tuple[Floats, Floats]:
+            rows = np.array([s, e]) - store.begin
+            difference, between, _ = differences_at_ends(
+                _poses(truth[rows]),
+                _poses(other[rows]),
+                self._protocol.gauge,
+                scale,
+                self._protocol.re_form,
+            )
+            return lengths(difference), np.degrees(lie.angle(between))
+
+        return lie.by_blocks(at_ends, starts, ends)
+
+
+def _poses(rows: Floats) -> PoseArrays:
+    return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
+
+
+def _seconds(stamps: NDArray[np.int64]) -> Floats:
+    since: Floats = (stamps - stamps[0]) / NANOSECONDS
+    return since

@@ -1,0 +1,97 @@
+"""The figures of an evaluation, as in the tutorial's section VI (Fig. 6 to 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trajeval_ros.exceptions import require_one_of
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.report import canvas
+from trajeval_ros.report.absolute_figure import absolute_error
+from trajeval_ros.report.relative_figure import relative_error
+from trajeval_ros.report.trajectory_figure import side_view, top_view
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DRAWINGS = {
+    "top": top_view,
+    "side": side_view,
+    "absolute": absolute_error,
+    "relative": relative_error,
+}
+
+
+def draw(
+    evaluations: Evaluation | Sequence[Evaluation],
+    kind: str = "top",
+    path: str | Path | None = None,
+) -> Figure:
+    """Draw one figure of estimates that were evaluated against one groundtruth.
+
+    Args:
+        evaluations: One, or several with the same groundtruth and protocol.
+        kind: `top` or `side`: aligned estimates and groundtruth from above or from the side;
+            `absolute`: errors over the distance travelled; `relative`: errors by length.
+        path: Where to write it as PNG, too; None to write nothing.
+
+    Returns:
+        The figure, which no pyplot knows of.
+
+    Raises:
+        SettingsError: There is no such kind.
+        InputError: matplotlib is not installed, or the file can't be written.
+
+    Example:
+        >>> from trajeval_ros import draw, evaluate, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> figure = draw(evaluate(flight.groundtruth, flight.estimate), "absolute")
+        >>> type(figure).__name__
+        'Figure'
+    """
+    require_one_of(kind, _DRAWINGS, "figure")
+    given = [evaluations] if isinstance(evaluations, Evaluation) else list(evaluations)
+    with canvas.house_style():
+        figure = _DRAWINGS[kind](given, canvas.short_names([each.estimate.name for each in given]))
+        if path is not None:
+            write_whole(Path(path), lambda temporary: canvas.save(figure, temporary))
+    return figure
+
+
+def write_figures(
+    evaluations: Sequence[Evaluation], folder: Path, names: Sequence[str] | None = None
+) -> list[Path]:
+    """Write PNG figures of estimates that were evaluated against one groundtruth.
+
+    `trajectory_top.png` and, but for planar evaluations, `trajectory_side.png`: aligned
+    estimates, groundtruth and correspondences. `absolute_error.png`: over the distance
+    travelled. `relative_error.png`: by length, unless the protocol has no lengths.
+
+    Args:
+        evaluations: One per estimate, with the same groundtruth and protocol.
+        folder: Existing folder; figures of the same names are replaced.
+        names: What legends call the estimates; by default their trajectories' names.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    legend = canvas.short_names(names or [each.estimate.name for each in evaluations])
+    protocol = evaluations[0].protocol
+    figures = {"trajectory_top.png": top_view}
+    if protocol.gauge is not Gauge.PLANAR:
+        figures["trajectory_side.png"] = side_view
+    figures["absolute_error.png"] = absolute_error
+    if protocol.lengths:
+        figures["relative_error.png"] = relative_error
+    with canvas.house_style():
+        return [
+            canvas.save(figure_of(evaluations, legend), folder / name)
+            for name, figure_of in figures.items()
+        ]

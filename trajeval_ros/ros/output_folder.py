@@ -1,0 +1,125 @@
+"""The folder that a live run leaves, and the process that evaluates it again and again.
+
+Evaluating a long run takes longer than messages may wait, and the node mustn't. So another process
+does it, which reads the pairs from disk as `trajeval finish` always does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.writing import temporary_name
+
+_MOST_SHARE = 0.05  # of a core, for saving again and again
+_NICE = 10
+
+
+def make_folder(name: str) -> Path:
+    """Make the folder for a run; one that exists is left alone, and a number appended.
+
+    Args:
+        name: As the user gave it; empty for the date and time.
+
+    Raises:
+        InputError: It can't be made.
+    """
+    named = Path(name or f"trajeval_{datetime.now():%Y_%m_%d-%H_%M_%S}").expanduser().resolve()
+    folder, number = named, 1
+    while folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        number += 1
+        folder = named.with_name(f"{named.name}_{number}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(f"output folder {folder} can't be made: {reason}") from error
+    return folder
+
+
+class Finisher:
+    """Runs `trajeval finish` on a folder, one process at a time.
+
+    Attributes:
+        trouble: Why the last one failed; empty if it didn't.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Begin without a process."""
+        self.folder = folder
+        self.trouble = ""
+        self._process: subprocess.Popen[str] | None = None
+        self._began = 0.0
+        self._next_at = 0.0
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is being written."""
+        return self._process is not None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether to write again of one's own accord takes no more of the machine than it may."""
+        return not self.is_busy and time.monotonic() >= self._next_at
+
+    def save(self) -> None:
+        """Begin to write result.json."""
+        self._start(["--json", str(self.folder / "result.json")], quiet=True)
+
+    def poll(self) -> bool:
+        """Return whether writing has ended since the last call; `trouble` tells how."""
+        if self._process is None or self._process.poll() is None:
+            return False
+        self._end()
+        return True
+
+    def finish(self, *, quiet: bool) -> bool:
+        """Write everything, figures included, and wait for it; returns whether it was written.
+
+        Tables are printed unless it is to be quiet.
+        """
+        if self._process is not None:
+            self._end()
+        self._start(["--output", str(self.folder)], quiet=quiet)
+        return self._end()
+
+    def finish_alone(self) -> None:
+        """Begin to write everything, and don't wait for it, nor for what is being written."""
+        if self._process is not None:
+            self._process.terminate()
+            left = temporary_name("*", self._process.pid)
+            self._end()
+            for each in self.folder.glob(left):
+                each.unlink()
+        self._start(["--output", str(self.folder)], quiet=True)
+
+    def _start(self, options: list[str], *, quiet: bool) -> None:
+        command = [sys.executable, "-m", "trajeval_ros", "finish", str(self.folder), *options]
+        command += ["--quiet"] if quiet else []
+        self._began = time.monotonic()
+        # A session of its own: what ends the node with Ctrl-C must not end it half way.
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE if quiet else None,
+            text=True,
+            start_new_session=True,
+        )
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, self._process.pid, _NICE)
+
+    def _end(self) -> bool:
+        assert self._process is not None
+        _, said = self._process.communicate()
+        status, self._process = self._process.returncode, None
+        took = time.monotonic() - self._began
+        self._next_at = time.monotonic() + took / _MOST_SHARE
+        lines = [line.removeprefix("trajeval: ") for line in (said or "").splitlines()]
+        self.trouble = "" if status == 0 else (lines[-1] if lines else f"exit status {status}")
+        return status == 0

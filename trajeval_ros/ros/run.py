@@ -1,0 +1,74 @@
+"""`ros2 run trajeval_ros evaluator`: from start to finish."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from trajeval_ros.ros.lifetime import StopSignal, ros
+
+# Services and the simulated clock are served so often. An executor makes its wait set anew for
+# every event, which at /clock's rate alone would take longer than all evaluation.
+_SERVE_EVERY_S = 0.1
+_REPORT_EVERY_S = 0.5
+_TELL_EVERY_S = 1.0
+
+
+class PeriodicTask:
+    """Something to do again and again."""
+
+    def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
+        """Begin at once.
+
+        Args:
+            do: What to do.
+            period_s: Returns how long to wait until the next time.
+        """
+        self.next_at = time.monotonic()
+        self._do, self._period_s = do, period_s
+
+    def do_if_due(self, now: float) -> None:
+        """Do it if it is time; what was missed is not made up for."""
+        if now >= self.next_at:
+            self._do()
+            self.next_at = max(self.next_at + self._period_s(), now)
+
+
+def evaluate_live(arguments: Sequence[str]) -> int:
+    """Run the evaluator until SIGINT or SIGTERM; returns the exit status.
+
+    Args:
+        arguments: ROS arguments, from `--ros-args` on.
+
+    Raises:
+        SettingsError: ROS doesn't take the arguments, or a parameter means nothing.
+        InputError: The output folder can't be made.
+    """
+    with ros(arguments) as stop:
+        from rclpy.executors import SingleThreadedExecutor
+
+        from trajeval_ros.ros.node import EvaluatorNode
+
+        node = EvaluatorNode()
+        executor = SingleThreadedExecutor()  # the other executors pass over callback groups
+        executor.add_node(node)
+        duties = [
+            PeriodicTask(node.tick, lambda: node.tick_period_s),
+            PeriodicTask(node.report, lambda: _REPORT_EVERY_S),
+            PeriodicTask(node.tell, lambda: _TELL_EVERY_S),
+            PeriodicTask(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
+        ]
+        try:
+            _work(duties, stop)
+        finally:  # a defect is told, and takes nothing along
+            executor.shutdown()
+            written = node.finish()
+            node.destroy_node()
+    return 0 if written else 2
+
+
+def _work(duties: Sequence[PeriodicTask], stop: StopSignal) -> None:
+    while not stop.is_asked_for:
+        for each in duties:
+            each.do_if_due(time.monotonic())
+        time.sleep(max(0.0, min(each.next_at for each in duties) - time.monotonic()))

@@ -1,0 +1,103 @@
+"""Whether an estimate is as sure as it should be: errors in their bands, NEES, and ellipsoids."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.statistics import round_below
+from trajeval_ros.viewer import scene_entities
+from trajeval_ros.viewer.paths import peaks, spread
+from trajeval_ros.viewer.sdk import sdk
+
+Floats = NDArray[np.float64]
+
+_MOST_ROWS = 5000  # of a band
+_ELLIPSOIDS = 24
+# Ellipsoids are enlarged until the largest is this share of the flight.
+_LARGEST = 0.15
+_UNITS = np.repeat([1.0, 180.0 / np.pi], 3)
+
+
+def send_consistency(
+    recording: Any,
+    evaluation: Evaluation,
+    consistency: Consistency,
+    entities: scene_entities.EstimateEntities,
+    origin: Floats,
+) -> float:
+    """Draw errors with three sigma on both sides, NEES with its limit, and ellipsoids.
+
+    Args:
+        recording: Where.
+        evaluation: Of the estimate.
+        consistency: Of the same, with covariances of single poses.
+        entities: Of the estimate.
+        origin: (3,), metres, what is subtracted from the groundtruth's coordinates.
+
+    Returns:
+        How many times the ellipsoids are enlarged.
+    """
+    rerun, _ = sdk()
+    scene_entities.declare_consistency(recording, entities)
+    assert consistency.sigmas is not None
+    assert consistency.nees is not None
+    assert consistency.per_pose is not None
+    stamps = evaluation.association.estimate.stamps
+    some = spread(len(stamps), _MOST_ROWS)
+    errors, limits = consistency.errors[some], scene_entities.SIGMAS * consistency.sigmas[some]
+    for axis, quantity in enumerate(scene_entities.ERRORS_WITHIN):
+        bands = _UNITS[axis] * np.stack(
+            [errors[:, axis], limits[:, axis], -limits[:, axis]], axis=1
+        )
+        recording.send_columns(
+            entities.metric(quantity),
+            scene_entities.times(stamps[some]),
+            rerun.Scalars.columns(scalars=bands.ravel()).partition([3] * len(some)),
+        )
+    known = np.flatnonzero(np.isfinite(consistency.nees))
+    some = known[peaks(consistency.nees[known], _MOST_ROWS)]
+    for quantity, at, values in (
+        (scene_entities.NEES, some, consistency.nees[some]),
+        (scene_entities.NEES_LIMIT, known[[0, -1]], np.full(2, consistency.per_pose.limit_95)),
+    ):
+        scalars = rerun.Scalars.columns(scalars=values)
+        recording.send_columns(
+            entities.metric(quantity), scene_entities.times(stamps[at]), scalars
+        )
+    return _send_ellipsoids(recording, evaluation, consistency, entities, origin)
+
+
+def _send_ellipsoids(
+    recording: Any,
+    evaluation: Evaluation,
+    consistency: Consistency,
+    entities: scene_entities.EstimateEntities,
+    origin: Floats,
+) -> float:
+    """Draw them evenly along the way, in the gauge of the alignment, where errors are."""
+    rerun, _ = sdk()
+    assert consistency.covariances is not None
+    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    along = truth.travelled
+    evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))
+    rows = np.unique(np.minimum(evenly, len(along) - 1))
+    half_axes, directions = scene_entities.ellipsoid_axes(consistency.covariances[rows, :3, :3])
+    extent = float(np.ptp(truth.positions, axis=0).max())
+    largest = max(2.0 * float(half_axes.max()), 1e-12)
+    factor = max(1.0, round_below(_LARGEST * extent / largest))
+    recording.send_columns(
+        entities.uncertainty,
+        scene_entities.times(evaluation.association.estimate.stamps[rows]),
+        rerun.Ellipsoids3D.columns(
+            centers=aligned.positions[rows] - origin,
+            half_sizes=factor * half_axes,
+            quaternions=Rotation.from_matrix(directions).as_quat(),
+        ),
+    )
+    return factor

@@ -1,0 +1,94 @@
+"""Paths prepared for drawing: thinned, cut where time has gaps, near the origin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry.similarity import Similarity
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Rows = NDArray[np.int64]
+
+_NEAR_M = 1000.0
+_GAP_NS = 500_000_000
+_USUAL_STEPS = 5.0
+
+
+def origin_for(positions: Floats) -> Floats:
+    """Return what to subtract from positions (N, 3), so that float32 draws them, (3,), metres.
+
+    Rerun's coordinates are float32: at a UTM northing of 5e6 m they step by half a metre.
+    """
+    first = positions[0]
+    return np.round(first) if np.abs(first).max() > _NEAR_M else np.zeros(3)
+
+
+def between_origins(similarity: Similarity, truth: Floats, estimate: Floats) -> Similarity:
+    """Return an alignment as one of coordinates from these origins, (3,) and (3,)."""
+    moved = similarity.positions(estimate[None])[0] - truth
+    return Similarity(similarity.rotation, moved, similarity.scale)
+
+
+def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the least and the greatest coordinates of paths (N, 3), (3,) and (3,)."""
+    low = np.min([each.min(axis=0) for each in paths], axis=0)
+    high = np.max([each.max(axis=0) for each in paths], axis=0)
+    return low, high
+
+
+def gaps(stamps: Stamps) -> NDArray[np.bool_]:
+    """Return which of N - 1 steps between stamps (N,) no line should be drawn across."""
+    steps = np.diff(stamps)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    return np.asarray(steps > max(_GAP_NS, _USUAL_STEPS * usual))
+
+
+def is_gap(step_ns: int, usual_ns: float) -> bool:
+    """Return whether no line should be drawn across a step.
+
+    Keyframes are far apart without being a gap, hence five usual steps.
+    """
+    return step_ns > max(_GAP_NS, _USUAL_STEPS * usual_ns)
+
+
+def pieces(count: int, is_gap: NDArray[np.bool_], most: int) -> Rows:
+    """Cut a path of N points into equal pieces that share their ends.
+
+    Args:
+        count: N.
+        is_gap: (N - 1,) steps that are not to be drawn; a piece ends before one, standing still.
+        most: Number of pieces at the most.
+
+    Returns:
+        The points of each piece, by index, (M, P).
+    """
+    steps = count - 1
+    if steps < 1:
+        return np.empty((0, 2), dtype=np.int64)
+    size = -(-steps // most)
+    rows = np.minimum(np.arange(0, steps, size)[:, None] + np.arange(size + 1), steps)
+    passed = np.concatenate([[0], np.cumsum(is_gap)])
+    connected = passed[rows] == passed[rows[:, :1]]
+    last = connected.sum(axis=1) - 1
+    return np.take_along_axis(rows, np.minimum(np.arange(size + 1), last[:, None]), axis=1)
+
+
+def spread(count: int, most: int) -> Rows:
+    """Return at most so many rows of N, evenly, the first and the last among them."""
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.int64)
+
+
+def peaks(values: Floats, most: int) -> Rows:
+    """Return at most so many rows of values (N,), the greatest of each of many equal runs."""
+    count = len(values)
+    if count <= most:
+        return np.arange(count)
+    size = -(-count // most)
+    runs = np.pad(values, (0, -count % size), constant_values=-np.inf).reshape(-1, size)
+    return np.asarray(size * np.arange(len(runs)) + runs.argmax(axis=1), dtype=np.int64)

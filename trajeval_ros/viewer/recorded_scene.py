@@ -1,0 +1,306 @@
+"""The picture of recorded runs: everything at once, as columns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.viewer import colours, scene_entities, text_panel
+from trajeval_ros.viewer.blueprint import blueprint
+from trajeval_ros.viewer.consistency_bands import send_consistency
+from trajeval_ros.viewer.paths import (
+    between_origins,
+    bounds_of,
+    gaps,
+    origin_for,
+    peaks,
+    pieces,
+    spread,
+)
+from trajeval_ros.viewer.sdk import sdk
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_MOST_POINTS = 50_000  # of a path
+_MOST_ROWS = 900  # that a viewer draws in each frame, all paths together
+_MOST_POSES = 3000
+_MOST_CORRESPONDENCES = 100
+_MOST_NUMBERS = 20_000  # of a series
+_COLOURED_PER_ROW = 8
+
+
+def write_recording(
+    path: Path,
+    evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None] = (),
+    names: Sequence[str] | None = None,
+) -> None:
+    """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth.
+
+    Args:
+        path: The file; it is replaced if it exists.
+        evaluations: One per estimate, with the same groundtruth and protocol.
+        consistencies: Of the same, None where nobody asked; by default of none.
+        names: What the estimates are called; by default their trajectories' names.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or the file can't be written.
+    """
+    rerun, _ = sdk()
+    consistencies = [
+        None if each is None or each.covariances is None else each for each in consistencies
+    ] or [None] * len(evaluations)
+    names = names or [each.estimate.name or "estimate" for each in evaluations]
+    estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
+    truth = evaluations[0].groundtruth
+    origin = origin_for(truth.positions)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.touch()
+        recording = rerun.RecordingStream(scene_entities.APPLICATION)
+        recording.set_log_time_enabled(False)
+        recording.set_sinks(
+            rerun.FileSink(str(temporary)),
+            default_blueprint=blueprint(
+                estimates,
+                evaluations[0].protocol.gauge,
+                is_live=False,
+                has_consistency=any(consistencies),
+                bounds=_bounds(evaluations, origin),
+            ),
+        )
+        try:
+            recording.send_recording_name(", ".join(names))
+            _draw(recording, evaluations, consistencies, estimates, origin)
+            recording.flush()
+        finally:
+            recording.disconnect()
+        temporary.replace(path)
+    except (OSError, RuntimeError) as error:
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
+        raise InputError(f"{path} can't be written: {reason}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _draw(
+    recording: Any,
+    evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None],
+    estimates: Sequence[scene_entities.EstimateEntities],
+    origin: Floats,
+) -> None:
+    scene_entities.declare(recording, estimates)
+    full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
+    truth = evaluations[0].groundtruth
+    rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))
+    _send_path(recording, scene_entities.GroundtruthEntities.path.past, truth, origin, rows)
+    _send_poses(recording, scene_entities.GroundtruthEntities.pose, truth, origin)
+    start = scene_entities.start(truth.positions[0] - origin)
+    recording.log(scene_entities.GroundtruthEntities.start, start, static=True)
+    remarks = []
+    for evaluation, consistency, entities in zip(
+        evaluations, consistencies, estimates, strict=True
+    ):
+        _draw_estimate(recording, evaluation, entities, origin, full_m, rows)
+        said = list(evaluation.warnings)
+        if consistency is not None:
+            factor = send_consistency(recording, evaluation, consistency, entities, origin)
+            said.append(
+                f"ellipsoids are {scene_entities.SIGMAS:g} sigma, {factor:g} times enlarged"
+            )
+            said.append(consistency.statement)
+        elif evaluation.estimate.covariances is not None:
+            its_origin = origin_for(evaluation.estimate.positions)
+            _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
+        name = f"{entities.name}: " if len(estimates) > 1 else ""
+        remarks += [f"{name}{each}" for each in said]
+    if origin.any():
+        remarks.append(scene_entities.origin_in_words(origin))
+    scene_entities.send_origin(recording, origin)
+    names = [each.name for each in estimates]
+    words = text_panel.of_evaluations(evaluations, consistencies, names, full_m, remarks)
+    recording.log(scene_entities.SUMMARY, scene_entities.summary(words), static=True)
+    _send_events(recording, evaluations, names)
+
+
+def _draw_estimate(
+    recording: Any,
+    evaluation: Evaluation,
+    entities: scene_entities.EstimateEntities,
+    origin: Floats,
+    full_m: float,
+    rows: int,
+) -> None:
+    estimate, pairs = evaluation.estimate, evaluation.association
+    its_origin = origin_for(estimate.positions)
+    similarity = between_origins(evaluation.alignment.similarity, origin, its_origin)
+    recording.log(entities.frame, scene_entities.alignment(similarity), static=True)
+    _send_path(recording, entities.path.past, estimate, its_origin, rows)
+    _send_poses(recording, entities.pose, estimate, its_origin)
+    _send_by_error(recording, entities.by_error, evaluation, its_origin, full_m, rows)
+    some = spread(len(pairs), _MOST_CORRESPONDENCES)
+    truth, aligned = pairs.groundtruth.positions[some], evaluation.aligned.positions[some]
+    errors = np.sqrt(np.square(truth - aligned).sum(axis=1))
+    rerun, _ = sdk()
+    recording.send_columns(
+        entities.correspondences,
+        scene_entities.times(pairs.estimate.stamps[some]),
+        rerun.LineStrips3D.columns(
+            strips=np.stack([truth - origin, aligned - origin], axis=1),
+            colors=colours.of_errors(errors, full_m),
+        ),
+    )
+    _send_numbers(recording, evaluation, entities)
+
+
+def _send_path(
+    recording: Any, entity: str, trajectory: Trajectory, origin: Floats, most: int
+) -> None:
+    rerun, _ = sdk()
+    some = spread(len(trajectory), _MOST_POINTS)
+    stamps, points = trajectory.stamps[some], trajectory.positions[some] - origin
+    rows = pieces(len(some), gaps(stamps), most)
+    if len(rows):
+        strips = rerun.LineStrips3D.columns(strips=points[rows])
+        recording.send_columns(entity, scene_entities.times(stamps[rows[:, -1]]), strips)
+
+
+def _send_by_error(
+    recording: Any,
+    entity: str,
+    evaluation: Evaluation,
+    origin: Floats,
+    full_m: float,
+    most: int,
+) -> None:
+    rerun, _ = sdk()
+    paired = evaluation.association.estimate
+    some = spread(len(paired), _MOST_POINTS)
+    stamps, points = paired.stamps[some], paired.positions[some] - origin
+    errors = evaluation.absolute.position_m[some]
+    rows = pieces(len(some), gaps(stamps), _COLOURED_PER_ROW * most)
+    if not len(rows):
+        return
+    begins = np.arange(0, len(rows), _COLOURED_PER_ROW)
+    ends = np.minimum(begins + _COLOURED_PER_ROW, len(rows))
+    strips = rerun.LineStrips3D.columns(
+        strips=points[rows], colors=colours.of_errors(errors[rows].mean(axis=1), full_m)
+    )
+    recording.send_columns(
+        entity, scene_entities.times(stamps[rows[ends - 1, -1]]), strips.partition(ends - begins)
+    )
+
+
+def _send_poses(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
+    rerun, _ = sdk()
+    some = spread(len(trajectory), _MOST_POSES)
+    columns = {"translation": trajectory.positions[some] - origin}
+    if trajectory.quaternions is not None:
+        columns["quaternion"] = trajectory.quaternions[some]
+    poses = rerun.Transform3D.columns(**columns)
+    recording.send_columns(entity, scene_entities.times(trajectory.stamps[some]), poses)
+
+
+def _send_covariances(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
+    from scipy.spatial.transform import Rotation
+
+    rerun, _ = sdk()
+    assert trajectory.covariances is not None
+    some = spread(len(trajectory), _MOST_POSES)
+    covariances = trajectory.covariances[some, :3, :3]
+    usable = np.isfinite(covariances).all(axis=(1, 2))
+    some, covariances = some[usable], covariances[usable]
+    if not covariances.any():
+        return
+    axes, directions = scene_entities.ellipsoid_axes(covariances)
+    recording.send_columns(
+        entity,
+        scene_entities.times(trajectory.stamps[some]),
+        rerun.Ellipsoids3D.columns(
+            centers=trajectory.positions[some] - origin,
+            half_sizes=axes,
+            quaternions=Rotation.from_matrix(directions).as_quat(),
+        ),
+    )
+
+
+def _send_numbers(
+    recording: Any, evaluation: Evaluation, entities: scene_entities.EstimateEntities
+) -> None:
+    stamps, errors = evaluation.association.estimate.stamps, evaluation.absolute
+    ends = stamps[[0, -1]]
+    for quantity, column in (
+        (scene_entities.POSITION_ERROR, errors.position_m),
+        (scene_entities.ROTATION_ERROR, errors.rotation_deg),
+        (scene_entities.YAW_ERROR, errors.yaw_deg),
+    ):
+        if column is not None:
+            _send_series(recording, entities.metric(quantity), stamps, column)
+    for quantity, metric in (
+        (scene_entities.ATE_POSITION, "position_m"),
+        (scene_entities.ATE_ROTATION, "rotation_deg"),
+    ):
+        statistics = evaluation.ate[metric]
+        if statistics is not None:
+            level = np.full(2, statistics.rmse)
+            _send_series(recording, entities.metric(quantity), ends, level)
+    if evaluation.protocol.gauge.has_scale:
+        level = np.full(2, evaluation.alignment.similarity.scale)
+        _send_series(recording, entities.metric(scene_entities.SCALE), ends, level)
+    for place, segment in enumerate(evaluation.segments or ()):
+        if len(segment.errors.ends):
+            length = str(segment.length)
+            scene_entities.declare_length(recording, entities, length, place)
+            _send_series(
+                recording,
+                entities.metric(scene_entities.RELATIVE_ERROR, length),
+                stamps[segment.errors.ends],
+                segment.errors.position_m,
+            )
+
+
+def _send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:
+    rerun, _ = sdk()
+    some = peaks(values, _MOST_NUMBERS)
+    scalars = rerun.Scalars.columns(scalars=values[some])
+    recording.send_columns(entity, scene_entities.times(stamps[some]), scalars)
+
+
+def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Sequence[str]) -> None:
+    for evaluation, name in zip(evaluations, names, strict=True):
+        stamps = evaluation.association.estimate.stamps
+        for row in np.flatnonzero(gaps(stamps)).tolist():
+            _say(recording, stamps[row + 1], _gap(name, stamps[row + 1] - stamps[row]))
+        for each in evaluation.warnings:
+            _say(recording, stamps[-1], f"{name}: {each}")
+        _say(recording, stamps[0], f"{name}: first of {len(stamps)} pairs", warn=False)
+
+
+def _say(recording: Any, stamp: np.int64, text: str, *, warn: bool = True) -> None:
+    recording.set_time(scene_entities.TIMELINE, timestamp=np.datetime64(int(stamp), "ns"))
+    recording.log(scene_entities.EVENTS, scene_entities.event(text, warn=warn))
+
+
+def _gap(name: str, step: np.int64) -> str:
+    return f"{name}: no pair of poses for {step / NANOSECONDS:.1f} s"
+
+
+def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, Floats]:
+    """Return least and greatest coordinates of what is drawn, (3,) and (3,)."""
+    paths = [
+        evaluations[0].groundtruth.positions,
+        *(each.aligned.positions for each in evaluations),
+    ]
+    low, high = bounds_of(paths)
+    return low - origin, high - origin

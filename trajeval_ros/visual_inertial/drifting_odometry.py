@@ -1,0 +1,237 @@
+"""A simulated flight with an odometry that drifts as visual-inertial ones do, from a seed.
+
+This is a kinematic model of drift, not an estimator: nobody tracks features or integrates an IMU
+here. The true velocity is turned by a wandering yaw, stretched by a scale that is slightly off,
+disturbed, and summed up. Roll and pitch err but don't wander off, since gravity is observed.
+It gives data of the right shape for a demonstration or a test, and says nothing about how well
+any real estimator does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+Array = NDArray[np.float64]
+
+EPOCH_S = 1_700_000_000
+GRAVITY = 9.81
+GROUNDTRUTH_RATE_HZ = 200.0
+ESTIMATE_RATE_HZ = 20.0
+SHORTEST_S, LONGEST_S = 5.0, 86_400.0
+_GROUNDTRUTH_JITTER_S = 20e-6
+_STAMP_DELAY_S = 100e-6
+_LONGEST_STAMP_DELAY_S = 1e-3
+
+
+@dataclass(frozen=True)
+class DriftModel:
+    """How the odometry errs. The defaults lose 0.5 to 1 % of the distance.
+
+    Attributes:
+        yaw_deg_per_sqrt_s: Standard deviation of the yaw error after one second, growing with
+            the square root of time.
+        velocity_share: Standard deviation, per axis, of the velocity error as a share of speed.
+        scale: Standard deviation of the slowly varying scale error.
+        tilt_deg: Standard deviation, per axis, of the roll and pitch error; never more than
+            twice as much.
+    """
+
+    yaw_deg_per_sqrt_s: float = 0.1
+    velocity_share: float = 0.01
+    scale: float = 0.003
+    tilt_deg: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What was flown and what the odometry made of it.
+
+    Attributes:
+        groundtruth: About 200 states a second, with velocity, in frame `world`.
+        estimate: About 20 states a second with one gap, with velocity, in frame `odom`.
+    """
+
+    groundtruth: Trajectory
+    estimate: Trajectory
+
+
+def simulate(
+    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: DriftModel | None = None
+) -> Simulation:
+    """Simulate a flight and its odometry; the same arguments give the same arrays.
+
+    Args:
+        seed: Chooses the flight, the frames, the clocks' jitter and the drift.
+        duration_s: Length of the flight, 5 s to a day.
+        gap_s: How long the odometry is silent, once, near the middle of the flight.
+        drift: How the odometry errs.
+
+    Raises:
+        SettingsError: A flight too short for what is in it, or too long for memory.
+
+    Example:
+        >>> from trajeval_ros import simulate
+        >>> simulate(seed=1, duration_s=30.0).groundtruth.frame
+        'world'
+    """
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise SettingsError(
+            f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
+        )
+    if not 0.0 <= gap_s <= duration_s / 2.0:
+        raise SettingsError(
+            f"the gap must be from 0 to half of the flight's {duration_s:g} s, not {gap_s:g}"
+        )
+    if seed < 0:
+        raise SettingsError(f"the seed must be a number from 0 on, not {seed}")
+    generator = np.random.default_rng(seed)
+    flight = _Flight.random(generator)
+    return Simulation(
+        groundtruth=_groundtruth(generator, flight, duration_s),
+        estimate=_odometry(generator, flight, duration_s, gap_s, drift or DriftModel()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """A sum of K sine waves per axis, so that every derivative is exact.
+
+    The first wave of x and of y draw a figure eight, which is never slower than 1.19 m/s. The
+    others make it wander and never add up to more than 0.92 m/s, so the course, and with it the
+    yaw, is smooth everywhere.
+
+    Attributes:
+        centre: (3,), metres.
+        speeds: (K, 3) amplitudes of the velocity, m/s.
+        frequencies: (K, 3), rad/s.
+        phases: (K, 3), rad.
+    """
+
+    centre: Array
+    speeds: Array
+    frequencies: Array
+    phases: Array
+
+    @classmethod
+    def random(cls, generator: np.random.Generator) -> _Flight:
+        speeds = np.array([[1.8, 1.8, 0.05], [0.35, 0.35, 0.2], [0.2, 0.2, 0.25], [0.1, 0.1, 0.1]])
+        slowest = np.array([[0.3, 0.6, 0.25], [0.1, 0.1, 0.1], [0.4, 0.4, 0.4], [1.1, 1.1, 1.1]])
+        frequencies = slowest * generator.uniform(1.0, 1.3, slowest.shape)
+        phases = generator.uniform(-np.pi, np.pi, slowest.shape)
+        # Twice the frequency and twice the phase: an eight, whichever way it is entered.
+        frequencies[0, :2] = [0.3, 0.6]
+        phases[0, 1] = 2.0 * phases[0, 0]
+        centre = np.append(generator.uniform(-2.0, 2.0, 2), 3.5)
+        return cls(centre, speeds, frequencies, phases)
+
+    def positions(self, times: Array) -> Array:
+        """Return the positions at N times, (N, 3), metres."""
+        return self.centre + self._sum(times, self.speeds / self.frequencies, 0.0)
+
+    def velocities(self, times: Array) -> Array:
+        """Return the velocities at N times, (N, 3), m/s."""
+        return self._sum(times, self.speeds, np.pi / 2.0)
+
+    def rotations(self, times: Array) -> Rotation:
+        """Return N attitudes: z along the thrust, x towards where the flight goes."""
+        velocities = self.velocities(times)
+        thrust = self._sum(times, self.speeds * self.frequencies, np.pi)
+        thrust[:, 2] += GRAVITY
+        z = thrust / np.linalg.norm(thrust, axis=1, keepdims=True)
+        y = np.cross(z, velocities * [1.0, 1.0, 0.0])
+        y /= np.linalg.norm(y, axis=1, keepdims=True)
+        return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2))
+
+    def _sum(self, times: Array, amplitudes: Array, ahead: float) -> Array:
+        angles = times[:, None, None] * self.frequencies + self.phases + ahead
+        summed: Array = np.einsum("nki,ki->ni", np.sin(angles), amplitudes)
+        return summed
+
+
+def _groundtruth(generator: np.random.Generator, flight: _Flight, duration_s: float) -> Trajectory:
+    count = int(duration_s * GROUNDTRUTH_RATE_HZ) + 1
+    jitter = generator.uniform(-_GROUNDTRUTH_JITTER_S, _GROUNDTRUTH_JITTER_S, count)
+    stamps = _stamps(np.arange(count) / GROUNDTRUTH_RATE_HZ + jitter)
+    times = (stamps - EPOCH_S * NANOSECONDS) / NANOSECONDS
+    return Trajectory(
+        stamps=stamps,
+        positions=flight.positions(times),
+        quaternions=flight.rotations(times).as_quat(),
+        velocities=flight.velocities(times),
+        frame="world",
+        child_frame="base_link",
+        name="groundtruth",
+    )
+
+
+def _odometry(
+    generator: np.random.Generator,
+    flight: _Flight,
+    duration_s: float,
+    gap_s: float,
+    drift: DriftModel,
+) -> Trajectory:
+    step_s = 1.0 / ESTIMATE_RATE_HZ
+    # Neither clock knows the other: the phase is arbitrary, and all lies within the groundtruth.
+    start_s = generator.uniform(0.01, 0.04)
+    times = np.arange(start_s, duration_s - 0.01, step_s)
+    velocities = flight.velocities(times)
+    speed = np.linalg.norm(velocities, axis=1, keepdims=True)
+
+    yaw_step = np.radians(drift.yaw_deg_per_sqrt_s) * np.sqrt(step_s)
+    yaw = np.cumsum(yaw_step * generator.standard_normal(len(times)))
+    turned = _yaw_rotations(yaw - yaw[0])
+    stretch = 1.0 + drift.scale * _wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
+    disturbance = (
+        drift.velocity_share * speed * _wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
+    )
+    steps = np.diff(flight.positions(times), axis=0)
+    drifting_steps = stretch[1:] * turned[1:].apply(steps) + disturbance[1:] * step_s
+    positions = np.concatenate([np.zeros((1, 3)), np.cumsum(drifting_steps, axis=0)])
+
+    level = _wandering(generator, len(times), 2, 2.0 * ESTIMATE_RATE_HZ)
+    tilt = np.zeros((len(times), 3))
+    tilt[:, :2] = np.radians(drift.tilt_deg) * 2.0 * np.tanh(level / 2.0)
+    rotations = turned * Rotation.from_rotvec(tilt) * flight.rotations(times)
+
+    # The odometry's world begins where the flight does, at an arbitrary yaw.
+    frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
+    delay = np.minimum(generator.exponential(_STAMP_DELAY_S, len(times)), _LONGEST_STAMP_DELAY_S)
+    gap_start_s = generator.uniform(0.4, 0.6) * duration_s - gap_s / 2.0
+    heard = (times < gap_start_s) | (times >= gap_start_s + gap_s)
+    return Trajectory(
+        stamps=_stamps(times + delay),
+        positions=frame.apply(positions),
+        quaternions=(frame * rotations).as_quat(),
+        velocities=frame.apply(stretch * turned.apply(velocities) + disturbance),
+        frame="odom",
+        child_frame="base_link",
+        name="odometry",
+    )[heard]
+
+
+def _yaw_rotations(angle: Array) -> Rotation:
+    return Rotation.from_rotvec(angle[..., None] * np.array([0.0, 0.0, 1.0]))
+
+
+def _wandering(
+    generator: np.random.Generator, count: int, columns: int, correlation: float
+) -> Array:
+    """Return noise (count, columns) of variance 1 that forgets itself after that many rows."""
+    from scipy.signal import lfilter
+
+    memory = np.exp(-1.0 / correlation)
+    news = generator.standard_normal((count, columns))
+    news[1:] *= np.sqrt(1.0 - memory**2)
+    return np.asarray(lfilter([1.0], [1.0, -memory], news, axis=0))
+
+
+def _stamps(times: Array) -> NDArray[np.int64]:
+    return EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64)

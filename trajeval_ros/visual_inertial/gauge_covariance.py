@@ -1,0 +1,148 @@
+"""Covariances of the motion in a gauge, and the way from one to another: gauge paper, section VI.
+
+(9N, 9N), for each keyframe position, rotation, velocity; the first rotation in the coordinates
+of eq. (9).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry import lie
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.reduction import (
+    ReducedSystem,
+    reduce_landmarks,
+    require_seen_landmarks,
+)
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
+from trajeval_ros.visual_inertial.state import State
+
+Array = NDArray[np.float64]
+
+# Of the information, scaled to a diagonal of ones, relative to its largest eigenvalue.
+_ROUNDING = 1e-13
+
+
+def fixed_covariance(problem: Problem, state: State) -> Array:
+    """Return the covariance of gauge fixation, eq. (10): zero where the gauge is held.
+
+    Raises:
+        DegenerateGeometryError: More than the gauge's four directions are open.
+    """
+    return _fixed(_undamped(problem, state))
+
+
+def free_covariance(problem: Problem, state: State) -> Array:
+    """Return the motion's block of the pseudo-inverse of the whole Hessian: the free gauge.
+
+    H^+ = P G P with P the projector off the gauge's directions and G any symmetric generalised
+    inverse, here that of gauge fixation: exact, and no tolerance decides the rank.
+
+    The result depends on the landmarks and on the units, and is not meaningful by itself: see
+    `transform`.
+
+    Raises:
+        DegenerateGeometryError: More than the gauge's four directions are open.
+    """
+    reduced = _undamped(problem, state)
+    fixed = _fixed(reduced)
+    motion = len(fixed)
+    basis, _ = np.linalg.qr(state.gauge_basis)
+    of_motion, of_landmarks = basis[:motion], basis[motion:]
+    # G times the basis, block by block, with G = [[F, -F Y], [-Y' F, V^-1 + Y' F Y]], Y = W V^-1.
+    poses = _pose_rows(motion)
+    onto = of_motion.copy()
+    half_landmarks = _by_factor(reduced, of_landmarks)
+    onto[poses] -= reduced.half @ half_landmarks
+    image = fixed @ onto
+    image_landmarks = reduced.by_inverse(half_landmarks - reduced.half.T @ image[poses])
+    core = basis.T @ np.concatenate([image, image_landmarks])
+    cross = image @ of_motion.T
+    covariance: Array = fixed - cross - cross.T + of_motion @ core @ of_motion.T
+    return (covariance + covariance.T) / 2.0
+
+
+def transform(
+    covariance: Array, state: State, rotation: Array, position: Array
+) -> tuple[Array, State]:
+    """Bring a covariance into the gauge of fixation: eq. (12) to (15).
+
+    Args:
+        covariance: (9N, 9N) in any gauge: free, prior, or fixed elsewhere.
+        state: The estimate that it belongs to.
+        rotation: (3, 3) reference of the first rotation in the gauge of fixation.
+        position: (3,) first position in that gauge.
+
+    Returns:
+        The covariance, and the equivalent state in that gauge.
+    """
+    # Eq. (13): the twist, exactly. Its z component of the rotation vector costs 3e-5.
+    angle = -lie.yaw_of_matrix(state.rotations[0] @ rotation.T)
+    turn = lie.exp(angle * np.array([0.0, 0.0, 1.0]))
+    moved = state.transformed(turn, position - turn @ state.positions[0])
+    moved = moved.referred_to(rotation, position)
+    # Appendix A. For the first rotation its J_r^-1 J_r holds only if the reference stays.
+    blocks = np.broadcast_to(turn, (len(covariance) // 3, 3, 3)).copy()
+    blocks[1] = (
+        lie.inverse_left_jacobian(moved.first_turn) @ turn @ lie.left_jacobian(state.first_turn)
+    )
+    carried = _congruent(covariance, blocks)
+    basis = moved.gauge_basis[: len(covariance)]
+    # Q = I - U (V'U)^-1 V', eq. (14), where V' picks the indices that are held.
+    coefficients = np.linalg.solve(basis[GAUGE_INDICES], carried[GAUGE_INDICES])
+    cross = basis @ coefficients
+    held = np.linalg.solve(basis[GAUGE_INDICES], coefficients[:, GAUGE_INDICES].T)
+    projected: Array = carried - cross - cross.T + basis @ held @ basis.T
+    return (projected + projected.T) / 2.0, moved
+
+
+def _congruent(covariance: Array, blocks: Array) -> Array:
+    """Return D C D' for a D of blocks (n, 3, 3) on the diagonal."""
+    size = len(covariance)
+    rows = (blocks @ covariance.reshape(-1, 3, size)).reshape(size, size)
+    product: Array = (blocks @ rows.T.reshape(-1, 3, size)).reshape(size, size)
+    return product.T
+
+
+def _undamped(problem: Problem, state: State) -> ReducedSystem:
+    normal = problem.normal_equations(state)
+    require_seen_landmarks(normal)
+    return reduce_landmarks(
+        normal, np.zeros(9 * problem.keyframes), np.zeros((problem.landmarks, 3))
+    )
+
+
+def _fixed(reduced: ReducedSystem) -> Array:
+    size = len(reduced.matrix)
+    kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
+    information = reduced.matrix[np.ix_(kept, kept)]
+    # Metres, radians and m/s apart: the rank is judged, and the factor taken, without units.
+    units = 1.0 / np.sqrt(np.diagonal(information))
+    scaled = information * units * units[:, None]
+    smallest, largest = np.linalg.eigvalsh(scaled)[[0, -1]]
+    if not smallest > _ROUNDING * largest:
+        raise DegenerateGeometryError(
+            "the measurements leave directions open besides position and yaw, which the gauge "
+            "accounts for; add landmarks, or keyframes that see them from elsewhere"
+        )
+    inverse = scipy.linalg.cho_solve((np.linalg.cholesky(scaled), True), np.eye(len(kept)))
+    inverse = (inverse + inverse.T) / 2.0 * units * units[:, None]
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(kept, kept)] = inverse
+    return covariance
+
+
+def _by_factor(reduced: ReducedSystem, columns: Array) -> Array:
+    """Return L^-1 times columns (3K, c)."""
+    blocks = columns.reshape(len(reduced.inverse), 3, -1)
+    product: Array = reduced.inverse @ blocks
+    return product.reshape(columns.shape)
+
+
+def _pose_rows(motion: int) -> NDArray[np.int64]:
+    """Return the indices of positions and rotations among the motion's parameters."""
+    return (np.arange(0, motion, 9)[:, None] + np.arange(6)).ravel()
