@@ -14,7 +14,6 @@ from trajeval_ros.cli import gating, options
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.writing import write_text
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
