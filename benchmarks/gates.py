@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import beta
 
 from trajeval_ros.batch.gate_tests import FALSE_ALARMS, compare
-from trajeval_ros.batch.relabelling import Array
+from trajeval_ros.geometry.arrays import Floats
 
 NUMBERS = (1, 5, 11, 33, 100)
 TRIALS = (1, 2, 3, 5, 10, 20, 30)
@@ -60,7 +60,7 @@ class Cell:
     spread: str
     change: Change
     comparisons: int
-    real: Array | None = None
+    real: Floats | None = None
 
     def alarms(self) -> int:
         """Simulate; return the number of comparisons with an alarm."""
@@ -76,10 +76,10 @@ class Cell:
             found += int(outcome.alarm.sum())
         return found
 
-    def _trials(self, random: np.random.Generator, comparisons: int) -> Array:
+    def _trials(self, random: np.random.Generator, comparisons: int) -> Floats:
         """Return logarithms (numbers, comparisons, trials), new ones less the margin."""
         shape = (self.numbers, comparisons, 2 * self.trials)
-        z: Array
+        z: Floats
         if self.spread == "outliers":
             z = random.normal(0.0, 0.2, shape) + np.log(5.0) * (random.random(shape) < 0.05)
         elif self.spread == "mixed":  # 5 to 50 % by number, with the tails of Student's t
@@ -101,7 +101,7 @@ class Cell:
         return z
 
 
-def real_residuals(path: Path) -> Array:
+def real_residuals(path: Path) -> Floats:
     """Return logarithms of a comparison's ATE, less their medians: (numbers, trials)."""
     from trajeval_ros.batch.results_table import ResultsTable
 
@@ -113,7 +113,7 @@ def real_residuals(path: Path) -> Array:
         logs.setdefault((row["algorithm"], row["sequence"]), []).append(float(np.log(row["rmse"])))
     least = min(map(len, logs.values()))
     z = np.array([each[:least] for each in logs.values()])
-    made: Array = (z - np.median(z, axis=1, keepdims=True)) * np.sqrt(least / (least - 1.0))
+    made: Floats = (z - np.median(z, axis=1, keepdims=True)) * np.sqrt(least / (least - 1.0))
     return made
 
 
@@ -124,7 +124,7 @@ def interval(alarms: int, comparisons: int, missed: float) -> tuple[float, float
     return float(low), float(high) if alarms < comparisons else 1.0
 
 
-def null_cells(scale: float, spreads: Sequence[str], real: Array | None) -> list[Cell]:
+def null_cells(scale: float, spreads: Sequence[str], real: Floats | None) -> list[Cell]:
     """Return the cells without a change, at the margin's edge."""
     comparisons = {33: 1000, 100: 600}
     return [

@@ -17,7 +17,6 @@ from trajeval_ros.batch.gate_tests import (
     weight_of,
 )
 from trajeval_ros.batch.relabelling import (
-    Array,
     Scores,
     Size,
     balanced_count,
@@ -26,12 +25,13 @@ from trajeval_ros.batch.relabelling import (
     relabellings,
     scores_of,
 )
+from trajeval_ros.geometry.arrays import Floats
 
 Change = tuple[float, float, float]
 
 
 def common_change(
-    numbers: Sequence[Array], sizes: Sequence[Size], total: float = FALSE_ALARMS
+    numbers: Sequence[Floats], sizes: Sequence[Size], total: float = FALSE_ALARMS
 ) -> Change:
     """Return the common change of one comparison and its bounds, as logarithms.
 
@@ -63,7 +63,7 @@ def common_change(
     return estimate, low, high
 
 
-def shifted(numbers: Sequence[Array], sizes: Sequence[Size], shift: float) -> list[Array]:
+def shifted(numbers: Sequence[Floats], sizes: Sequence[Size], shift: float) -> list[Floats]:
     """Return numbers whose new trials are less by a shift."""
     return [
         np.concatenate([z[:, :old], z[:, old:] - shift], axis=1)
@@ -74,7 +74,7 @@ def shifted(numbers: Sequence[Array], sizes: Sequence[Size], shift: float) -> li
 class _PooledTest:
     """The pooled test of one comparison at any shift, with the relabellings of `compare`."""
 
-    def __init__(self, numbers: Sequence[Array], sizes: Sequence[Size]) -> None:
+    def __init__(self, numbers: Sequence[Floats], sizes: Sequence[Size]) -> None:
         random = np.random.default_rng(0)
         count = max(balanced_count(RELABELLINGS, size) for size in sizes)
         self._labels = [relabellings(random, size, count) for size in sizes]

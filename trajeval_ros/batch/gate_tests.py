@@ -15,8 +15,6 @@ import numpy as np
 from scipy.special import stdtr
 
 from trajeval_ros.batch.relabelling import (
-    Array,
-    Labels,
     Size,
     balanced_count,
     contrast,
@@ -25,6 +23,7 @@ from trajeval_ros.batch.relabelling import (
     scores_of,
     studentised,
 )
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 FALSE_ALARMS = 0.025
 RELABELLINGS = 4000
@@ -93,16 +92,16 @@ class GateOutcome:
     """
 
     levels: Levels
-    p_pooled: Array
-    p_numbers: Array
+    p_pooled: Floats
+    p_numbers: Floats
 
     @property
-    def pooled(self) -> Labels:
+    def pooled(self) -> Booleans:
         """Whether all together are called worse, (comparisons,)."""
         return self.p_pooled <= self.levels.pooled
 
     @property
-    def numbers(self) -> Labels:
+    def numbers(self) -> Booleans:
         """Which single ones are called worse; after the pooled verdict they have its level too."""
         levels = self.levels
         if not levels.numbers:
@@ -111,13 +110,13 @@ class GateOutcome:
         return self.p_numbers <= level[:, None]
 
     @property
-    def alarm(self) -> Labels:
+    def alarm(self) -> Booleans:
         """Whether anything is called worse, (comparisons,)."""
         return self.pooled | self.numbers.any(1)
 
 
 def compare(
-    numbers: Sequence[Array],
+    numbers: Sequence[Floats],
     sizes: Sequence[Size],
     *,
     direction: float = 1.0,
@@ -176,14 +175,14 @@ def weight_of(size: Size) -> float:
     return old * new / (old + new)
 
 
-def share_at_least(values: Array, least: Array) -> Array:
+def share_at_least(values: Floats, least: Floats) -> Floats:
     """Return the share of values (comparisons, count) not below, the observed one included."""
     edge = least - _TIE * (1.0 + np.abs(least))
-    made: Array = (1.0 + (values >= edge[:, None]).sum(1)) / (values.shape[1] + 1.0)
+    made: Floats = (1.0 + (values >= edge[:, None]).sum(1)) / (values.shape[1] + 1.0)
     return made
 
 
-def _student_of_each(numbers: Sequence[Array], sizes: Sequence[Size], direction: float) -> Array:
+def _student_of_each(numbers: Sequence[Floats], sizes: Sequence[Size], direction: float) -> Floats:
     """Return p of each number alone, times the numbers that can be judged (Bonferroni)."""
     deviations = [_deviation_within(z, size) for z, size in zip(numbers, sizes, strict=True)]
     typical = np.median(deviations, axis=0)
@@ -197,37 +196,37 @@ def _student_of_each(numbers: Sequence[Array], sizes: Sequence[Size], direction:
     return np.minimum(1.0, np.stack(each, axis=1) * judged)
 
 
-def with_worst(z: Array) -> Array:
+def with_worst(z: Floats) -> Floats:
     """Return trials with failed ones as bad as the worst of their number."""
     fine = np.isfinite(z)
     worst = np.where(fine, z, -np.inf).max(1, keepdims=True)
     return np.where(fine, z, np.where(np.isfinite(worst), worst, 0.0))
 
 
-def _squares_within(z: Array, size: Size) -> Array:
+def _squares_within(z: Floats, size: Size) -> Floats:
     old = size[0]
     sides = (z[:, :old], z[:, old:])
-    made: Array = sum(((side - side.mean(1, keepdims=True)) ** 2).sum(1) for side in sides)
+    made: Floats = sum(((side - side.mean(1, keepdims=True)) ** 2).sum(1) for side in sides)
     return made
 
 
-def _deviation_within(z: Array, size: Size) -> Array:
-    made: Array = np.sqrt(_squares_within(with_worst(z), size) / max(sum(size) - 2, 1))
+def _deviation_within(z: Floats, size: Size) -> Floats:
+    made: Floats = np.sqrt(_squares_within(with_worst(z), size) / max(sum(size) - 2, 1))
     return made
 
 
-def mean_change(z: Array, size: Size) -> Array:
+def mean_change(z: Floats, size: Size) -> Floats:
     """Return the mean of new trials less that of old ones, (comparisons,)."""
     return contrast(with_worst(z), size)
 
 
 def student(
-    numbers: Sequence[Array],
+    numbers: Sequence[Floats],
     sizes: Sequence[Size],
     direction: float = 1.0,
     *,
-    least: Array | None = None,
-) -> Array:
+    least: Floats | None = None,
+) -> Floats:
     """Return p of Student's test, where relabellings are too few: within numbers, or over them.
 
     Differences of exchangeable trials are symmetric, so that heavy tails make it conservative.
@@ -258,11 +257,11 @@ def student(
     change = direction * means.mean(1)
     # Without any spread, as of a coverage of 100 % in all trials, a change can't be judged.
     t = np.divide(change, error, out=np.zeros_like(change), where=error > 0.0)
-    made: Array = np.where(error > 0.0, stdtr(degrees, -t), 1.0)
+    made: Floats = np.where(error > 0.0, stdtr(degrees, -t), 1.0)
     return made
 
 
-def more_failures(before: Sequence[Labels], now: Sequence[Labels]) -> float:
+def more_failures(before: Sequence[Booleans], now: Sequence[Booleans]) -> float:
     """Return p of "new runs fail more often", number by number (Mantel-Haenszel).
 
     Args:

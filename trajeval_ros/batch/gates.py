@@ -29,7 +29,8 @@ from trajeval_ros.batch.gate_verdicts import (
 )
 from trajeval_ros.batch.known_spread import KnownSpread
 from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
-from trajeval_ros.batch.relabelling import Array, Size
+from trajeval_ros.batch.relabelling import Size
+from trajeval_ros.geometry.arrays import Floats
 
 
 def judge(
@@ -108,7 +109,7 @@ class _Tested:
     """The tests of a gate on numbers that both comparisons have."""
 
     def __init__(
-        self, gate: Gate, numbers: Sequence[Array], sizes: Sequence[Size], level: float
+        self, gate: Gate, numbers: Sequence[Floats], sizes: Sequence[Size], level: float
     ) -> None:
         self._gate, self._numbers, self._sizes, self._level = gate, numbers, sizes, level
         moved = shifted(numbers, sizes, gate.margin)

@@ -10,7 +10,8 @@ from scipy.special import ndtr, ndtri
 from trajeval_ros.batch.common_change import Change
 from trajeval_ros.batch.gate_tests import GateOutcome, Levels, levels_when_known, mean_change
 from trajeval_ros.batch.noticeable import POWER
-from trajeval_ros.batch.relabelling import Array, Size
+from trajeval_ros.batch.relabelling import Size
+from trajeval_ros.geometry.arrays import Floats
 
 
 class KnownSpread:
@@ -29,20 +30,20 @@ class KnownSpread:
         self._weights = self.errors**-2
         self._pooled_error = float(self._weights.sum() ** -0.5)
 
-    def compare(self, numbers: Sequence[Array], direction: float = 1.0) -> GateOutcome:
+    def compare(self, numbers: Sequence[Floats], direction: float = 1.0) -> GateOutcome:
         """Test as `gate_tests.compare` does; single numbers are adjusted by Sidak's formula."""
         changes = direction * self._changes(numbers)
         each = ndtr(-changes / self.errors)
         pooled = ndtr(-changes @ self._weights * self._pooled_error)
         return GateOutcome(self.levels, pooled, 1.0 - (1.0 - each) ** len(self.sizes))
 
-    def common_change(self, numbers: Sequence[Array]) -> Change:
+    def common_change(self, numbers: Sequence[Floats]) -> Change:
         """Return the common change and its bounds, as `common_change.common_change` does."""
         estimate = float((self._changes(numbers) @ self._weights)[0]) * self._pooled_error**2
         reach = -float(ndtri(self.levels.pooled)) * self._pooled_error
         return estimate, estimate - reach, estimate + reach
 
-    def noticeable(self, margin: float) -> tuple[float, Array]:
+    def noticeable(self, margin: float) -> tuple[float, Floats]:
         """Return the worsening that is noticed, of all together and of each alone: (numbers,)."""
         power = float(ndtri(POWER))
         alone = self.levels.numbers or self.levels.total
@@ -50,6 +51,6 @@ class KnownSpread:
         pooled = power - float(ndtri(self.levels.pooled))
         return margin + pooled * self._pooled_error, margin + single * self.errors
 
-    def _changes(self, numbers: Sequence[Array]) -> Array:
+    def _changes(self, numbers: Sequence[Floats]) -> Floats:
         pairs = zip(numbers, self.sizes, strict=True)
         return np.stack([mean_change(z, size) for z, size in pairs], axis=1)

@@ -12,12 +12,12 @@ from trajeval_ros.batch.gate_tests import ENOUGH, FALSE_ALARMS, levels_of
 from trajeval_ros.batch.relabelling import (
     LEAST_SPREAD,
     PRIOR,
-    Array,
     Size,
     centre_and_spread,
     median_of_finite,
     shrunk,
 )
+from trajeval_ros.geometry.arrays import Floats
 
 POWER = 0.8
 _FEW = 8  # trials of a number, on average, below which clipped scores lose more
@@ -25,11 +25,11 @@ _EFFICIENCY, _EFFICIENCY_OF_FEW = 0.85, 0.70  # of clipped scores, by simulation
 
 
 def noticeable(
-    spreads: Array,
+    spreads: Floats,
     sizes: Sequence[Size],
     margin: float,
     total: float = FALSE_ALARMS,
-) -> Array:
+) -> Floats:
     """Return the common worsening that is noticed, as a logarithm: (comparisons,).
 
     Args:
@@ -50,16 +50,16 @@ def noticeable(
         few = np.mean([sum(size) for size in sizes]) < _FEW
         efficiency = _EFFICIENCY_OF_FEW if few else _EFFICIENCY
         error = 1.0 / np.sqrt(efficiency * (1.0 / (inverse * spreads**2)).sum(1))
-    made: Array = margin + _reach(degrees, levels.pooled) * error
+    made: Floats = margin + _reach(degrees, levels.pooled) * error
     return made
 
 
 def noticeable_alone(
-    spreads: Array,
+    spreads: Floats,
     sizes: Sequence[Size],
     margin: float,
     total: float = FALSE_ALARMS,
-) -> Array:
+) -> Floats:
     """Return the same of each number alone, (comparisons, numbers); inf where it isn't judged."""
     if len(sizes) == 1:
         return noticeable(spreads, sizes, margin, total)[:, None]
@@ -81,7 +81,7 @@ def _reach(degrees: float, level: float) -> float:
     return float(-stdtrit(degrees, level) - stdtrit(degrees, 1.0 - POWER))
 
 
-def spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
+def spreads_within(numbers: Sequence[Floats], sizes: Sequence[Size]) -> Floats:
     """Return spreads about each side's own median, shrunk to the typical one.
 
     Those of the scores are of both sides together, where a true change would add to them.
@@ -92,7 +92,7 @@ def spreads_within(numbers: Sequence[Array], sizes: Sequence[Size]) -> Array:
         weights = np.array([side.shape[1] - 1.0 for side in sides])
         spreads = np.stack([centre_and_spread(side)[1] for side in sides], axis=1)
         raw.append(np.sqrt((weights * spreads**2).sum(1) / weights.sum()))
-    stacked: Array = np.maximum(np.stack(raw, axis=1), LEAST_SPREAD)
+    stacked: Floats = np.maximum(np.stack(raw, axis=1), LEAST_SPREAD)
     if len(sizes) == 1:
         return stacked
     typical = median_of_finite(stacked)[:, None]

@@ -8,9 +8,10 @@ from typing import Any
 
 from trajeval_ros.batch.comparison import RECORDS
 from trajeval_ros.batch.drawing import FigureDraft
-from trajeval_ros.batch.records import Array, read_record
+from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.results_table import RE
 from trajeval_ros.batch.summary_tables import ComparisonSummary, Trial
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
@@ -101,8 +102,8 @@ def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
     """Draw on each sequence the trial of each algorithm that has the median error."""
     plots = []
     for sequence in summary.sequences[:MOST_SEQUENCES]:
-        truth: Array | None = None
-        paths: list[tuple[str, Array] | None] = []
+        truth: Floats | None = None
+        paths: list[tuple[str, Floats] | None] = []
         for algorithm in summary.algorithms:
             trial = _median_trial(summary.of(algorithm, sequence))
             record = None if trial is None else read_record(folder / RECORDS, trial.key)

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, settings_of
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.drift import PER_LENGTH
 from trajeval_ros.metrics.statistics import quantile, statistics_of
-
-Array = NDArray[np.float64]
 
 QUANTILES = {"p5": 0.05, "p25": 0.25, "p75": 0.75}
 _ABSOLUTE = ("position_m", "rotation_deg", "yaw_deg", "tilt_deg")
@@ -84,7 +82,7 @@ def _scaled(row: dict[str, Any], metric: str, factor: float) -> dict[str, Any]:
     return {**row, "metric": metric, **in_unit}
 
 
-def _rows(values: Array, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _rows(values: Floats, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
     ordered = np.sort(values)
     statistics = statistics_of(ordered)
     if statistics is not None:

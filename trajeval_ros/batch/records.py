@@ -13,11 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.writing import write_whole
-
-Array = NDArray[np.float64]
 
 _END_OF_HEAD = b"\n"
 
@@ -40,7 +38,7 @@ class Record:
     result: dict[str, Any]
     lengths: tuple[str, ...]
     span_ns: tuple[int, int]
-    columns: dict[str, Array] = field(default_factory=dict)
+    columns: dict[str, Floats] = field(default_factory=dict)
 
     @property
     def run(self) -> dict[str, Any]:

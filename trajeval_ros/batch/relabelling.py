@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.bool_]
+from trajeval_ros.geometry.arrays import Booleans, Floats
+
 Size = tuple[int, int]
 
 PRIOR = 4.0  # degrees of freedom that the typical spread of all numbers is worth
@@ -36,9 +35,9 @@ class Scores:
         typical: Median spread over the numbers: (comparisons,).
     """
 
-    psi: list[Array]
-    scales: Array
-    typical: Array
+    psi: list[Floats]
+    scales: Floats
+    typical: Floats
 
 
 def balanced_count(count: int, size: Size) -> int:
@@ -47,7 +46,7 @@ def balanced_count(count: int, size: Size) -> int:
     return total * -(-count // total) if total <= count else count
 
 
-def relabellings(random: np.random.Generator, size: Size, count: int) -> Labels:
+def relabellings(random: np.random.Generator, size: Size, count: int) -> Booleans:
     """Return which trials are called new: (count, old + new).
 
     If there are no more than `count`, all occur, equally often, in random order: drawn at random,
@@ -61,7 +60,7 @@ def relabellings(random: np.random.Generator, size: Size, count: int) -> Labels:
             every[row, list(chosen)] = True
         times = -(-count // total)
         rows = np.concatenate([random.permutation(total) for _ in range(times)])[:count]
-        balanced: Labels = every[rows]
+        balanced: Booleans = every[rows]
         return balanced
     chosen_new = random.random((count, old + new)).argpartition(new - 1, axis=1)[:, :new]
     made = np.zeros((count, old + new), dtype=np.bool_)
@@ -69,18 +68,18 @@ def relabellings(random: np.random.Generator, size: Size, count: int) -> Labels:
     return made
 
 
-def median_of_finite(values: Array) -> Array:
+def median_of_finite(values: Floats) -> Floats:
     """Return medians over the last axis, without infinite values; +inf where all are."""
     fine = np.isfinite(values)
     count = fine.sum(-1)
     ordered = np.sort(np.where(fine, values, np.inf), axis=-1)
     places = np.stack([np.maximum(count - 1, 0) // 2, count // 2], axis=-1)
     places = np.minimum(places, values.shape[-1] - 1)
-    middle: Array = np.take_along_axis(ordered, places, axis=-1).mean(-1)
+    middle: Floats = np.take_along_axis(ordered, places, axis=-1).mean(-1)
     return middle
 
 
-def centre_and_spread(values: Array) -> tuple[Array, Array]:
+def centre_and_spread(values: Floats) -> tuple[Floats, Floats]:
     """Return medians and spreads of finite values over the last axis.
 
     The spread is the mean absolute deviation about the median, scaled to the standard deviation
@@ -93,7 +92,7 @@ def centre_and_spread(values: Array) -> tuple[Array, Array]:
     return middle, _NORMAL * np.sqrt(count / (count - 1.0)) * away
 
 
-def scores_of(numbers: Sequence[Array]) -> Scores:
+def scores_of(numbers: Sequence[Floats]) -> Scores:
     """Return the clipped scores of trials, each in spreads of its number."""
     parts = [centre_and_spread(z) for z in numbers]
     raw = np.stack([spread for _, spread in parts], axis=1)
@@ -108,28 +107,28 @@ def scores_of(numbers: Sequence[Array]) -> Scores:
     return Scores(psi, scales, typical)
 
 
-def shrunk(spreads: Array, typical: Array, degrees: Array) -> Array:
+def shrunk(spreads: Floats, typical: Floats, degrees: Floats) -> Floats:
     """Return spreads of few trials, moved towards the typical one."""
-    made: Array = np.sqrt((PRIOR * typical**2 + degrees * spreads**2) / (PRIOR + degrees))
+    made: Floats = np.sqrt((PRIOR * typical**2 + degrees * spreads**2) / (PRIOR + degrees))
     return made
 
 
-def contrast(psi: Array, size: Size) -> Array:
+def contrast(psi: Floats, size: Size) -> Floats:
     """Return the mean of new scores less that of old ones: (comparisons,)."""
     old = size[0]
-    made: Array = psi[:, old:].mean(1) - psi[:, :old].mean(1)
+    made: Floats = psi[:, old:].mean(1) - psi[:, :old].mean(1)
     return made
 
 
-def contrasts(psi: Array, size: Size, labels: Labels) -> Array:
+def contrasts(psi: Floats, size: Size, labels: Booleans) -> Floats:
     """Return the same of all relabellings: (comparisons, relabellings)."""
     old, new = size
-    chosen: Array = psi @ labels.T.astype(np.float64)
-    made: Array = chosen / new - (psi.sum(1, keepdims=True) - chosen) / old
+    chosen: Floats = psi @ labels.T.astype(np.float64)
+    made: Floats = chosen / new - (psi.sum(1, keepdims=True) - chosen) / old
     return made
 
 
-def studentised(differences: Array, psi: Array, size: Size, ratio: Array) -> Array:
+def studentised(differences: Floats, psi: Floats, size: Size, ratio: Floats) -> Floats:
     """Return t of contrasts, by a spread that is shrunk to the typical one.
 
     Args:
@@ -143,5 +142,5 @@ def studentised(differences: Array, psi: Array, size: Size, ratio: Array) -> Arr
     squares = ((psi - psi.mean(1, keepdims=True)) ** 2).sum(1)[:, None]
     within = np.maximum(squares - harmonic * differences**2, 0.0)
     variance = (PRIOR * ratio[:, None] ** 2 + within) / (PRIOR + old + new - 2.0)
-    made: Array = math.sqrt(harmonic) * differences / np.sqrt(variance + 1e-300)
+    made: Floats = math.sqrt(harmonic) * differences / np.sqrt(variance + 1e-300)
     return made

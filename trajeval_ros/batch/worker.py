@@ -9,12 +9,12 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros import __version__
 from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
@@ -22,8 +22,6 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.pipeline import Request
 from trajeval_ros.pipeline import run as run_pipeline
 from trajeval_ros.report.canvas import thinned
-
-Array = NDArray[np.float64]
 
 _FORMAT = 2  # of records: what is older is evaluated again
 _POINTS = 900  # of a line in a report
@@ -90,7 +88,7 @@ def _groundtruth(source: str, fingerprint: str) -> Trajectory:  # noqa: ARG001 -
     return dataclasses.replace(groundtruth, name="groundtruth")
 
 
-def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Array]:
+def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floats]:
     """Return what is pooled over trials, and what is drawn."""
     columns = {}
     for length, segment in zip(lengths, evaluation.segments or (), strict=True):

@@ -11,14 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
-Lags = NDArray[np.int64]
 
 SEARCH_S = 5.0
 OVERLAP_S = 10.0
@@ -58,7 +55,9 @@ class OffsetGuess:
         return not self.problem
 
 
-def masked_correlation(a: Array, in_a: Array, b: Array, in_b: Array) -> tuple[Lags, Array, Array]:
+def masked_correlation(
+    a: Floats, in_a: Floats, b: Floats, in_b: Floats
+) -> tuple[Indices, Floats, Floats]:
     """Return the normalised cross-correlation of two signals with holes, at all lags.
 
     Args:
@@ -75,8 +74,8 @@ def masked_correlation(a: Array, in_a: Array, b: Array, in_b: Array) -> tuple[La
     left = [np.conj(np.fft.rfft(each, size)) for each in (a, in_a, a * a)]
     right = [np.fft.rfft(each, size) for each in (b, in_b, b * b)]
 
-    def met(one: int, other: int) -> Array:
-        products: Array = np.fft.irfft(left[one] * right[other], size)
+    def met(one: int, other: int) -> Floats:
+        products: Floats = np.fft.irfft(left[one] * right[other], size)
         return np.concatenate([products[size - len(a) + 1 :], products[: len(b)]])
 
     common = np.rint(met(1, 1))
@@ -92,7 +91,7 @@ def masked_correlation(a: Array, in_a: Array, b: Array, in_b: Array) -> tuple[La
     return lags, np.clip(correlation, -1.0, 1.0), common
 
 
-def refined_peak(correlation: Array, peak: int) -> float:
+def refined_peak(correlation: Floats, peak: int) -> float:
     """Return where the parabola through a peak and its neighbours is highest, in cells from it."""
     if not 0 < peak < len(correlation) - 1:
         return 0.0
@@ -142,7 +141,7 @@ def guess_offset(
     b, in_b = _rate(truth, window_s)
     lags, correlation, common = masked_correlation(a, in_a, b, in_b)
     start_s = int(truth.stamps[0] - other.stamps[0]) / NANOSECONDS
-    lags_s: Array = start_s + lags.astype(np.float64) * _CELL_S
+    lags_s: Floats = start_s + lags.astype(np.float64) * _CELL_S
     guess = _highest(lags_s, correlation, common, around_s, search_s, signal)
     if guess.is_usable or search_s is None:
         return guess
@@ -156,7 +155,7 @@ def guess_offset(
     return guess
 
 
-def _rate(track: Track, window_s: float) -> tuple[Array, Array]:
+def _rate(track: Track, window_s: float) -> tuple[Floats, Floats]:
     """Return the rate of motion on a grid from the track's first stamp on, and where it is known.
 
     From poses half a window before and after: the same window for both sides, since a shorter one
@@ -178,9 +177,9 @@ def _rate(track: Track, window_s: float) -> tuple[Array, Array]:
 
 
 def _highest(
-    lags_s: Array,
-    correlation: Array,
-    common: Array,
+    lags_s: Floats,
+    correlation: Floats,
+    common: Floats,
     around_s: float,
     search_s: float | None,
     signal: str,
@@ -206,7 +205,7 @@ def _highest(
             overlap_s,
             f"no offset{where} lets the two overlap for {OVERLAP_S:g} s without gaps",
         )
-    # Lags that both know for long enough are one stretch, but for holes.
+    # Indices that both know for long enough are one stretch, but for holes.
     heights = correlation[within]
     peak = int(np.argmax(heights))
     left = right = peak

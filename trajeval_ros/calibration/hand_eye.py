@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 
-Array = NDArray[np.float64]
 _PASSES = 3
 
 
 def closest_rotation(
-    targets: Array, vectors: Array, weights: Array | None = None, *, about_z: bool = False
-) -> Array:
+    targets: Floats, vectors: Floats, weights: Floats | None = None, *, about_z: bool = False
+) -> Floats:
     """Return the R (3, 3) that minimises sum w |target - R vector|^2 (Wahba's problem).
 
     Args:
@@ -28,11 +27,11 @@ def closest_rotation(
         return lie.about_gravity(float(lie.yaw_of_matrix(scatter)))
     left, _, right = np.linalg.svd(scatter)
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation: Array = left @ proper @ right
+    rotation: Floats = left @ proper @ right
     return rotation
 
 
-def robust_rotation(targets: Array, vectors: Array, *, about_z: bool = False) -> Array:
+def robust_rotation(targets: Floats, vectors: Floats, *, about_z: bool = False) -> Floats:
     """Return the closest rotation (3, 3) with Cauchy weights, in three passes.
 
     Args:
@@ -50,8 +49,8 @@ def robust_rotation(targets: Array, vectors: Array, *, about_z: bool = False) ->
 
 
 def lever_arm(
-    turned: Array, steps: Array, marker_steps: Array, *, with_scale: bool
-) -> tuple[Array, float]:
+    turned: Floats, steps: Floats, marker_steps: Floats, *, with_scale: bool
+) -> tuple[Floats, float]:
     """Return the lever arm (3,), metres, and the scale: R_X dq = c dp + (dR - I) l.
 
     Args:

@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
-from trajeval_ros.calibration.pose_interpolator import Stamps, Track, nanoseconds, nearest_rows
+from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds, nearest_rows
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Columns of a Jacobian.
 OFFSET, SKEW, TURN, LEVER, SCALE = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8), slice(8, 9)
@@ -54,11 +52,11 @@ class Unknowns:
 
     offset_s: float
     skew: float
-    turn: Array
-    lever_m: Array
+    turn: Floats
+    lever_m: Floats
     scale: float
 
-    def moved(self, step: Array) -> Unknowns:
+    def moved(self, step: Floats) -> Unknowns:
         """Return them after a step (9,): rotations turn on the left."""
         return Unknowns(
             self.offset_s + float(step[0]),
@@ -80,9 +78,9 @@ class Linearised:
         rows: (N,) which of all increments these are.
     """
 
-    residual: Array
-    jacobian: Array
-    seconds: Array
+    residual: Floats
+    jacobian: Floats
+    seconds: Floats
     rows: NDArray[np.int64]
 
 
@@ -96,9 +94,9 @@ class MotionIncrements:
         usable: (N,).
     """
 
-    turns: Array | None
-    steps: Array
-    usable: Mask
+    turns: Floats | None
+    steps: Floats
+    usable: Booleans
 
 
 class Increments:
@@ -188,7 +186,7 @@ class Increments:
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
 
-    def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Array, Mask]:
+    def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Floats, Booleans]:
         """Return the Jacobian (N, 3 or 6, 9) with the roles of the sides exchanged.
 
         At the solution, either side tells the other's motion; what both Jacobians agree on is no
@@ -256,7 +254,7 @@ class Increments:
             lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable
         )
 
-    def _turned(self, body: MotionIncrements) -> Array | None:
+    def _turned(self, body: MotionIncrements) -> Floats | None:
         """Return dR - I, or R_j - R_i where increments have no orientation, (N, 3, 3)."""
         if body.turns is not None:
             return _matrices(body.turns) - np.eye(3)
@@ -265,7 +263,7 @@ class Increments:
             return None
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
 
-    def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Array:
+    def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Floats:
         turned = None if self.turned is None else self.turned[rows]
         carried = at.scale * self._body.steps[rows]
         if turned is not None:
@@ -283,7 +281,7 @@ class Increments:
         return residual
 
     def _turn_columns(
-        self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Array
+        self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Floats
     ) -> None:
         if marker.turns is None:
             turned = None if self.turned is None else self.turned[rows] @ at.lever_m
@@ -294,7 +292,7 @@ class Increments:
         in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
         jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
 
-    def _carried(self, at: Unknowns, body: MotionIncrements) -> Array:
+    def _carried(self, at: Unknowns, body: MotionIncrements) -> Floats:
         """Return the marker's step that goes with a motion of the body, the offset's column."""
         if body.turns is None:
             # The lever arm's part is left out: of what an offset changes it is small.
@@ -302,10 +300,10 @@ class Increments:
         turned = _matrices(body.turns) - np.eye(3)
         return at.scale * body.steps + turned @ at.lever_m
 
-    def _from_mid(self, rows: NDArray[np.int64]) -> Array:
-        middle: Array = (self._since[rows] + self._till[rows]) / 2.0 - self._mid_s
+    def _from_mid(self, rows: NDArray[np.int64]) -> Floats:
+        middle: Floats = (self._since[rows] + self._till[rows]) / 2.0 - self._mid_s
         return middle
 
 
-def _matrices(quaternions: Array) -> Array:
+def _matrices(quaternions: Floats) -> Floats:
     return lie.to_matrix(lie.normalized(quaternions))

@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.increments import LEVER, OFFSET, SKEW, TURN, Increments
 from trajeval_ros.calibration.robust_fit import Fit
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 LEAST_RELIABILITY = 0.5
 # Rms of (R_j - R_i) v, for increments whose lever arm one side alone can tell.
@@ -33,13 +31,13 @@ class Directions:
         reliability: (k,), in [-1, 1].
     """
 
-    directions: Array
-    reliability: Array
+    directions: Floats
+    reliability: Floats
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Booleans:
         """(k,) whether a direction is observable."""
-        seen: NDArray[np.bool_] = self.reliability >= LEAST_RELIABILITY
+        seen: Booleans = self.reliability >= LEAST_RELIABILITY
         return seen
 
 
@@ -62,10 +60,10 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
     return found
 
 
-def _directions(own: Array, twin: Array, weights: Array) -> Directions:
-    def product(left: Array, right: Array) -> Array:
+def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
+    def product(left: Floats, right: Floats) -> Floats:
         weighted = left * weights[..., None]
-        summed: Array = np.tensordot(weighted, right, axes=([0, 1], [0, 1]))
+        summed: Floats = np.tensordot(weighted, right, axes=([0, 1], [0, 1]))
         return summed
 
     mine, theirs, both = product(own, own), product(twin, twin), product(own, twin)
@@ -78,7 +76,7 @@ def _directions(own: Array, twin: Array, weights: Array) -> Directions:
     return Directions(directions, np.clip(reliability, -1.0, 1.0))
 
 
-def _turning(turned: Array) -> Directions:
+def _turning(turned: Floats) -> Directions:
     """Judge lever arms by how much their directions turn: 1 if enough, else 0."""
     values, vectors = np.linalg.eigh(
         np.einsum("nab,nac->bc", turned, turned) / max(len(turned), 1)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import bracket_stamps, mix
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 GAP_S = 0.5
 _USUAL_STEPS = 4.0  # of sparse keyframes: a gap is longer than so many of them
 
@@ -27,9 +26,9 @@ class InterpolatedPoses:
         usable: (N,) whether the stamp lies between two states that are no gap apart.
     """
 
-    positions: Array
-    quaternions: Array | None
-    usable: NDArray[np.bool_]
+    positions: Floats
+    quaternions: Floats | None
+    usable: Booleans
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +44,8 @@ class Track:
     """
 
     stamps: Stamps
-    positions: Array
-    quaternions: Array | None
+    positions: Floats
+    quaternions: Floats | None
     step_s: float
     gap_s: float
 

@@ -21,8 +21,7 @@ from trajeval_ros.calibration.increments import (
     Linearised,
     Unknowns,
 )
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 BLOCKS = 12
 _HORIZONS_PER_BLOCK = 3.0
@@ -52,15 +51,15 @@ class Fit:
     """
 
     unknowns: Unknowns
-    covariance: Array
-    weights: Array
+    covariance: Floats
+    weights: Floats
     linearised: Linearised
     blocks: int
     free: int
     settled: bool
 
 
-def sandwich(hessian: Array, gradients: Array) -> Array:
+def sandwich(hessian: Floats, gradients: Floats) -> Floats:
     """Return the covariance (P, P) of a fit from its blocks' gradients.
 
     Args:
@@ -70,11 +69,11 @@ def sandwich(hessian: Array, gradients: Array) -> Array:
     blocks, parameters = gradients.shape
     inverse = _inverse(hessian)
     meat = gradients.T @ gradients * (blocks / (blocks - parameters))
-    covariance: Array = inverse @ meat @ inverse
+    covariance: Floats = inverse @ meat @ inverse
     return covariance
 
 
-def block_of(seconds: Array, horizon_s: float, blocks: int = BLOCKS) -> NDArray[np.int64]:
+def block_of(seconds: Floats, horizon_s: float, blocks: int = BLOCKS) -> NDArray[np.int64]:
     """Return the number of the block of time, from 0 on, that each of N stamps is in.
 
     All of equal length, three horizons or more.
@@ -90,7 +89,7 @@ def block_of(seconds: Array, horizon_s: float, blocks: int = BLOCKS) -> NDArray[
 def fit(
     increments: Increments,
     start: Unknowns,
-    basis: Array,
+    basis: Floats,
     kinds: tuple[slice, ...] = (POSITION, ROTATION),
 ) -> Fit | None:
     """Fit by Gauss-Newton with Huber weights, their scale estimated anew in each step.
@@ -139,7 +138,7 @@ def fit(
     return Fit(at, covariance, weights, now, blocks, free, settled)
 
 
-def _weights(residual: Array, kinds: tuple[slice, ...]) -> Array:
+def _weights(residual: Floats, kinds: tuple[slice, ...]) -> Floats:
     """Return Huber's weights (N, 2) of the two kinds of rows; zero of those that don't count."""
     weights = np.zeros((len(residual), 2))
     for kind in kinds:
@@ -151,7 +150,7 @@ def _weights(residual: Array, kinds: tuple[slice, ...]) -> Array:
     return weights
 
 
-def huber_cost(residual: Array, reference: Array, kind: slice) -> float:
+def huber_cost(residual: Floats, reference: Floats, kind: slice) -> float:
     """Return the mean Huber cost of one kind of rows, not below that of the finest spread.
 
     Args:
@@ -166,14 +165,14 @@ def huber_cost(residual: Array, reference: Array, kind: slice) -> float:
     return max(float(cost.mean()), _SMALLEST_SPREADS[kind.start] ** 2)
 
 
-def _lengths(residual: Array, kind: slice) -> tuple[Array, float]:
+def _lengths(residual: Floats, kind: slice) -> tuple[Floats, float]:
     """Return the lengths (N,) of one kind of rows, and their robust spread."""
     length = np.linalg.norm(residual[:, kind], axis=1)
     spread = max(float(np.median(length)) / _MEDIAN_OF_CHI3, _SMALLEST_SPREADS[kind.start])
     return length, spread
 
 
-def _inverse(hessian: Array) -> Array:
+def _inverse(hessian: Floats) -> Floats:
     """Return the inverse, without directions that nothing is known about.
 
     Scaled to a unit diagonal first, so that the units of the columns don't matter.
@@ -184,5 +183,5 @@ def _inverse(hessian: Array) -> Array:
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
     known = values > _SINGULAR
     vectors = scale[:, None] * vectors[:, known]
-    inverse: Array = vectors / values[known] @ vectors.T
+    inverse: Floats = vectors / values[known] @ vectors.T
     return inverse

@@ -19,7 +19,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.increments import POSITION, ROTATION, TURN, Increments
 from trajeval_ros.calibration.observability import observability
@@ -27,8 +26,6 @@ from trajeval_ros.calibration.robust_fit import fit, huber_cost
 from trajeval_ros.calibration.significance import CHANCE, INSIGNIFICANT, Parameter, chance_of
 from trajeval_ros.calibration.solve import CalibrationFit, basis_of
 from trajeval_ros.geometry import lie
-
-Array = NDArray[np.float64]
 
 LEAST_OF_ROTATIONS = 0.02
 LEAST_OF_POSITIONS = -0.5

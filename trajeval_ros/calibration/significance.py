@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.observability import LEAST_RELIABILITY, Directions
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 SIGNIFICANT, INSIGNIFICANT, WEAK, UNOBSERVABLE = (
     "significant",
@@ -41,10 +39,10 @@ class Parameter:
         chance: How often as much would be seen if there were nothing; None if nothing is known.
     """
 
-    value: Array | None
-    sigma: Array | None
-    half_width_95: Array | None
-    reliability: Array
+    value: Floats | None
+    sigma: Floats | None
+    half_width_95: Floats | None
+    reliability: Floats
     status: str
     reason: str
     chance: float | None = None
@@ -60,7 +58,7 @@ class Parameter:
         return int(np.count_nonzero(self.reliability >= LEAST_RELIABILITY))
 
 
-def unobservable(reason: str, reliability: Array | None = None) -> Parameter:
+def unobservable(reason: str, reliability: Floats | None = None) -> Parameter:
     """Return the verdict on what can't be seen."""
     none = np.empty(0)
     return Parameter(
@@ -69,8 +67,8 @@ def unobservable(reason: str, reliability: Array | None = None) -> Parameter:
 
 
 def judge(
-    value: Array,
-    covariance: Array,
+    value: Floats,
+    covariance: Floats,
     systematic: float,
     found: Directions,
     blocks: int,
@@ -133,7 +131,7 @@ def judge(
     return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)
 
 
-def chance_of(value: Array, covariance: Array, blocks: int) -> float:
+def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:
     """Return how often a value as far from zero would be seen if there were nothing (Wald's F).
 
     Args:
@@ -147,7 +145,7 @@ def chance_of(value: Array, covariance: Array, blocks: int) -> float:
     return float(fdtrc(len(value), blocks - 1, statistic))
 
 
-def _axis(direction: Array) -> str:
+def _axis(direction: Floats) -> str:
     """Return an axis by name, or its components."""
     largest = int(np.abs(direction).argmax())
     if abs(direction[largest]) > _NAMED_AXIS:

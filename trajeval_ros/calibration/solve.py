@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.increments import (
     COLUMNS,
@@ -20,9 +19,8 @@ from trajeval_ros.calibration.increments import (
 )
 from trajeval_ros.calibration.observability import Directions, observability
 from trajeval_ros.calibration.robust_fit import Fit, fit
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
-
-Array = NDArray[np.float64]
 
 _FEWEST_PAIRS = 30
 COLUMNS_OF = {"offset": OFFSET, "skew": SKEW, "turn": TURN, "lever": LEVER, "scale": SCALE}
@@ -46,7 +44,7 @@ class CalibrationFit:
 
     fit: Fit
     found: dict[str, Directions]
-    free: dict[str, Array]
+    free: dict[str, Floats]
     left_out: str
 
 
@@ -77,7 +75,7 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
 
 
 def _settle(
-    increments: Increments, begin: Unknowns, free: dict[str, Array]
+    increments: Increments, begin: Unknowns, free: dict[str, Floats]
 ) -> CalibrationFit | None:
     """Fit, hold the directions that can't be seen, and fit again from the start."""
     hidden: dict[str, Directions] = {}
@@ -107,7 +105,7 @@ def _settle(
     return solution
 
 
-def basis_of(free: dict[str, Array]) -> Array:
+def basis_of(free: dict[str, Floats]) -> Floats:
     """Return the free directions as columns (9, P)."""
     basis = np.zeros((COLUMNS, sum(len(axes) for axes in free.values())))
     column = 0

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 BLOCKS = {"p,phi": 6, "p,phi,v": 9}
 # Farther apart, a pose of the file and one of the trajectory are not the same.
@@ -55,10 +52,10 @@ class JointCovariance:
     """
 
     stamps: Indices
-    positions: Array
-    quaternions: Array
+    positions: Floats
+    quaternions: Floats
     block: int
-    covariance: Array | None = None
+    covariance: Floats | None = None
     information: scipy.sparse.csr_matrix | None = None
     gauge: str = "unknown"
 
@@ -120,7 +117,7 @@ class JointCovariance:
         """Whether a dense covariance is at hand, or can be had in reasonable time."""
         return self.covariance is not None or len(self.stamps) * self.block <= MOST_DENSE
 
-    def pose_covariance(self, rows: Indices) -> Array:
+    def pose_covariance(self, rows: Indices) -> Floats:
         """Return the covariance (6M, 6M) of position and rotation of some poses, in some gauge.
 
         Raises:
@@ -128,7 +125,7 @@ class JointCovariance:
         """
         covariance = self._inverse() if self.covariance is None else self.covariance
         index = self.pose_rows(rows)
-        selected: Array = covariance[np.ix_(index, index)]
+        selected: Floats = covariance[np.ix_(index, index)]
         return selected
 
     def pose_rows(self, rows: Indices) -> Indices:
@@ -136,13 +133,13 @@ class JointCovariance:
         index: Indices = (rows[:, None] * self.block + np.arange(6)).ravel()
         return index
 
-    def _inverse(self) -> Array:
+    def _inverse(self) -> Floats:
         assert self.information is not None
         try:
             factor = scipy.linalg.cho_factor(self._held().toarray(), lower=True)
         except np.linalg.LinAlgError:
             raise self._indefinite() from None
-        inverse: Array = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
+        inverse: Floats = scipy.linalg.cho_solve(factor, np.eye(len(factor[0])))
         return inverse
 
     def banded(self) -> BandedGaussian | None:

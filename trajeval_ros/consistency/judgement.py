@@ -45,12 +45,11 @@ from trajeval_ros.consistency.s_transformation import (
     turning,
 )
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # The first pose's own uncertainty, relative to the largest, that counts as none.
 _NEGLIGIBLE = 1e-4
@@ -75,7 +74,7 @@ class Aligned:
     similarity: Similarity
     gauge: Gauge
     states: int | None
-    variances: Array | None = None
+    variances: Floats | None = None
 
     def transformation(self) -> STransformation:
         """Return the S-transformation into the alignment's gauge.
@@ -92,7 +91,7 @@ class Aligned:
         aligned = self.similarity.trajectory(self.estimate)
         return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
-    def errors(self) -> Array:
+    def errors(self) -> Floats:
         """Return the errors (N, 6)."""
         return errors_of(self.groundtruth, self.similarity.trajectory(self.estimate))
 
@@ -173,7 +172,7 @@ def _blocks_of_banded(
     rows: NDArray[np.int64],
     similarity: Similarity,
     transformation: STransformation,
-) -> Array:
+) -> Floats:
     """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, of a run of any length."""
     turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
@@ -234,7 +233,7 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
     )
 
 
-def _in_own_gauge(blocks: Array, transformation: STransformation) -> tuple[str, Array]:
+def _in_own_gauge(blocks: Floats, transformation: STransformation) -> tuple[str, Floats]:
     """Return what may be said in the gauge of the first pose, and the covariances for it."""
     initial = initial_uncertainty(blocks, transformation)
     orbit = transformation.orbit[:, :3]
@@ -256,7 +255,7 @@ def _in_own_gauge(blocks: Array, transformation: STransformation) -> tuple[str, 
         return BOUND_STATEMENT, blocks
 
 
-def _nees_by_pose(errors: Array, blocks: Array, first: int) -> Array:
+def _nees_by_pose(errors: Floats, blocks: Floats, first: int) -> Floats:
     nees = np.full(len(errors), np.nan)
     try:
         nees[first:] = pose_nees(errors[first:], blocks[first:]) / POSE_DOF

@@ -7,12 +7,10 @@ pose nothing else is needed; in every other gauge only a bound is left.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 # Drivers put this, or more, where they know nothing: 1e6 m^2 are a kilometre.
 _SENTINEL = 1e6
@@ -20,7 +18,7 @@ _SENTINEL = 1e6
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 
 
-def unknown_covariances(covariances: Array) -> str:
+def unknown_covariances(covariances: Floats) -> str:
     """Return why covariances (N, 6, 6) say nothing, or an empty string.
 
     Zeros, negative variances, sentinels and what is no covariance at all mean "unknown"; zero is
@@ -45,7 +43,7 @@ def unknown_covariances(covariances: Array) -> str:
     return ""
 
 
-def is_covariance(covariances: Array) -> NDArray[np.bool_]:
+def is_covariance(covariances: Floats) -> Booleans:
     """Whether each of (N, d, d) is symmetric and positive semi-definite, but for rounding."""
     units = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     units = np.where(units > 0.0, units, 1.0)
@@ -53,18 +51,18 @@ def is_covariance(covariances: Array) -> NDArray[np.bool_]:
     transposed = np.swapaxes(scaled, 1, 2)
     symmetric = np.abs(scaled - transposed).max(axis=(1, 2)) < _ASYMMETRY
     smallest = np.linalg.eigvalsh((scaled + transposed) / 2.0)[:, 0]
-    good: NDArray[np.bool_] = symmetric & (smallest > -_NEGATIVE)
+    good: Booleans = symmetric & (smallest > -_NEGATIVE)
     return good
 
 
-def initial_uncertainty(covariances: Array, transformation: STransformation) -> Array:
+def initial_uncertainty(covariances: Floats, transformation: STransformation) -> Floats:
     """Return the covariance (k, k) of the first pose in the gauge's own directions."""
     gradient = transformation.coefficients[:, :6]
-    uncertainty: Array = gradient @ covariances[0] @ gradient.T
+    uncertainty: Floats = gradient @ covariances[0] @ gradient.T
     return uncertainty
 
 
-def without_initial_prior(covariances: Array, transformation: STransformation) -> Array:
+def without_initial_prior(covariances: Floats, transformation: STransformation) -> Floats:
     """Take a prior on the first pose's position and yaw out of every pose's covariance.
 
     Such a prior adds U P U' to the covariance of the gauge of the first pose, so that marginals
@@ -80,7 +78,7 @@ def without_initial_prior(covariances: Array, transformation: STransformation) -
     """
     prior = initial_uncertainty(covariances, transformation)
     orbit = transformation.orbit[:, :6]
-    stripped: Array = covariances - orbit @ prior @ np.swapaxes(orbit, 1, 2)
+    stripped: Floats = covariances - orbit @ prior @ np.swapaxes(orbit, 1, 2)
     stripped = (stripped + np.swapaxes(stripped, 1, 2)) / 2.0
     if not is_covariance(stripped[1:]).all():
         raise InputError(
@@ -90,7 +88,7 @@ def without_initial_prior(covariances: Array, transformation: STransformation) -
     return stripped
 
 
-def upper_bounds(covariances: Array, transformation: STransformation) -> Array:
+def upper_bounds(covariances: Floats, transformation: STransformation) -> Floats:
     """Return covariances (N, 6, 6) of aligned poses that hold whatever their correlations are.
 
     Covariance intersection: Cov(a + b) <= Cov(a) / w + Cov(b) / (1 - w) for any w. An aligned
@@ -123,6 +121,6 @@ def upper_bounds(covariances: Array, transformation: STransformation) -> Array:
     weight = np.divide(own, own + others, out=np.ones(count), where=own + others > 0.0)
     weight = weight[:, None, None]
     # Where one part is nothing the other has all the weight.
-    bound: Array = np.divide(covariances, weight, out=np.zeros_like(moved), where=weight > 0.0)
+    bound: Floats = np.divide(covariances, weight, out=np.zeros_like(moved), where=weight > 0.0)
     bound += np.divide(moved, 1.0 - weight, out=np.zeros_like(moved), where=weight < 1.0)
     return bound

@@ -17,14 +17,13 @@ from scipy.stats import chi2
 
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 # Squared pivots of a correlation matrix below this are rounding: a direction without variance.
 _ROUNDING = 1e-13
 
 
-def joint_nees(errors: Array, covariance: Array, normals: Array) -> float:
+def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
     """Return e' C^+ e of all states together.
 
     The covariance's null space is known, it is spanned by the alignment's conditions. With
@@ -63,10 +62,10 @@ def joint_nees(errors: Array, covariance: Array, normals: Array) -> float:
 
 
 def joint_nees_by_information(
-    errors: Array,
+    errors: Floats,
     information: scipy.sparse.csr_matrix,
-    extra: Array,
-    groundtruth_variances: Array | None = None,
+    extra: Floats,
+    groundtruth_variances: Floats | None = None,
     seen: NDArray[np.int64] | None = None,
 ) -> float:
     """Return the same for an information matrix, sparse, without ever inverting it.
@@ -112,25 +111,25 @@ def joint_nees_by_information(
     return float(square[0, 0] - of_error @ np.linalg.solve(of_extra, of_error))
 
 
-def pose_nees(errors: Array, covariances: Array) -> Array:
+def pose_nees(errors: Floats, covariances: Floats) -> Floats:
     """Return e_i' C_ii^-1 e_i (N,) from the states' own blocks (N, d, d)."""
     units = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     scaled = covariances / units[:, :, None] / units[:, None, :]
     normal = errors / units
     solved = np.linalg.solve(scaled, normal[:, :, None])[:, :, 0]
-    squares: Array = np.einsum("ni,ni->n", normal, solved)
+    squares: Floats = np.einsum("ni,ni->n", normal, solved)
     return squares
 
 
-def diagonal_blocks(covariance: Array, block: int) -> Array:
+def diagonal_blocks(covariance: Floats, block: int) -> Floats:
     """Return the states' own blocks (N, d, d) of a joint covariance (N d, N d)."""
     count = len(covariance) // block
     each = np.arange(count)
-    blocks: Array = covariance.reshape(count, block, count, block)[each, :, each]
+    blocks: Floats = covariance.reshape(count, block, count, block)[each, :, each]
     return blocks
 
 
-def effective_dof(covariance: Array, block: int) -> float:
+def effective_dof(covariance: Floats, block: int) -> float:
     """Return Satterthwaite's degrees of freedom of the mean NEES of a run's states.
 
     n^2 / sum_ij |S_ii^-1/2 S_ij S_jj^-1/2|^2: n if all states were independent, d if all were
@@ -150,7 +149,7 @@ def chi_square_band(dof: float, probability: float = 0.95, runs: int = 1) -> tup
     return float(low), float(high)
 
 
-def extra_directions(transformation: STransformation) -> Array:
+def extra_directions(transformation: STransformation) -> Floats:
     """Return the directions (N, 6, j) that an alignment removes beyond yaw and translation."""
     names = {0: [], 4: [], 6: [0, 1], 7: [0, 1, 6]}[transformation.orbit.shape[2]]
     return transformation.orbit[:, :6, names]

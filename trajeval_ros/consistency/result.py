@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from trajeval_ros.consistency.nees import chi_square_band
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
-
-Array = NDArray[np.float64]
 
 POSE_DOF = 6
 _SIGNIFICANCE = 0.05
@@ -103,22 +101,22 @@ class Consistency:
     verdict: str
     joint: Joint | None
     per_pose: PerPose | None
-    nees: Array | None
-    errors: Array
-    covariances: Array | None
+    nees: Floats | None
+    errors: Floats
+    covariances: Floats | None
 
     @property
-    def sigmas(self) -> Array | None:
+    def sigmas(self) -> Floats | None:
         """Standard deviations of the errors, (N, 6); None as `per_pose`."""
         return None if self.covariances is None else sigmas_of(self.covariances)
 
 
-def sigmas_of(blocks: Array) -> Array:
+def sigmas_of(blocks: Floats) -> Floats:
     """Return the standard deviations (N, d) that blocks (N, d, d) hold."""
     return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
 
 
-def summary_of(nees: Array, dof: float | None = None) -> PerPose:
+def summary_of(nees: Floats, dof: float | None = None) -> PerPose:
     """Summarise the NEES / 6 of poses (N,), NaN where there is none; `dof` of their mean."""
     known = nees[np.isfinite(nees)]
     # Bonferroni: holds whatever the correlations are, and for a bound as well.

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import (
     Gauge,
     first_state_normals,
@@ -25,8 +25,6 @@ from trajeval_ros.geometry.gauge import (
 )
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Of V'U, columns scaled: beyond it the alignment is not determined by its states.
 _WORST_CONDITION = 1e8
@@ -43,8 +41,8 @@ class STransformation:
     """
 
     gauge: Gauge
-    orbit: Array
-    normals: Array
+    orbit: Floats
+    normals: Floats
 
     @classmethod
     def of_alignment(
@@ -91,29 +89,29 @@ class STransformation:
         return transformation
 
     @property
-    def coefficients(self) -> Array:
+    def coefficients(self) -> Floats:
         """X = (V'U)^-1 V' (k, N d): the gauge's move that undoes a perturbation's part in it."""
         orbit, normals = self._flat()
         return np.asarray(np.linalg.solve(normals.T @ orbit, normals.T))
 
-    def covariance(self, covariance: Array) -> Array:
+    def covariance(self, covariance: Floats) -> Floats:
         """Return Q C Q' for a covariance (N d, N d) of perturbations of the aligned states."""
         orbit, _ = self._flat()
         coefficients = self.coefficients
         image = coefficients @ covariance
         cross = orbit @ image
-        projected: Array = covariance - cross - cross.T
+        projected: Floats = covariance - cross - cross.T
         projected = projected + orbit @ (image @ coefficients.T) @ orbit.T
-        symmetric: Array = (projected + projected.T) / 2.0
+        symmetric: Floats = (projected + projected.T) / 2.0
         return symmetric
 
     @property
-    def pull(self) -> Array:
+    def pull(self) -> Floats:
         """The coefficients' part in position and rotation of each state, (N, k, 6)."""
         count, _, open_ = self.orbit.shape
         return self.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
 
-    def blocks(self, own: Array, image: Array) -> Array:
+    def blocks(self, own: Floats, image: Floats) -> Floats:
         """Return the states' own blocks (N, 6, 6) of Q C Q', for C of position and rotation.
 
         Args:
@@ -123,7 +121,7 @@ class STransformation:
         orbit = self.orbit[:, :6]
         shared = np.einsum("nki,nli->kl", image, self.pull)
         cross = orbit @ image
-        blocks: Array = own - cross - np.swapaxes(cross, 1, 2)
+        blocks: Floats = own - cross - np.swapaxes(cross, 1, 2)
         blocks += orbit @ shared @ np.swapaxes(orbit, 1, 2)
         return blocks
 
@@ -133,7 +131,7 @@ class STransformation:
         count, block, open_ = self.orbit.shape
         return int(count * block - open_)
 
-    def _flat(self) -> tuple[Array, Array]:
+    def _flat(self) -> tuple[Floats, Floats]:
         count, block, open_ = self.orbit.shape
         shape = (count * block, open_)
         return self.orbit.reshape(shape), self.normals.reshape(shape)
@@ -152,7 +150,7 @@ class STransformation:
             )
 
 
-def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
+def carried(covariance: Floats, similarity: Similarity, block: int) -> Floats:
     """Return T Sigma T' (N d, N d), or by pose (N, d, d): a covariance turned with its states.
 
     Args:
@@ -168,7 +166,7 @@ def carried(covariance: Array, similarity: Similarity, block: int) -> Array:
     return np.asarray((turn @ rows.T.reshape(-1, block, size)).reshape(size, size).T)
 
 
-def turning(similarity: Similarity, block: int) -> Array:
+def turning(similarity: Similarity, block: int) -> Floats:
     """Return T (d, d), how a left perturbation of a state turns with it."""
     scales = np.array([similarity.scale, 1.0, similarity.scale])[: block // 3]
     return np.asarray(np.kron(np.diag(scales), similarity.rotation))
@@ -184,7 +182,7 @@ def carried_information(
     return (blocks @ information @ blocks.T).tocsr()
 
 
-def independent_noise(transformation: STransformation, variances: Array) -> Array:
+def independent_noise(transformation: STransformation, variances: Floats) -> Floats:
     """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
 
     Args:
@@ -195,7 +193,7 @@ def independent_noise(transformation: STransformation, variances: Array) -> Arra
     return transformation.blocks(own, transformation.pull @ own)
 
 
-def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Array:
+def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Floats:
     """Return the errors (N, 6 or 9) of aligned states: p' - p, Log(R' R^T), v' - v.
 
     Raises:
@@ -210,7 +208,7 @@ def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool 
     return np.concatenate(columns, axis=1)
 
 
-def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Array:
+def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
     truth, other = groundtruth.quaternions, aligned.quaternions
     assert truth is not None
     assert other is not None

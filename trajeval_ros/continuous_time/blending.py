@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.arrays import Floats
 
-Array = NDArray[np.float64]
 
-
-def blended(first: Belief, second: Belief, weight: Array) -> Belief:
+def blended(first: Belief, second: Belief, weight: Floats) -> Belief:
     """Return the moments of the mixture of two beliefs at Q times.
 
     How far the two disagree is part of the covariance; precisions that are averaged instead are
@@ -26,7 +22,7 @@ def blended(first: Belief, second: Belief, weight: Array) -> Belief:
     apart = se3.log(se3.inverse(first.poses) @ second.poses)
     poses = first.poses @ se3.exp(w * apart)
 
-    def seen(belief: Belief, offset: Array) -> Array:
+    def seen(belief: Belief, offset: Floats) -> Floats:
         carried = se3.inverse_left_jacobian(-offset)
         spread = offset[:, :, None] * offset[:, None, :]
         return se3.congruent(carried, belief.covariances) + spread

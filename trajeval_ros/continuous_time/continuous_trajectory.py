@@ -21,10 +21,9 @@ from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.covariance_frames import body_from_world_positions
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 _HOLD_OUT_EVERY = 4
 _MOST_HELD_OUT = 3000
@@ -36,7 +35,7 @@ _ORDER = 2
 class PoseModel(Protocol):
     """Any model, fitted."""
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
 
 
@@ -67,7 +66,7 @@ class MarkovPoses:
             rotations = process.interpolator()
         return cls(positions.interpolator(), rotations)
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
         positions, spread = self.positions.at(times)
         covariances = np.zeros((len(times), 6, 6))
@@ -118,12 +117,10 @@ class ContinuousTrajectory:
     poses: PoseModel
     statements: tuple[str, ...]
 
-    def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def covers(self, stamps: NDArray[np.int64]) -> Booleans:
         """Return which stamps (Q,), nanoseconds, are neither before nor after all samples."""
         times = self.samples.seconds(stamps)
-        inside: NDArray[np.bool_] = (times >= self.samples.times[0]) & (
-            times <= self.samples.times[-1]
-        )
+        inside: Booleans = (times >= self.samples.times[0]) & (times <= self.samples.times[-1])
         return inside
 
     def at(self, stamps: NDArray[np.int64]) -> Belief:

@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Samples
 from trajeval_ros.geometry import lie, se3
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Floats, Indices
 
 SIZE = 20
 _SMALLEST = 6
@@ -38,9 +35,9 @@ class GPSegments:
     """
 
     rows: Indices
-    times: Array
-    references: Array
-    coordinates: Array
+    times: Floats
+    references: Floats
+    coordinates: Floats
     joint: bool
 
     @classmethod
@@ -82,7 +79,9 @@ class GPSegments:
         """Return their number."""
         return len(self.rows)
 
-    def poses_at(self, segment: Indices, means: Array, variances: Array) -> tuple[Array, Array]:
+    def poses_at(
+        self, segment: Indices, means: Floats, variances: Floats
+    ) -> tuple[Floats, Floats]:
         """Turn coordinates into poses.
 
         Args:
@@ -106,7 +105,7 @@ class GPSegments:
         spread = jacobian * np.sqrt(variances)[:, None, :]
         return poses, spread @ se3.transposed(spread)
 
-    def around(self, times: Array) -> tuple[Indices, Indices, Array]:
+    def around(self, times: Floats) -> tuple[Indices, Indices, Floats]:
         """Return the two segments (Q,) that know of each time, and the weight (Q,) of the second.
 
         From the start of a segment, its predecessor's say fades and its own grows, until the
@@ -126,10 +125,10 @@ class GPSegments:
         return first, second, np.where(first == second, 1.0, weight)
 
 
-def smooth_step(share: Array) -> Array:
+def smooth_step(share: Floats) -> Floats:
     """Return 0 to 1 over [0, 1] with two derivatives that vanish at both ends."""
     u = np.clip(share, 0.0, 1.0)
-    step: Array = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+    step: Floats = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
     return step
 
 

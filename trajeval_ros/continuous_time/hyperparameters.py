@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
 
 from trajeval_ros.continuous_time.kernels import Kernel
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 _MOST_SEGMENTS = 100
 _IMPOSSIBLE = 1e25
@@ -35,7 +33,7 @@ class Hyperparameters:
 
 
 def most_likely(
-    kernels: Sequence[Kernel], times: Array, targets: Array, noise: float, usual_step_s: float
+    kernels: Sequence[Kernel], times: Floats, targets: Floats, noise: float, usual_step_s: float
 ) -> tuple[Kernel, Hyperparameters]:
     """Return the kernel and hyperparameters that make the samples of all segments most likely.
 
@@ -59,7 +57,7 @@ def most_likely(
     ]
 
     def best_of(kernel: Kernel) -> OptimizeResult:
-        def cost(parameters: Array) -> tuple[float, Array]:
+        def cost(parameters: Floats) -> tuple[float, Floats]:
             value, gradient = negative_log_likelihood(
                 kernel, lags, targets, np.append(parameters, np.log(noise))
             )
@@ -85,8 +83,8 @@ def most_likely(
 
 
 def negative_log_likelihood(
-    kernel: Kernel, lags: Array, targets: Array, log_parameters: Array
-) -> tuple[float, Array]:
+    kernel: Kernel, lags: Floats, targets: Floats, log_parameters: Floats
+) -> tuple[float, Floats]:
     """Return -log p of the samples of all segments, and its gradient, eq. (30).
 
     Args:

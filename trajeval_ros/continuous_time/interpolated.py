@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Belief, Samples
 from trajeval_ros.geometry import lie, se3
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +18,7 @@ class LinearInterpolation:
 
     samples: Samples
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
         samples = self.samples
         before, share = _before(samples, times)
@@ -36,14 +35,14 @@ class NearestSample:
 
     samples: Samples
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
         before, share = _before(self.samples, times)
         nearest = before + (share[:, 0] > 0.5)
         return Belief(self.samples.poses[nearest], sample_covariances(self.samples, len(times)))
 
 
-def sample_covariances(samples: Samples, count: int) -> Array:
+def sample_covariances(samples: Samples, count: int) -> Floats:
     """Return a sample's covariance, `count` times, (count, 6, 6)."""
     noise = samples.noise
     rotation = noise.rotation_rad if samples.oriented else 0.0
@@ -51,7 +50,7 @@ def sample_covariances(samples: Samples, count: int) -> Array:
     return np.tile(np.diag(variances), (count, 1, 1))
 
 
-def _before(samples: Samples, times: Array) -> tuple[NDArray[np.int64], Array]:
+def _before(samples: Samples, times: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return the sample before each time and the share (Q, 1) of the step that has passed."""
     last = len(samples) - 2
     before = np.clip(np.searchsorted(samples.times, times, side="right") - 1, 0, last)

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.markov import Process
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.block_tridiagonal import Factor
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Queries closer than this share of the usual step to a sample are at the sample: information
 # between knots that are closer than a thousandth can't be held in double precision.
@@ -35,13 +32,13 @@ class JointPosterior:
     """
 
     dimension: int
-    blocks: Array
-    lower: Array
+    blocks: Floats
+    lower: Floats
     factor: Factor
     rows: Indices
 
     @classmethod
-    def of(cls, process: Process, times: Array) -> JointPosterior:
+    def of(cls, process: Process, times: Floats) -> JointPosterior:
         """Add knots at times (Q,), seconds, within those of the process."""
         own = process.times
         after = np.clip(np.searchsorted(own, times), 1, len(own) - 1)
@@ -68,30 +65,30 @@ class JointPosterior:
         blocks, lower, _, _ = dense._normal_equations()
         return cls(process.dimension, blocks, lower, Factor.of(blocks, lower), rows)
 
-    def covariance(self) -> Array:
+    def covariance(self) -> Floats:
         """Return the covariance (d Q, d Q) of all queries: dense, for a few."""
         count, dimension = len(self.rows), self.dimension
         size = count * dimension
         units = np.eye(size).reshape(count, dimension, size)
         return self.times(units).reshape(size, size)
 
-    def marginals(self) -> Array:
+    def marginals(self) -> Floats:
         """Return the covariances (Q, d, d) of single queries."""
         return self.factor.inverse_blocks()[0][self.rows, : self.dimension, : self.dimension]
 
-    def draws(self, count: int, random: np.random.Generator) -> Array:
+    def draws(self, count: int, random: np.random.Generator) -> Floats:
         """Return draws (count, Q, d) of the error at the queries."""
         white = random.normal(size=(*self.factor.scale.shape, count))
         return np.moveaxis(self.factor.coloured(white)[self.rows, : self.dimension], -1, 0)
 
-    def times(self, vectors: Array) -> Array:
+    def times(self, vectors: Floats) -> Floats:
         """Return P v for v (Q, d, k), in O(Q) and without P."""
         spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))
         np.add.at(spread[:, : self.dimension], self.rows, vectors)
-        product: Array = self.factor.solve(spread)[self.rows, : self.dimension]
+        product: Floats = self.factor.solve(spread)[self.rows, : self.dimension]
         return product
 
-    def observed(self, tolerance: Array) -> ObservedPosterior:
+    def observed(self, tolerance: Floats) -> ObservedPosterior:
         """Add errors that are independent of each other, of covariances R (Q, d, d)."""
         inverse = np.asarray(np.linalg.inv(tolerance))
         blocks = self.blocks.copy()
@@ -115,18 +112,18 @@ class ObservedPosterior:
 
     factor: Factor
     rows: Indices
-    inverse: Array
+    inverse: Floats
     log_determinant: float
 
-    def solve(self, errors: Array) -> Array:
+    def solve(self, errors: Floats) -> Floats:
         """Return (P + R)^-1 x for x (Q, d, k), in O(Q)."""
         weighted, dimension = self.inverse @ errors, errors.shape[1]
         spread = np.zeros((*self.factor.scale.shape, errors.shape[-1]))
         np.add.at(spread[:, :dimension], self.rows, weighted)
-        solved: Array = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :dimension]
+        solved: Floats = weighted - self.inverse @ self.factor.solve(spread)[self.rows, :dimension]
         return solved
 
-    def log_density(self, errors: Array) -> float:
+    def log_density(self, errors: Floats) -> float:
         """Return log N(errors; 0, P + R) of errors (Q, d)."""
         squared = float(np.vdot(errors, self.solve(errors[..., None])[..., 0]))
         return -0.5 * (squared + self.log_determinant + errors.size * float(np.log(2.0 * np.pi)))

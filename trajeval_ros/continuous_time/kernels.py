@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -23,14 +22,14 @@ class Kernel:
     """
 
     scale: float
-    correlation: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
+    correlation: Callable[[Floats], Floats]
+    slope: Callable[[Floats], Floats]
 
-    def between(self, lags: Array, length: float) -> Array:
+    def between(self, lags: Floats, length: float) -> Floats:
         """Return the correlation over lags d of any shape for the length l, seconds."""
         return self.correlation(np.abs(lags) * (self.scale / length))
 
-    def by_log_length(self, lags: Array, length: float) -> Array:
+    def by_log_length(self, lags: Floats, length: float) -> Floats:
         """Return its derivative by log l."""
         return self.slope(np.abs(lags) * (self.scale / length))
 

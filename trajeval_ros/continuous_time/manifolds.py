@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.lie import skew
-
-Array = NDArray[np.float64]
 
 # Of the inverse Jacobian's quadratic term, as a series in the squared angle.
 _SERIES = np.polynomial.Polynomial(
@@ -36,43 +34,43 @@ class LocalVariable:
         jacobian: (N, m, d, m, d): of `values` by g, w, a.
     """
 
-    values: Array
-    jacobian: Array
+    values: Floats
+    jacobian: Floats
 
 
 class Manifold(Protocol):
     """What a process needs to know of its states."""
 
-    def between(self, first: Array, second: Array) -> Array:
+    def between(self, first: Floats, second: Floats) -> Floats:
         """Return Log(first^-1 second), (N, d)."""
 
-    def plus(self, states: Array, steps: Array) -> Array:
+    def plus(self, states: Floats, steps: Floats) -> Floats:
         """Return the states moved by steps (N, d) on the right."""
 
-    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
+    def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return J_r^-1 and J_l^-1 (N, d, d)."""
 
-    def local(self, steps: Array, rates: Array) -> LocalVariable:
+    def local(self, steps: Floats, rates: Floats) -> LocalVariable:
         """Return the local variable at steps g (N, d) with rates (N, m - 1, d)."""
 
 
 class Positions:
     """R^3: everything is linear."""
 
-    def between(self, first: Array, second: Array) -> Array:
+    def between(self, first: Floats, second: Floats) -> Floats:
         """Return the differences (N, 3)."""
         return second - first
 
-    def plus(self, states: Array, steps: Array) -> Array:
+    def plus(self, states: Floats, steps: Floats) -> Floats:
         """Return the sums (N, 3)."""
         return states + steps
 
-    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
+    def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return identities (N, 3, 3)."""
         identities = np.broadcast_to(np.eye(3), (*steps.shape, 3))
         return identities, identities
 
-    def local(self, steps: Array, rates: Array) -> LocalVariable:
+    def local(self, steps: Floats, rates: Floats) -> LocalVariable:
         """Return the same values again."""
         values = np.concatenate([steps[:, None], rates], axis=1)
         count, order = values.shape[:2]
@@ -83,21 +81,21 @@ class Positions:
 class Rotations:
     """SO(3)."""
 
-    def between(self, first: Array, second: Array) -> Array:
+    def between(self, first: Floats, second: Floats) -> Floats:
         """Return the rotation vectors (N, 3) from first to second (N, 3, 3)."""
         return lie.log(se3.transposed(first) @ second)
 
-    def plus(self, states: Array, steps: Array) -> Array:
+    def plus(self, states: Floats, steps: Floats) -> Floats:
         """Return the rotations (N, 3, 3) turned by rotation vectors (N, 3) in the body."""
-        turned: Array = states @ lie.exp(steps)
+        turned: Floats = states @ lie.exp(steps)
         return turned
 
-    def inverse_jacobians(self, steps: Array) -> tuple[Array, Array]:
+    def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return J_r^-1 and J_l^-1 (N, 3, 3): each other's transpose."""
         left = lie.inverse_left_jacobian(steps)
         return se3.transposed(left), left
 
-    def local(self, steps: Array, rates: Array) -> LocalVariable:
+    def local(self, steps: Floats, rates: Floats) -> LocalVariable:
         """Return the local variable and its exact derivatives, up to the second one."""
         count, order = len(steps), rates.shape[1] + 1
         values = np.zeros((count, order, 3))
@@ -119,7 +117,7 @@ class Rotations:
         return LocalVariable(values, jacobian)
 
 
-def _factors(steps: Array) -> tuple[Array, Array, Array]:
+def _factors(steps: Floats) -> tuple[Floats, Floats, Floats]:
     """Return k(s) of J_r^-1 = 1 + [g]/2 + k [g]^2, s = g.g, and its derivatives, (N, 1, 1)."""
     s = np.sum(steps * steps, axis=-1)[..., None, None]
     small = s < _SMALL
@@ -138,11 +136,11 @@ def _factors(steps: Array) -> tuple[Array, Array, Array]:
     )
 
 
-def _derivative(g: Array, w: Array) -> Array:
+def _derivative(g: Floats, w: Floats) -> Floats:
     """Return d(J_r^-1(g) w)/dg, (N, 3, 3)."""
     k, k1, _ = _factors(g)
     gw = np.cross(g, w)
-    derivative: Array = (
+    derivative: Floats = (
         -0.5 * skew(w)
         - k * (skew(gw) + skew(g) @ skew(w))
         + 2.0 * k1 * np.cross(g, gw)[:, :, None] * g[:, None, :]
@@ -150,17 +148,17 @@ def _derivative(g: Array, w: Array) -> Array:
     return derivative
 
 
-def _along(g: Array, u: Array) -> Array:
+def _along(g: Floats, u: Floats) -> Floats:
     """Return the derivative of J_r^-1(g) in the direction u, (N, 3, 3)."""
     k, k1, _ = _factors(g)
     cross, other = skew(g), skew(u)
     inner = np.sum(g * u, axis=-1)[:, None, None]
-    change: Array = 0.5 * other + k * (other @ cross + cross @ other)
+    change: Floats = 0.5 * other + k * (other @ cross + cross @ other)
     change += 2.0 * k1 * inner * (cross @ cross)
     return change
 
 
-def _second_derivative(g: Array, w: Array, u: Array) -> Array:
+def _second_derivative(g: Floats, w: Floats, u: Floats) -> Floats:
     """Return d(d(J_r^-1(g) w)/dg u)/dg for constant u, (N, 3, 3)."""
     k, k1, k2 = _factors(g)
     gw, uw = np.cross(g, w), np.cross(u, w)
@@ -168,7 +166,7 @@ def _second_derivative(g: Array, w: Array, u: Array) -> Array:
     inner = np.sum(g * u, axis=-1)[:, None, None]
     mixed = (np.cross(u, gw) + np.cross(g, uw))[:, :, None]
     row = g[:, None, :]
-    second: Array = (
+    second: Floats = (
         -k * (skew(u) @ skew(w) + skew(uw))
         + 2.0 * k1 * (mixed * row + ggw * u[:, None, :])
         - 2.0 * k1 * inner * (skew(gw) + skew(g) @ skew(w))

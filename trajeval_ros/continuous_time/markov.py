@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from trajeval_ros.continuous_time import white_noise
 from trajeval_ros.continuous_time.manifolds import Manifold
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.block_tridiagonal import Factor
-
-Array = NDArray[np.float64]
 
 _MOST_KNOTS = 1500
 _MOST_ITERATIONS = 10
@@ -45,20 +43,20 @@ class Process:
 
     manifold: Manifold
     order: int
-    times: Array
-    measured: Array
-    information: Array
-    density: Array
-    states: Array
-    rates: Array
+    times: Floats
+    measured: Floats
+    information: Floats
+    density: Floats
+    states: Floats
+    rates: Floats
 
     @classmethod
     def fit(
         cls,
         manifold: Manifold,
         order: int,
-        times: Array,
-        measured: Array,
+        times: Floats,
+        measured: Floats,
         noise: float,
         density: float | None = None,
     ) -> Process:
@@ -141,7 +139,7 @@ class Process:
         """Return what answers for any time between the knots."""
         return Interpolator(self, *self.factor().inverse_blocks())
 
-    def _normal_equations(self) -> tuple[Array, Array, Array, float]:
+    def _normal_equations(self) -> tuple[Floats, Floats, Floats, float]:
         """Return the information's blocks, minus the cost's gradient (N, d m), and the cost."""
         size, dimension = self.dimension * self.order, self.dimension
         this, following, lower, slope_this, slope_following, costs = lie.by_blocks(
@@ -168,8 +166,8 @@ class Process:
         return diagonal, lower, slope, cost
 
     def _between(
-        self, first: Array, second: Array, rates: Array, next_rates: Array, steps: Array
-    ) -> tuple[Array, ...]:
+        self, first: Floats, second: Floats, rates: Floats, next_rates: Floats, steps: Floats
+    ) -> tuple[Floats, ...]:
         """Return what K steps add: to both knots' blocks, between them, to both slopes, the cost.
 
         Args:
@@ -260,15 +258,15 @@ class Interpolator:
     """
 
     process: Process
-    own: Array
-    beside: Array
+    own: Floats
+    beside: Floats
 
-    def at(self, times: Array) -> tuple[Array, Array]:
+    def at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return states (Q, ...) and covariances (Q, d, d) on the right, within the knots."""
         states, covariances = lie.by_blocks(self._at, times)
         return states, covariances
 
-    def _at(self, times: Array) -> tuple[Array, Array]:
+    def _at(self, times: Floats) -> tuple[Floats, Floats]:
         process, order, dimension = self.process, self.process.order, self.process.dimension
         last = len(process.times) - 2
         knot = np.clip(np.searchsorted(process.times, times, side="right") - 1, 0, last)
@@ -297,7 +295,7 @@ class Interpolator:
         return manifold.plus(here, variable), se3.congruent(carried, covariance)
 
 
-def _differences(manifold: Manifold, times: Array, states: Array) -> tuple[Array, Array]:
+def _differences(manifold: Manifold, times: Floats, states: Floats) -> tuple[Floats, Floats]:
     """Return velocities and accelerations (N, d) to start from, by finite differences."""
     steps = np.diff(times)
     between = manifold.between(states[:-1], states[1:]) / steps[:, None]

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.blending import blended
 from trajeval_ros.continuous_time.gp_segments import SIZE, GPSegments
@@ -18,9 +17,7 @@ from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, most_l
 from trajeval_ros.continuous_time.kernels import MATERN_52, Kernel
 from trajeval_ros.continuous_time.samples import Belief, Samples
 from trajeval_ros.geometry import lie, se3
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Floats, Indices
 
 _BLOCK = 256
 
@@ -40,8 +37,8 @@ class PiecewiseGP:
     segments: GPSegments
     kernels: tuple[Kernel, ...]
     hyperparameters: tuple[Hyperparameters, ...]
-    roots: tuple[Array, ...]
-    weights: tuple[Array, ...]
+    roots: tuple[Floats, ...]
+    weights: tuple[Floats, ...]
 
     @classmethod
     def fit(
@@ -86,11 +83,11 @@ class PiecewiseGP:
         forms, numbers = zip(*chosen, strict=True)
         return cls(segments, forms, numbers, tuple(roots), tuple(weights))
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
         return Belief(*lie.by_blocks(self._at, times))
 
-    def in_segment(self, segment: Indices, times: Array) -> Belief:
+    def in_segment(self, segment: Indices, times: Floats) -> Belief:
         """Return what one segment for each time knows, eq. (31).
 
         Args:
@@ -109,7 +106,7 @@ class PiecewiseGP:
             variances[:, axes] = np.maximum(prior - explained, 1e-14 * prior)[:, None]
         return Belief(*self.segments.poses_at(segment, means, variances))
 
-    def _at(self, times: Array) -> tuple[Array, Array]:
+    def _at(self, times: Floats) -> tuple[Floats, Floats]:
         first, second, weight = self.segments.around(times)
         belief = self.in_segment(second, times)
         if len(self.segments) > 1:
@@ -117,11 +114,11 @@ class PiecewiseGP:
         return belief.poses, belief.covariances
 
 
-def _axes(coordinates: Array, block: int) -> Array:
+def _axes(coordinates: Floats, block: int) -> Floats:
     return coordinates[..., 3 * block : 3 * block + 3]
 
 
-def _inverse_roots(kernel: Kernel, times: Array, each: Hyperparameters) -> Array:
+def _inverse_roots(kernel: Kernel, times: Floats, each: Hyperparameters) -> Floats:
     """Return L^-1 (S, n, n) of K + noise, some segments at a time, which stay in the cache."""
     roots = np.empty((*times.shape, times.shape[1]))
     for begin in range(0, len(times), _BLOCK):
@@ -131,7 +128,7 @@ def _inverse_roots(kernel: Kernel, times: Array, each: Hyperparameters) -> Array
     return roots
 
 
-def _inverse_root(prior: Array, each: Hyperparameters) -> Array:
+def _inverse_root(prior: Floats, each: Hyperparameters) -> Floats:
     """Return L^-1 of a prior with noise; a smooth one may need more than that on its diagonal."""
     diagonal = np.eye(prior.shape[-1])
     for jitter in (0.0, 1e-10, 1e-8, 1e-6):

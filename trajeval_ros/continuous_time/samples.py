@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Samples closer than this, or than this share of the usual step, are one: a Markov process can't
 # be asked to accelerate between them.
@@ -72,8 +70,8 @@ class Samples:
     """
 
     origin: int
-    times: Array
-    poses: Array
+    times: Floats
+    poses: Floats
     oriented: bool
     noise: Noise
     merged: int = 0
@@ -109,7 +107,7 @@ class Samples:
         """Return their number."""
         return len(self.times)
 
-    def __getitem__(self, rows: Indices | NDArray[np.bool_]) -> Samples:
+    def __getitem__(self, rows: Indices | Booleans) -> Samples:
         """Return some of them."""
         return Samples(self.origin, self.times[rows], self.poses[rows], self.oriented, self.noise)
 
@@ -123,15 +121,15 @@ class Samples:
         """Indices of the samples that a gap follows."""
         return np.flatnonzero(np.diff(self.times) > GAP_STEPS * self.usual_step_s)
 
-    def seconds(self, stamps: NDArray[np.int64]) -> Array:
+    def seconds(self, stamps: NDArray[np.int64]) -> Floats:
         """Return stamps (Q,), nanoseconds, as times."""
-        seconds: Array = (stamps - self.origin) / NANOSECONDS
+        seconds: Floats = (stamps - self.origin) / NANOSECONDS
         return seconds
 
-    def step_turns(self) -> Array:
+    def step_turns(self) -> Floats:
         """Return the angles (N - 1,) between neighbours, rad."""
         turns = se3.transposed(self.poses[:-1, :3, :3]) @ self.poses[1:, :3, :3]
-        angles: Array = np.linalg.norm(lie.log(turns), axis=1)
+        angles: Floats = np.linalg.norm(lie.log(turns), axis=1)
         return angles
 
     def _merged(self) -> Samples:
@@ -150,8 +148,8 @@ class Samples:
         group = np.cumsum(apart) - 1
         counts = np.bincount(group)
 
-        def means(columns: Array) -> Array:
-            sums: Array = np.add.reduceat(columns, first, axis=0)
+        def means(columns: Floats) -> Floats:
+            sums: Floats = np.add.reduceat(columns, first, axis=0)
             return sums / counts.reshape(-1, *([1] * (columns.ndim - 1)))
 
         base = self.poses[first, :3, :3]
@@ -177,5 +175,5 @@ class Belief:
             Where the groundtruth has no rotations, their rows are zero.
     """
 
-    poses: Array
-    covariances: Array
+    poses: Floats
+    covariances: Floats

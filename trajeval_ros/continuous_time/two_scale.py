@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.blending import blended
 from trajeval_ros.continuous_time.gp_segments import runs_between, smooth_step
 from trajeval_ros.continuous_time.kernels import Kernel
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Samples
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 
 # A coarse segment of twenty samples spans as long as a gap, but never more than two seconds.
 _STEPS_PER_GAP, _COARSEST_S = 20, 0.1
@@ -42,9 +39,9 @@ class TwoScaleGP:
 
     fine: PiecewiseGP
     coarse: PiecewiseGP | None
-    times: Array
+    times: Floats
     gaps: Indices
-    short: NDArray[np.bool_]
+    short: Booleans
     ramp_s: float
 
     @classmethod
@@ -63,7 +60,7 @@ class TwoScaleGP:
         short = np.repeat(counts < fine.segments.rows.shape[1], counts)
         return cls(fine, coarse, samples.times, gaps, short, step)
 
-    def at(self, times: Array) -> Belief:
+    def at(self, times: Floats) -> Belief:
         """Return what is known at times (Q,), seconds, within those of the samples."""
         belief = self.fine.at(times)
         if self.coarse is None:
@@ -77,7 +74,7 @@ class TwoScaleGP:
         belief.poses[inside], belief.covariances[inside] = mixed.poses, mixed.covariances
         return belief
 
-    def _weight(self, before: Indices, times: Array, in_gap: NDArray[np.bool_]) -> Array:
+    def _weight(self, before: Indices, times: Floats, in_gap: Booleans) -> Floats:
         """Return the say of the coarse process at times (Q,) that follow the samples `before`."""
         after = np.minimum(before + 1, len(self.times) - 1)
         start, end = self.times[before], self.times[after]
@@ -96,7 +93,7 @@ def thinned(samples: Samples, gaps: Indices, step_s: float) -> Indices:
     return np.flatnonzero(first)
 
 
-def _middle(lengths: Array) -> float:
+def _middle(lengths: Floats) -> float:
     """Return the length of the gap that the middle of all missing time lies in.
 
     Hundreds of lost packets don't make a dropout of ten seconds a small one.

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
-def transition(order: int, time: Array) -> Array:
+def transition(order: int, time: Floats) -> Floats:
     """Return Phi (..., m, m) over times (...), seconds."""
     matrix = np.zeros((*time.shape, order, order))
     for row in range(order):
@@ -23,7 +23,7 @@ def transition(order: int, time: Array) -> Array:
     return matrix
 
 
-def covariance(order: int, time: Array) -> Array:
+def covariance(order: int, time: Floats) -> Floats:
     """Return Q (..., m, m) of unit density over times (...), seconds."""
     matrix = np.zeros((*time.shape, order, order))
     for row in range(order):
@@ -34,15 +34,15 @@ def covariance(order: int, time: Array) -> Array:
     return matrix
 
 
-def information(order: int, time: Array) -> Array:
+def information(order: int, time: Floats) -> Floats:
     """Return Q^-1 (..., m, m) over times (...): Q scales by powers of time, so one is inverted."""
     scale = time[..., None] ** (np.arange(order) - order + 0.5)
     unit = np.linalg.inv(covariance(order, np.ones(())))
-    inverse: Array = scale[..., :, None] * unit * scale[..., None, :]
+    inverse: Floats = scale[..., :, None] * unit * scale[..., None, :]
     return inverse
 
 
-def interpolation(order: int, step: Array, since: Array) -> tuple[Array, Array, Array]:
+def interpolation(order: int, step: Floats, since: Floats) -> tuple[Floats, Floats, Floats]:
     """Return how the variable between two knots depends on both, and what it does by itself.
 
     Args:
@@ -56,13 +56,13 @@ def interpolation(order: int, step: Array, since: Array) -> tuple[Array, Array, 
     """
     remaining = transition(order, step - since)
     own = covariance(order, since)
-    psi: Array = own @ remaining.swapaxes(1, 2) @ information(order, step)
+    psi: Floats = own @ remaining.swapaxes(1, 2) @ information(order, step)
     spread = (own - psi @ remaining @ own)[:, 0, 0]
     weights = transition(order, since) - psi @ transition(order, step)
     return weights[:, 0], psi[:, 0], np.maximum(spread, 0.0)
 
 
-def spread_over_axes(matrices: NDArray[Any], axes: Array) -> Array:
+def spread_over_axes(matrices: NDArray[Any], axes: Floats) -> Floats:
     """Return the Kronecker products (..., m d, m d) of (..., m, m) with a diagonal (d,)."""
     order, dimension = matrices.shape[-1], len(axes)
     product = np.zeros((*matrices.shape[:-2], order, dimension, order, dimension))

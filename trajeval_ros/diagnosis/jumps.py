@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
-
-Floats = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 LEAST_JUMP_M = 1.0
 LEAST_JUMP_DEG = 30.0

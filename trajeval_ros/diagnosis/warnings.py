@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def _about_bodies(evaluation: Evaluation) -> list[str]:
     ]
 
 
-def _constant_rotation(quaternions: NDArray[np.float64]) -> tuple[float, float]:
+def _constant_rotation(quaternions: Floats) -> tuple[float, float]:
     """Return the angle of the mean of N rotations, and the rms angle to it, degrees."""
     mean = np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1]
     apart = lie.angle(lie.multiply(lie.conjugate(mean), quaternions))

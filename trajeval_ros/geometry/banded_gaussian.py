@@ -16,8 +16,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
 def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
@@ -41,9 +40,9 @@ class BandedGaussian:
         self._rows = [slice(*each) for each in itertools.pairwise(cuts)]
         # Of each link: the Cholesky factor of what is left of it, and its regression -D^-1 U on
         # the next link.
-        self._factors: list[Array] = []
-        self._regressions: list[Array] = []
-        correction: Array | float = 0.0
+        self._factors: list[Floats] = []
+        self._regressions: list[Floats] = []
+        correction: Floats | float = 0.0
         for rows, after in zip(self._rows, [*self._rows[1:], slice(size, size)], strict=True):
             left = information[rows, rows].toarray() - correction
             coupling = information[rows, after].toarray()
@@ -61,7 +60,7 @@ class BandedGaussian:
                 -scipy.linalg.solve_triangular(factor, whitened, lower=True, trans="T")
             )
 
-    def sampled(self, normals: Array) -> Array:
+    def sampled(self, normals: Floats) -> Floats:
         """Return a sample (n, ...) of the Gaussian from standard normal numbers (n, ...)."""
         sample = np.empty_like(normals)
         ahead = np.empty((0, *normals.shape[1:]))
@@ -71,7 +70,7 @@ class BandedGaussian:
             sample[rows] = ahead
         return sample
 
-    def solved(self, columns: Array) -> Array:
+    def solved(self, columns: Floats) -> Floats:
         """Return the covariance times columns (n, k)."""
         found = columns.astype(float)
         for rows, after, regression in zip(
@@ -84,7 +83,7 @@ class BandedGaussian:
             found[rows] = ahead
         return found
 
-    def marginals(self, starts: NDArray[np.int64], size: int) -> Array:
+    def marginals(self, starts: NDArray[np.int64], size: int) -> Floats:
         """Return the blocks (B, size, size) on the covariance's diagonal that begin at `starts`.
 
         Blocks may lie across two links.
@@ -103,5 +102,5 @@ class BandedGaussian:
             covariance = own
         return blocks
 
-    def _backwards(self) -> Iterator[tuple[slice, Array, Array]]:
+    def _backwards(self) -> Iterator[tuple[slice, Floats, Floats]]:
         return zip(self._rows[::-1], self._factors[::-1], self._regressions[::-1], strict=True)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
+
 _NEGLIGIBLE = 1e-20
 
 
@@ -29,11 +29,11 @@ class Factor:
         scale: (N, d), the diagonal of S.
     """
 
-    band: Array
-    scale: Array
+    band: Floats
+    scale: Floats
 
     @classmethod
-    def of(cls, diagonal: Array, lower: Array) -> Factor:
+    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
         """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
 
         Raises:
@@ -50,9 +50,9 @@ class Factor:
         return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
 
     @property
-    def log_diagonal(self) -> Array:
+    def log_diagonal(self) -> Floats:
         """Logarithms of the diagonal of the matrix's own factor S^-1 L, (N, d)."""
-        logarithms: Array = np.log(self.band[0]).reshape(self.scale.shape) - np.log(self.scale)
+        logarithms: Floats = np.log(self.band[0]).reshape(self.scale.shape) - np.log(self.scale)
         return logarithms
 
     @property
@@ -60,25 +60,25 @@ class Factor:
         """Logarithm of the determinant."""
         return 2.0 * float(self.log_diagonal.sum())
 
-    def whitened(self, rows: Array) -> Array:
+    def whitened(self, rows: Floats) -> Floats:
         """Return (S^-1 L)^-1 x for x (N, d): independent and of unit variance if cov x is A."""
         scaled = (rows * self.scale).reshape(-1, 1)
         return np.asarray(dtbtrs(self.band, scaled, uplo="L")[0]).reshape(rows.shape)
 
-    def coloured(self, rows: Array) -> Array:
+    def coloured(self, rows: Floats) -> Floats:
         """Return (S^-1 L)^-T z for z (N, d, k): draws of covariance A^-1 of white ones."""
         flat = rows.reshape(self.scale.size, -1)
         solved = np.asarray(dtbtrs(self.band, flat, uplo="L", trans="T")[0])
         return solved.reshape(rows.shape) * self.scale[..., None]
 
-    def solve(self, rows: Array) -> Array:
+    def solve(self, rows: Floats) -> Floats:
         """Return A^-1 x for x (N, d) or (N, d, k)."""
         scale = self.scale if rows.ndim == 2 else self.scale[..., None]
         flat = (rows * scale).reshape(self.scale.size, -1)
         solved = np.asarray(cho_solve_banded((self.band, True), flat, check_finite=False))
         return solved.reshape(rows.shape) * scale
 
-    def inverse_blocks(self) -> tuple[Array, Array]:
+    def inverse_blocks(self) -> tuple[Floats, Floats]:
         """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
 
         The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states. It is
@@ -109,7 +109,7 @@ class Factor:
         )
 
 
-def _lower_band(diagonal: Array, lower: Array) -> Array:
+def _lower_band(diagonal: Floats, lower: Floats) -> Floats:
     """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j).
 
     Columns are contiguous, as LAPACK wants them.
@@ -122,7 +122,7 @@ def _lower_band(diagonal: Array, lower: Array) -> Array:
     return band.reshape(count * size, 2 * size).T
 
 
-def _blocks(band: Array, count: int, size: int) -> tuple[Array, Array]:
+def _blocks(band: Floats, count: int, size: int) -> tuple[Floats, Floats]:
     """Return the blocks of a factor in lower banded storage."""
     columns = band.T.reshape(count, size, 2 * size)
     diagonal = np.zeros((count, size, size))

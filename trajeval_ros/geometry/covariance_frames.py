@@ -13,14 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.arrays import Floats
 
-Array = NDArray[np.float64]
 
-
-def world_from_body_twists(covariances: Array, rotations: Array) -> Array:
+def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
     """Return covariances (N, 6, 6) about the world's axes, of those of body twists.
 
     Args:
@@ -32,7 +30,7 @@ def world_from_body_twists(covariances: Array, rotations: Array) -> Array:
     return se3.congruent(turn, covariances)
 
 
-def body_from_world_positions(covariances: Array, rotations: Array) -> Array:
+def body_from_world_positions(covariances: Floats, rotations: Floats) -> Floats:
     """Return position covariances (N, 3, 3) about the body's axes, of those about the world's.
 
     Args:
@@ -42,7 +40,7 @@ def body_from_world_positions(covariances: Array, rotations: Array) -> Array:
     return se3.congruent(se3.transposed(rotations), covariances)
 
 
-def world_from_body_rotations(covariances: Array, rotations: Array) -> Array:
+def world_from_body_rotations(covariances: Floats, rotations: Floats) -> Floats:
     """Return covariances (N, 6, 6) about the world's axes, where only rotations are the body's.
 
     Args:
@@ -51,17 +49,17 @@ def world_from_body_rotations(covariances: Array, rotations: Array) -> Array:
     """
     turned = covariances.copy()
     turned[:, 3:] = rotations @ covariances[:, 3:]
-    result: Array = turned.copy()
+    result: Floats = turned.copy()
     result[:, :, 3:] = turned[:, :, 3:] @ np.swapaxes(rotations, 1, 2)
     return result
 
 
 def world_from_body_rotations_jointly(
-    covariance: Array | None,
+    covariance: Floats | None,
     information: scipy.sparse.csr_matrix | None,
-    rotations: Array,
+    rotations: Floats,
     block: int,
-) -> tuple[Array | None, scipy.sparse.csr_matrix | None]:
+) -> tuple[Floats | None, scipy.sparse.csr_matrix | None]:
     """Do the same to the joint covariance or information matrix of all N states.
 
     Args:

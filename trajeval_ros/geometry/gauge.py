@@ -11,12 +11,10 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry import lie
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
 class Gauge(Enum):
@@ -130,7 +128,7 @@ def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -
     return implied
 
 
-def orbit_basis(gauge: Gauge, positions: Array, velocities: Array | None = None) -> Array:
+def orbit_basis(gauge: Gauge, positions: Floats, velocities: Floats | None = None) -> Floats:
     """Return how the gauge's generators move N states: eq. (15) of the gauge paper, any gauge.
 
     Args:
@@ -160,7 +158,7 @@ def orbit_basis(gauge: Gauge, positions: Array, velocities: Array | None = None)
     return basis
 
 
-def first_state_normals(gauge: Gauge, count: int, block: int, first_turn: Array) -> Array:
+def first_state_normals(gauge: Gauge, count: int, block: int, first_turn: Floats) -> Floats:
     """Return the gradients of the conditions that an alignment by the first state fulfils.
 
     Args:
@@ -181,8 +179,8 @@ def first_state_normals(gauge: Gauge, count: int, block: int, first_turn: Array)
 
 
 def least_squares_normals(
-    gauge: Gauge, block: int, groundtruth: Array, aligned: Array, weights: Array
-) -> Array:
+    gauge: Gauge, block: int, groundtruth: Floats, aligned: Floats, weights: Floats
+) -> Floats:
     """Return the gradients of the optimality conditions of eq. (13) of the tutorial.
 
     Args:
@@ -226,6 +224,6 @@ def dimension(gauge: Gauge) -> int:
     return dimensions[gauge]
 
 
-def _axes(gauge: Gauge) -> Array:
+def _axes(gauge: Gauge) -> Floats:
     """Return the axes (0, 1 or 3, 3) that the gauge turns about."""
     return np.eye(3)[{4: slice(2, 3), 0: slice(0, 0)}.get(dimension(gauge), slice(0, 3))]

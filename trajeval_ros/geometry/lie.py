@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
+
 # Rows of a few columns that stay in a core's cache: twice as fast as whole columns at a time.
 _BLOCK = 8192
 # Numbers in arrays so short that a call costs more than the arithmetic.
@@ -28,12 +29,12 @@ _GIMBAL_LOCK = 1e-7
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
-def by_blocks(function: Callable[..., tuple[Array, ...]], *columns: NDArray[Any]) -> list[Array]:
+def by_blocks(function: Callable[..., tuple[Floats, ...]], *columns: NDArray[Any]) -> list[Floats]:
     """Return what `function` returns for columns of N rows each, worked out block by block."""
     count = len(columns[0])
     if count <= _BLOCK:
         return list(function(*columns))
-    results: list[Array] = []
+    results: list[Floats] = []
     for begin in range(0, count, _BLOCK):
         rows = slice(begin, begin + _BLOCK)
         parts = function(*(column[rows] for column in columns))
@@ -43,25 +44,25 @@ def by_blocks(function: Callable[..., tuple[Array, ...]], *columns: NDArray[Any]
     return results
 
 
-def normalized(quaternion: Array) -> Array:
+def normalized(quaternion: Floats) -> Floats:
     """Return the quaternions (..., 4) at length 1; not finite where they have no length."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
     with np.errstate(all="ignore"):
         # In this order, as scipy: a sum by another differs in the last digit.
         length = np.sqrt(x * x + y * y + z * z + w * w)
-        unit: Array = quaternion / length[..., None]
+        unit: Floats = quaternion / length[..., None]
     return unit
 
 
-def conjugate(quaternion: Array) -> Array:
+def conjugate(quaternion: Floats) -> Floats:
     """Return the inverse rotation of a unit quaternion (..., 4)."""
-    inverse: Array = quaternion * _CONJUGATION
+    inverse: Floats = quaternion * _CONJUGATION
     return inverse
 
 
-def heading(quaternion: Array) -> Array:
+def heading(quaternion: Floats) -> Floats:
     """Return the rotations about z nearest to unit quaternions (N, 4): their yaw alone."""
-    turned: Array = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
+    turned: Floats = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
     length = np.hypot(turned[:, 2], turned[:, 3])
     # Half a turn about a level axis leaves the yaw open: z and w vanish together, and none is as
     # good as any.
@@ -70,14 +71,14 @@ def heading(quaternion: Array) -> Array:
     return turned
 
 
-def multiply(left: Array, right: Array) -> Array:
+def multiply(left: Floats, right: Floats) -> Floats:
     """Return the Hamilton product (..., 4): rotate by `right`, then by `left`."""
     if max(left.size, right.size) <= _FEW:
         return _outer(left, right) @ _PRODUCT
     return _product(left, right)
 
 
-def _product(left: Array, right: Array) -> Array:
+def _product(left: Floats, right: Floats) -> Floats:
     product = np.empty(np.broadcast_shapes(left.shape, right.shape))
     components = hamilton([left[..., i] for i in range(4)], [right[..., i] for i in range(4)])
     for index, component in enumerate(components):
@@ -98,13 +99,13 @@ def hamilton(left: Sequence[Any], right: Sequence[Any]) -> Iterator[Any]:
     yield w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
 
 
-def rotate(quaternion: Array, vector: Array) -> Array:
+def rotate(quaternion: Floats, vector: Floats) -> Floats:
     """Return the vectors (..., 3) rotated by the quaternions (..., 4)."""
     if max(quaternion.size, vector.size) <= _FEW:
         matrices = (_outer(quaternion, quaternion) @ _ROTATION).reshape(
             *quaternion.shape[:-1], 3, 3
         )
-        few: Array = (matrices @ vector[..., None])[..., 0]
+        few: Floats = (matrices @ vector[..., None])[..., 0]
         return few
     x, y, z, w = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
     a, b, c = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -117,7 +118,7 @@ def rotate(quaternion: Array, vector: Array) -> Array:
     return rotated
 
 
-def _outer(left: Array, right: Array) -> Array:
+def _outer(left: Floats, right: Floats) -> Floats:
     """Return the products of all components (..., 16), those of `left` slowest."""
     products = left[..., :, None] * right[..., None, :]
     return products.reshape(*products.shape[:-2], 16)
@@ -134,7 +135,7 @@ _ROTATION = np.einsum(
 ).reshape(16, 9)
 
 
-def from_matrix(matrix: Array) -> Array:
+def from_matrix(matrix: Floats) -> Floats:
     """Return the quaternion (4,) of one rotation matrix (3, 3), w >= 0.
 
     The same formula as `from_matrices`, in floats: a tenth of the time for one.
@@ -153,7 +154,7 @@ def from_matrix(matrix: Array) -> Array:
     return quaternion if quaternion[3] >= 0.0 else -quaternion
 
 
-def from_matrices(matrices: Array) -> Array:
+def from_matrices(matrices: Floats) -> Floats:
     """Return the quaternions (N, 4) of rotation matrices (N, 3, 3), of either sign.
 
     Matrices are not repaired: what is far from a rotation needs the nearest one first.
@@ -180,7 +181,7 @@ def from_matrices(matrices: Array) -> Array:
     return normalized(quaternions)
 
 
-def to_matrix(quaternion: Array) -> Array:
+def to_matrix(quaternion: Floats) -> Floats:
     """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
@@ -198,27 +199,27 @@ def to_matrix(quaternion: Array) -> Array:
     return matrix
 
 
-def angle(quaternion: Array) -> Array:
+def angle(quaternion: Floats) -> Floats:
     """Return the rotation angle (...) in [0, pi] rad; exact for tiny angles and near pi."""
-    half: Array = np.arctan2(
+    half: Floats = np.arctan2(
         np.sqrt(np.einsum("...i,...i->...", quaternion[..., :3], quaternion[..., :3])),
         np.abs(quaternion[..., 3]),
     )
     return 2.0 * half
 
 
-def rotation_vector(quaternion: Array) -> Array:
+def rotation_vector(quaternion: Floats) -> Floats:
     """Return the rotation vectors (..., 3), at most pi long, of unit quaternions (..., 4)."""
     vector, w = quaternion[..., :3], quaternion[..., 3:]
     length = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
     small = length < 1e-9
     # Of q and -q the one with w >= 0; there the angle is 2 sin(angle / 2) to first order.
     turned = 2.0 * np.arctan2(length, np.abs(w)) / np.where(small, 1.0, length)
-    vectors: Array = np.where(small, 2.0, turned) * np.where(w < 0.0, -vector, vector)
+    vectors: Floats = np.where(small, 2.0, turned) * np.where(w < 0.0, -vector, vector)
     return vectors
 
 
-def from_rotation_vector(vector: Array) -> Array:
+def from_rotation_vector(vector: Floats) -> Floats:
     """Return the quaternions (..., 4) of rotation vectors (..., 3)."""
     x, y, z = (vector[..., i] for i in range(3))
     turned = np.sqrt(x * x + y * y + z * z)
@@ -229,13 +230,13 @@ def from_rotation_vector(vector: Array) -> Array:
         0.5 - squared / 48.0 + squared * squared / 3840.0,
         np.sin(turned / 2.0) / np.where(small, 1.0, turned),
     )
-    quaternion: Array = np.concatenate(
+    quaternion: Floats = np.concatenate(
         [factor[..., None] * vector, np.cos(turned / 2.0)[..., None]], axis=-1
     )
     return quaternion
 
 
-def euler_angles(quaternion: Array) -> Array:
+def euler_angles(quaternion: Floats) -> Floats:
     """Return yaw, pitch and roll (..., 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll).
 
     Bernardes and Viollet, "Quaternion to Euler angles conversion" (2022), as in scipy. Where the
@@ -249,28 +250,28 @@ def euler_angles(quaternion: Array) -> Array:
     yaw = half_sum + half_difference
     yaw = np.where(nadir, 2.0 * half_sum, np.where(zenith, 2.0 * half_difference, yaw))
     roll = np.where(nadir | zenith, 0.0, half_sum - half_difference)
-    angles: Array = np.stack([yaw, above_nadir - np.pi / 2.0, roll], axis=-1)
+    angles: Floats = np.stack([yaw, above_nadir - np.pi / 2.0, roll], axis=-1)
     angles[angles > np.pi] -= 2.0 * np.pi
     angles[angles < -np.pi] += 2.0 * np.pi
     return angles
 
 
-def yaw(quaternion: Array) -> Array:
+def yaw(quaternion: Floats) -> Floats:
     """Return the signed twist about gravity, the z axis (...), in [-pi, pi] rad."""
     z, w = quaternion[..., 2], quaternion[..., 3]
     # q and -q are one rotation; of the two, the one with w >= 0 twists by at most half a turn.
-    twist: Array = 2.0 * np.arctan2(np.where(w < 0.0, -z, z), np.abs(w))
+    twist: Floats = 2.0 * np.arctan2(np.where(w < 0.0, -z, z), np.abs(w))
     return twist
 
 
-def tilt(quaternion: Array) -> Array:
+def tilt(quaternion: Floats) -> Floats:
     """Return the angle (...) in [0, pi] rad between the z axis and its image: roll and pitch."""
     x, y, z, w = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
-    half: Array = np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w))
+    half: Floats = np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w))
     return 2.0 * half
 
 
-def slerp(start: Array, end: Array, fraction: Array) -> Array:
+def slerp(start: Floats, end: Floats, fraction: Floats) -> Floats:
     """Interpolate (N, 4) unit quaternions at the fractions (N,) in [0, 1], the short way round."""
     differences = np.array([start - end, start + end])
     apart, together = np.sqrt(np.einsum("kni,kni->kn", differences, differences))
@@ -282,11 +283,11 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
     weights = np.where(half_angle < 1e-9, weights, np.sin(weights * half_angle))
     weights[1] = np.copysign(weights[1], together - apart)
     mixed = weights[0, :, None] * start + weights[1, :, None] * end
-    unit: Array = mixed / np.sqrt(np.einsum("ni,ni->n", mixed, mixed))[:, None]
+    unit: Floats = mixed / np.sqrt(np.einsum("ni,ni->n", mixed, mixed))[:, None]
     return unit
 
 
-def skew(vector: Array) -> Array:
+def skew(vector: Floats) -> Floats:
     """Return the matrices (..., 3, 3) whose product with x is the cross product `vector` x x."""
     matrix = np.zeros((*vector.shape, 3))
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
@@ -295,15 +296,15 @@ def skew(vector: Array) -> Array:
     return matrix
 
 
-def exp(rotation_vector: Array) -> Array:
+def exp(rotation_vector: Floats) -> Floats:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3): Rodrigues."""
     sine, cosine, _ = _rodrigues(rotation_vector)
     cross = skew(rotation_vector)
-    matrix: Array = np.eye(3) + sine * cross + cosine * (cross @ cross)
+    matrix: Floats = np.eye(3) + sine * cross + cosine * (cross @ cross)
     return matrix
 
 
-def log(matrix: Array) -> Array:
+def log(matrix: Floats) -> Floats:
     """Return the rotation vectors (..., 3), at most pi long, of rotation matrices (..., 3, 3)."""
     cosine = 0.5 * (np.trace(matrix, axis1=-2, axis2=-1) - 1.0)
     axis = 0.5 * np.stack(
@@ -316,40 +317,40 @@ def log(matrix: Array) -> Array:
     )
     sine = np.sqrt(np.einsum("...i,...i->...", axis, axis))
     factor = np.where(sine < 1e-9, 1.0, np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))
-    vectors: Array = factor[..., None] * axis
+    vectors: Floats = factor[..., None] * axis
     far = cosine < -0.9  # where the sine has lost digits; quaternions haven't
     if far.any():
         vectors[far] = rotation_vector(from_matrices(matrix[far]))
     return vectors
 
 
-def yaw_of_matrix(matrix: Array) -> Array:
+def yaw_of_matrix(matrix: Floats) -> Floats:
     """Return the signed twist about gravity (...), rad, of rotation matrices (..., 3, 3).
 
     The same angle as `yaw` of their quaternions: it maximises tr(Rz(a)^T R), and the z component
     of Log(Rz(a)^T R) vanishes.
     """
-    twist: Array = np.arctan2(
+    twist: Floats = np.arctan2(
         matrix[..., 1, 0] - matrix[..., 0, 1], matrix[..., 0, 0] + matrix[..., 1, 1]
     )
     return twist
 
 
-def about_gravity(angle: float) -> Array:
+def about_gravity(angle: float) -> Floats:
     """Return the rotation matrix (3, 3) about gravity, the z axis, by an angle in rad."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def left_jacobian(rotation_vector: Array) -> Array:
+def left_jacobian(rotation_vector: Floats) -> Floats:
     """Return J_l (..., 3, 3) with Exp(v + dv) = Exp(J_l dv) Exp(v); J_r(v) is J_l(-v)."""
     _, cosine, remainder = _rodrigues(rotation_vector)
     cross = skew(rotation_vector)
-    jacobian: Array = np.eye(3) + cosine * cross + remainder * (cross @ cross)
+    jacobian: Floats = np.eye(3) + cosine * cross + remainder * (cross @ cross)
     return jacobian
 
 
-def inverse_left_jacobian(rotation_vector: Array) -> Array:
+def inverse_left_jacobian(rotation_vector: Floats) -> Floats:
     """Return the inverse of J_l (..., 3, 3), for angles below 2 pi."""
     sine, cosine, _ = _rodrigues(rotation_vector)
     squared = np.sum(rotation_vector * rotation_vector, axis=-1)[..., None, None]
@@ -357,11 +358,11 @@ def inverse_left_jacobian(rotation_vector: Array) -> Array:
     series = 1.0 / 12.0 + squared / 720.0 + squared**2 / 30240.0 + squared**3 / 1209600.0
     factor = np.where(small, series, (1.0 - sine / (2.0 * cosine)) / np.where(small, 1.0, squared))
     cross = skew(rotation_vector)
-    jacobian: Array = np.eye(3) - 0.5 * cross + factor * (cross @ cross)
+    jacobian: Floats = np.eye(3) - 0.5 * cross + factor * (cross @ cross)
     return jacobian
 
 
-def _rodrigues(rotation_vector: Array) -> tuple[Array, Array, Array]:
+def _rodrigues(rotation_vector: Floats) -> tuple[Floats, Floats, Floats]:
     """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3, each (..., 1, 1)."""
     squared = np.sum(rotation_vector * rotation_vector, axis=-1)[..., None, None]
     small = squared < 1e-2

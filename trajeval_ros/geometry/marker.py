@@ -6,13 +6,11 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +30,13 @@ class HandEye:
         array([-0.1, -0. , -0.2])
     """
 
-    rotation_xyzw: Array
-    lever_m: Array
+    rotation_xyzw: Floats
+    lever_m: Floats
     body: str = ""
     marker: str = ""
 
     @classmethod
-    def of(cls, rotation_vector: Array | None, lever_m: Array | None) -> HandEye:
+    def of(cls, rotation_vector: Floats | None, lever_m: Floats | None) -> HandEye:
         """Make one of what is known; None for no rotation, or no lever arm."""
         vector = np.zeros(3) if rotation_vector is None else rotation_vector
         lever = np.zeros(3) if lever_m is None else lever_m
@@ -94,7 +92,7 @@ class HandEye:
             accelerometer_biases=self._turned(groundtruth.accelerometer_biases),
         )
 
-    def _turned(self, vectors: Array | None) -> Array | None:
+    def _turned(self, vectors: Floats | None) -> Floats | None:
         return None if vectors is None else lie.rotate(self.rotation_xyzw, vectors)
 
     def of_marker(self, estimate: Trajectory, scale: float, marker: str = "") -> Trajectory:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
+
 _STEPS = 3.0  # of the usual size: what noise explains of a body that hardly moves
 
 
@@ -22,7 +24,7 @@ class Conflicts(NamedTuple):
     largest_m: float
 
 
-def conflicts_of(stamps: NDArray[np.int64], positions: NDArray[np.float64]) -> Conflicts:
+def conflicts_of(stamps: NDArray[np.int64], positions: Floats) -> Conflicts:
     """Compare states of equal stamps with the first one of each stamp.
 
     Stamps that were rounded repeat with different positions, too, but these are between the
@@ -49,8 +51,8 @@ def conflicts_of(stamps: NDArray[np.int64], positions: NDArray[np.float64]) -> C
     return Conflicts(int(np.count_nonzero(conflict)), float(apart_m[conflict].max(initial=0.0)))
 
 
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lengths(vectors: Floats) -> Floats:
     # Positions may not be finite: what uses the states refuses them later.
     with np.errstate(over="ignore", invalid="ignore"):
-        lengths: NDArray[np.float64] = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+        lengths: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
     return lengths

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 
-Array = NDArray[np.float64]
 # Squared angle below which series replace closed forms that cancel.
 _SMALL = 0.04
 
 
-def poses(rotations: Array, positions: Array) -> Array:
+def poses(rotations: Floats, positions: Floats) -> Floats:
     """Return the matrices (..., 4, 4) of rotations (..., 3, 3) and positions (..., 3)."""
     shape = np.broadcast_shapes(rotations.shape[:-2], positions.shape[:-1])
     matrices = np.zeros((*shape, 4, 4))
@@ -29,88 +29,88 @@ def poses(rotations: Array, positions: Array) -> Array:
     return matrices
 
 
-def inverse(pose: Array) -> Array:
+def inverse(pose: Floats) -> Floats:
     """Return the inverse motions (..., 4, 4)."""
     turned = transposed(pose[..., :3, :3])
     return poses(turned, -times(turned, pose[..., :3, 3]))
 
 
-def exp(twist: Array) -> Array:
+def exp(twist: Floats) -> Floats:
     """Return the poses (..., 4, 4) of twists (..., 6)."""
     translation, rotation = twist[..., :3], twist[..., 3:]
     return poses(lie.exp(rotation), times(lie.left_jacobian(rotation), translation))
 
 
-def log(pose: Array) -> Array:
+def log(pose: Floats) -> Floats:
     """Return the twists (..., 6) of poses (..., 4, 4), rotations at most pi."""
     rotation = lie.log(pose[..., :3, :3])
     translation = times(lie.inverse_left_jacobian(rotation), pose[..., :3, 3])
     return np.concatenate([translation, rotation], axis=-1)
 
 
-def adjoint(pose: Array) -> Array:
+def adjoint(pose: Floats) -> Floats:
     """Return Ad_T (..., 6, 6): T Exp(x) = Exp(Ad_T x) T, eq. (2), of determinant 1."""
     rotation = pose[..., :3, :3]
     return _triangular(rotation, lie.skew(pose[..., :3, 3]) @ rotation)
 
 
-def left_jacobian(twist: Array) -> Array:
+def left_jacobian(twist: Floats) -> Floats:
     """Return J_l (..., 6, 6) with Exp(x + d) = Exp(J_l d) Exp(x); J_r(x) is J_l(-x)."""
     return _triangular(lie.left_jacobian(twist[..., 3:]), _coupling(twist))
 
 
-def inverse_left_jacobian(twist: Array) -> Array:
+def inverse_left_jacobian(twist: Floats) -> Floats:
     """Return the inverse of J_l (..., 6, 6), for angles below 2 pi."""
     turn = lie.inverse_left_jacobian(twist[..., 3:])
     return _triangular(turn, -turn @ _coupling(twist) @ turn)
 
 
-def log_determinant(rotation: Array) -> Array:
+def log_determinant(rotation: Floats) -> Floats:
     """Return log |det J| (...) of SO(3) at rotation vectors (..., 3); SE(3)'s is twice it."""
     squared = np.sum(rotation * rotation, axis=-1)
     half = np.sqrt(squared) / 2.0
     # (sin(t/2) / (t/2))^2, which numpy's sinc has without a division by zero.
-    determinant: Array = 2.0 * np.log(np.abs(np.sinc(half / np.pi)))
+    determinant: Floats = 2.0 * np.log(np.abs(np.sinc(half / np.pi)))
     return determinant
 
 
-def log_determinant_gradient(rotation: Array) -> Array:
+def log_determinant_gradient(rotation: Floats) -> Floats:
     """Return the gradient (..., 3) of `log_determinant`: (cot(t/2) - 2/t) / t times the vector."""
     squared = np.sum(rotation * rotation, axis=-1)[..., None]
     small = squared < 1e-2
     angle = np.sqrt(np.where(small, 1.0, squared))
     series = -(1.0 + squared / 60.0 * (1.0 + squared / 42.0 * (1.0 + squared / 40.0))) / 6.0
     closed = (1.0 / np.tan(angle / 2.0) - 2.0 / angle) / angle
-    gradient: Array = np.where(small, series, closed) * rotation
+    gradient: Floats = np.where(small, series, closed) * rotation
     return gradient
 
 
-def transposed(matrices: Array) -> Array:
+def transposed(matrices: Floats) -> Floats:
     """Return the transposes of the last two axes."""
     return np.swapaxes(matrices, -1, -2)
 
 
-def times(matrices: Array, vectors: Array) -> Array:
+def times(matrices: Floats, vectors: Floats) -> Floats:
     """Return the products (..., n) of matrices (..., n, m) and vectors (..., m)."""
-    product: Array = (matrices @ vectors[..., None])[..., 0]
+    product: Floats = (matrices @ vectors[..., None])[..., 0]
     return product
 
 
-def congruent(matrices: NDArray[Any], covariances: Array) -> Array:
+def congruent(matrices: NDArray[Any], covariances: Floats) -> Floats:
     """Return A S A^T (..., n, n), symmetric to the last bit."""
     carried = matrices @ covariances @ transposed(matrices)
-    symmetric: Array = 0.5 * (carried + transposed(carried))
+    symmetric: Floats = 0.5 * (carried + transposed(carried))
     return symmetric
 
 
-def _triangular(diagonal: Array, corner: Array) -> Array:
+def _triangular(diagonal: Floats, corner: Floats) -> Floats:
     blocks = np.zeros((*diagonal.shape[:-2], 6, 6))
     blocks[..., :3, :3] = blocks[..., 3:, 3:] = diagonal
     blocks[..., :3, 3:] = corner
     return blocks
 
 
-def _coupling(twist: Array) -> Array:
+def _coupling(twist: Floats) -> Floats:
     """Return the block Q (..., 3, 3) of J_l (Barfoot, State Estimation for Robotics, eq. 7.86)."""
     r, f = lie.skew(twist[..., :3]), lie.skew(twist[..., 3:])
     s = np.sum(np.square(twist[..., 3:]), axis=-1)[..., None, None]
@@ -136,7 +136,7 @@ def _coupling(twist: Array) -> Array:
     )
     fr, rf = f @ r, r @ f
     frf = fr @ f
-    coupling: Array = (
+    coupling: Floats = (
         0.5 * r
         + third * (fr + rf + frf)
         + fourth * (f @ fr + rf @ f - 3.0 * frf)

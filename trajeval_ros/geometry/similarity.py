@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +31,8 @@ class Similarity:
         True
     """
 
-    rotation: Array
-    translation: Array
+    rotation: Floats
+    translation: Floats
     scale: float = 1.0
 
     @classmethod
@@ -43,16 +41,16 @@ class Similarity:
         return cls(np.eye(3), np.zeros(3))
 
     @cached_property
-    def linear(self) -> Array:
+    def linear(self) -> Floats:
         """The scaled rotation, (3, 3)."""
         return self.scale * self.rotation
 
-    def positions(self, points: Array) -> Array:
+    def positions(self, points: Floats) -> Floats:
         """Return the points, (N, 3) or one (3,), transformed."""
-        moved: Array = points @ self.linear.T + self.translation
+        moved: Floats = points @ self.linear.T + self.translation
         return moved
 
-    def quaternions(self, quaternions: Array) -> Array:
+    def quaternions(self, quaternions: Floats) -> Floats:
         """Return the rotations, (N, 4) xyzw, turned: R_i -> R R_i."""
         turn = lie.from_matrix(self.rotation)
         return lie.by_blocks(lambda rows: (lie.multiply(turn, rows),), quaternions)[0]
@@ -71,12 +69,12 @@ class Similarity:
             matrices=None,
         )
 
-    def vectors(self, vectors: Array) -> Array:
+    def vectors(self, vectors: Floats) -> Floats:
         """Return free vectors (N, 3), such as velocities, scaled and turned."""
-        turned: Array = vectors @ self.linear.T
+        turned: Floats = vectors @ self.linear.T
         return turned
 
     @property
-    def rotation_xyzw(self) -> Array:
+    def rotation_xyzw(self) -> Floats:
         """The rotation as a quaternion with w >= 0, (4,)."""
         return lie.from_matrix(self.rotation)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
 
 if TYPE_CHECKING:
@@ -77,14 +78,14 @@ class Trajectory:
     """
 
     stamps: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    quaternions: NDArray[np.float64] | None = None
-    velocities: NDArray[np.float64] | None = None
-    gyroscope_biases: NDArray[np.float64] | None = None
-    accelerometer_biases: NDArray[np.float64] | None = None
-    covariances: NDArray[np.float64] | None = None
+    positions: Floats
+    quaternions: Floats | None = None
+    velocities: Floats | None = None
+    gyroscope_biases: Floats | None = None
+    accelerometer_biases: Floats | None = None
+    covariances: Floats | None = None
     frames: NDArray[np.int64] | None = None
-    matrices: NDArray[np.float64] | None = None
+    matrices: Floats | None = None
     frame: str = ""
     child_frame: str = ""
     name: str = ""
@@ -148,7 +149,7 @@ class Trajectory:
         judge.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
-        quaternion_rows: NDArray[np.float64] | None = None
+        quaternion_rows: Floats | None = None
         if quaternions is not None:
             quaternion_rows = np.asarray(quaternions, dtype=np.float64)
         finite, nonzero = judge_poses(position_rows, quaternion_rows)
@@ -201,7 +202,7 @@ class Trajectory:
             parts.append(f"{self.child_frame or '?'} in {self.frame or '?'}")
         return f"<Trajectory {', '.join(parts)}>"
 
-    def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Trajectory:
+    def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Trajectory:
         """Return the states of a slice, a mask or an array of indices; of all of them, self."""
         if isinstance(rows, np.ndarray) and len(rows) == len(self):
             everything = rows if rows.dtype == bool else rows == np.arange(len(self))
@@ -213,9 +214,9 @@ class Trajectory:
         return dataclasses.replace(self, **picked)
 
     @property
-    def seconds(self) -> NDArray[np.float64]:
+    def seconds(self) -> Floats:
         """Time since the first state, (N,), seconds."""
-        since: NDArray[np.float64] = (self.stamps - self.stamps[0]) / NANOSECONDS
+        since: Floats = (self.stamps - self.stamps[0]) / NANOSECONDS
         return since
 
     @property
@@ -224,7 +225,7 @@ class Trajectory:
         return float(self.stamps.max() - self.stamps.min()) / NANOSECONDS if len(self) else 0.0
 
     @property
-    def travelled(self) -> NDArray[np.float64]:
+    def travelled(self) -> Floats:
         """Distance travelled up to each state along the straight lines between them, (N,), m."""
         return travelled_distance(self.positions)
 
@@ -296,9 +297,7 @@ class Trajectory:
             )
 
 
-def judge_poses(
-    positions: NDArray[np.float64], quaternions: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
     """Return which rows are finite, (N,), and which have a quaternion of some length, (N,).
 
     An estimate that has diverged may have numbers that are finite, but whose squares are not: they
@@ -317,7 +316,7 @@ def judge_poses(
     return finite, squared_length > _SHORTEST**2
 
 
-def travelled_distance(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def travelled_distance(positions: Floats) -> Floats:
     """Return the distance travelled up to each of the positions (N, 3), (N,), metres."""
     steps = np.diff(positions, axis=0)
     lengths = np.sqrt(np.einsum("ni,ni->n", steps, steps))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 _UNIT_TOLERANCE = 0.01  # of a quaternion's length; files with few decimals stay within
 _EPOCH = 10**17  # ns: stamps above are times since 1970, among which a zero is no time
@@ -22,7 +23,7 @@ def nearest(wanted: str, names: Collection[str]) -> str:
     return ", ".join(near) + more if near else "none"
 
 
-def check_stamps(stamps: NDArray[np.int64], where: str) -> NDArray[np.bool_]:
+def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:
     """Return which of the stamps (N,) are times, as `times` does.
 
     Raises:
@@ -40,7 +41,7 @@ def check_stamps(stamps: NDArray[np.int64], where: str) -> NDArray[np.bool_]:
     return times(stamps)
 
 
-def times(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+def times(stamps: NDArray[np.int64]) -> Booleans:
     """Return which of the stamps (N,) are times: a zero among times since 1970 is none."""
     if len(stamps) and np.median(stamps) > _EPOCH:
         return np.asarray(stamps != 0)
@@ -48,8 +49,8 @@ def times(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def judge_rotations(
-    quaternions: NDArray[np.float64] | None,
-) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+    quaternions: Floats | None,
+) -> tuple[Floats | None, tuple[str, ...]]:
     """Return the quaternions (N, 4), xyzw, if they say anything, and what to tell about them."""
     if quaternions is None:
         return None, ("there are no rotations: rotation metrics are withheld",)

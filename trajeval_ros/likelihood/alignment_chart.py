@@ -10,21 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.gauge import Gauge
 
-Array = NDArray[np.float64]
 
-
-def scales(elements: Array) -> Array:
+def scales(elements: Floats) -> Floats:
     """Return the scales (...) of elements (..., 4, 4)."""
     return np.asarray(np.linalg.norm(elements[..., 0, :3], axis=-1))
 
 
-def act(elements: Array, poses: Array) -> Array:
+def act(elements: Floats, poses: Floats) -> Floats:
     """Return poses moved by elements, arrays (..., 4, 4) that broadcast."""
     moved = elements @ poses
     moved[..., :3, :3] /= scales(elements)[..., None, None]
@@ -41,7 +39,7 @@ class Chart:
     """
 
     gauge: Gauge
-    centre: Array
+    centre: Floats
 
     def __post_init__(self) -> None:
         """Refuse a plane, which has no twists of six."""
@@ -51,7 +49,7 @@ class Chart:
             )
 
     @property
-    def axes(self) -> Array:
+    def axes(self) -> Floats:
         """The axes (0, 1 or 3, 3) of phi."""
         if self.gauge.turns_freely:
             return np.eye(3)
@@ -68,7 +66,7 @@ class Chart:
         """Length of delta: 0, 3, 4, 6 or 7."""
         return int(self.turns.stop) + int(self.gauge.has_scale)
 
-    def elements(self, deltas: Array) -> Array:
+    def elements(self, deltas: Floats) -> Floats:
         """Return the elements (K, 4, 4) at coordinates (K, d)."""
         count = len(deltas)
         linear = lie.exp(deltas[:, self.turns] @ self.axes)
@@ -77,7 +75,7 @@ class Chart:
         shift = deltas[:, :3] if self.gauge.has_translation else np.zeros((count, 3))
         return se3.poses(linear, self.centre + shift - linear @ self.centre)
 
-    def twists(self, positions: Array) -> Array:
+    def twists(self, positions: Floats) -> Floats:
         """Return how delta moves bodies at positions (M, 3), as twists on the left, (M, 6, d)."""
         moves = np.zeros((len(positions), 6, self.dimension))
         if self.gauge.has_translation:
@@ -88,7 +86,7 @@ class Chart:
             moves[:, :3, -1] = positions - self.centre
         return moves
 
-    def log_measure(self, deltas: Array) -> Array:
+    def log_measure(self, deltas: Floats) -> Floats:
         """Return the logarithm (K,) of the right Haar measure's density at (K, d).
 
         Yaw and translation, and log scale, are uniform; SO(3) is not in rotation vectors.
@@ -97,8 +95,8 @@ class Chart:
             return np.zeros(len(deltas))
         return se3.log_determinant(deltas[:, self.turns])
 
-    def within(self, deltas: Array) -> NDArray[np.bool_]:
+    def within(self, deltas: Floats) -> Booleans:
         """Return which coordinates (K, d) turn by at most pi: each rotation counts once."""
         angles = np.linalg.norm(deltas[:, self.turns], axis=1)
-        inside: NDArray[np.bool_] = angles <= np.pi
+        inside: Booleans = angles <= np.pi
         return inside

@@ -18,6 +18,7 @@ from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood import relative_density
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.association import Association
     from trajeval_ros.metrics.evaluation import Evaluation
 
-Array = NDArray[np.float64]
 
 # How far stamps of two sensors, and the mounting between them, are off at the least. Added to what
 # the groundtruth's model says, it keeps likelihoods finite where that is very sure.
@@ -183,7 +183,7 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
     ]
 
 
-def _poses_of(pairs: Association, oriented: bool) -> Array:
+def _poses_of(pairs: Association, oriented: bool) -> Floats:
     rotations = np.broadcast_to(np.eye(3), (len(pairs), 3, 3))
     if oriented:
         assert pairs.estimate.quaternions is not None

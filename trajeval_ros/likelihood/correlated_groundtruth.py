@@ -10,18 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior, ObservedPosterior
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
 from trajeval_ros.likelihood.mode import unit_diagonal
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
-
-Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 30
 _SMALL_STEP = 1e-8
@@ -39,15 +37,15 @@ class CorrelatedGroundtruth:
         rotations: That of rotations; None where the groundtruth, or the estimate, has none.
     """
 
-    poses: Array
+    poses: Floats
     positions: ObservedPosterior
     rotations: ObservedPosterior | None
 
     @classmethod
-    def of(cls, model: MarkovPoses, times: Array, tolerance: Noise) -> CorrelatedGroundtruth:
+    def of(cls, model: MarkovPoses, times: Floats, tolerance: Noise) -> CorrelatedGroundtruth:
         """Ask a model for times (Q,), seconds, within those of its samples."""
 
-        def added(sigma: float) -> Array:
+        def added(sigma: float) -> Floats:
             return np.tile(sigma**2 * np.eye(3), (len(times), 1, 1))
 
         positions = JointPosterior.of(model.positions.process, times)
@@ -61,7 +59,7 @@ class CorrelatedGroundtruth:
 
 
 def joint_log_likelihood(
-    groundtruth: CorrelatedGroundtruth, estimate: Array, gauge: Gauge, start: Array
+    groundtruth: CorrelatedGroundtruth, estimate: Floats, gauge: Gauge, start: Floats
 ) -> float:
     """Return log L_AE, nats, by Laplace's approximation under right Haar measure.
 
@@ -97,18 +95,18 @@ def joint_log_likelihood(
     return value
 
 
-def _apart(groundtruth: CorrelatedGroundtruth, moved: Array) -> Array:
-    difference: Array = moved[:, :3, 3] - groundtruth.poses[:, :3, 3]
+def _apart(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
+    difference: Floats = moved[:, :3, 3] - groundtruth.poses[:, :3, 3]
     return difference
 
 
-def _turns(groundtruth: CorrelatedGroundtruth, moved: Array) -> Array:
+def _turns(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
     return lie.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ moved[:, :3, :3])
 
 
 def _normal_equations(
-    groundtruth: CorrelatedGroundtruth, moved: Array, chart: Chart
-) -> tuple[Array, Array]:
+    groundtruth: CorrelatedGroundtruth, moved: Floats, chart: Chart
+) -> tuple[Floats, Floats]:
     """Return the information (d, d) and gradient (d,) of the log density by an alignment."""
     twists = chart.twists(moved[:, :3, 3])
     by_delta = twists[:, :3] - lie.skew(moved[:, :3, 3]) @ twists[:, 3:]

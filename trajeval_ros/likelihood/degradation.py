@@ -6,14 +6,12 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # From an end of a stretch that has one dropout, so that neither two meet nor an end is lost.
 _MARGIN_S = 1.0
@@ -80,7 +78,7 @@ class Degradation:
             matrices=None,
         )
 
-    def _lost(self, times: Array, end: float, random: np.random.Generator) -> NDArray[np.bool_]:
+    def _lost(self, times: Floats, end: float, random: np.random.Generator) -> Booleans:
         """Return which times (N,), seconds, are in a dropout."""
         lost = np.zeros(len(times), dtype=bool)
         if not self.dropouts:

@@ -12,17 +12,15 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, ndtri
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import act
 from trajeval_ros.likelihood.mode import Mode, find_mode
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
-
-Array = NDArray[np.float64]
 
 METHODS = ("auto", "laplace", "importance", "quadrature")
 # Where differences of gradients are worth their time: they change a score by less than 1e-5 nats
@@ -51,7 +49,7 @@ class AbsoluteErrorDensity:
 
     residuals: Residuals
     mode: Mode
-    information: Array
+    information: Floats
     log_likelihood: float
     method: str
     effective_share: float | None = None
@@ -63,17 +61,17 @@ class AbsoluteErrorDensity:
         return -self.log_likelihood / len(self.residuals)
 
     @property
-    def covariance(self) -> Array:
+    def covariance(self) -> Floats:
         """Of the alignment in its chart, (d, d)."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         scaled = np.linalg.inv(self.information * scale * scale[:, None])
-        covariance: Array = scaled * scale * scale[:, None]
+        covariance: Floats = scaled * scale * scale[:, None]
         return covariance
 
     @property
-    def mahalanobis2(self) -> Array:
+    def mahalanobis2(self) -> Floats:
         """Squared Mahalanobis distances (M,) of the aligned poses."""
-        squared: Array = np.square(self.mode.slope.whitened).sum(axis=1)
+        squared: Floats = np.square(self.mode.slope.whitened).sum(axis=1)
         return squared
 
     @property
@@ -87,7 +85,7 @@ class AbsoluteErrorDensity:
         return float(self.mahalanobis2.sum()) / self.dof
 
     @property
-    def per_axis(self) -> Array:
+    def per_axis(self) -> Floats:
         """Mean squared error by variance (k,) of each axis of the body, translation first."""
         squared = np.square(self.residuals.at(self.mode.element))
         ratio = squared / np.einsum("nii->ni", self.residuals.covariances)
@@ -131,7 +129,7 @@ def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> Ab
     )
 
 
-def laplace(mode: Mode, information: Array) -> float:
+def laplace(mode: Mode, information: Floats) -> float:
     """Return the log integral of a Gaussian with a mode's value and curvature."""
     return (
         mode.log_density
@@ -140,7 +138,7 @@ def laplace(mode: Mode, information: Array) -> float:
     )
 
 
-def full_information(residuals: Residuals, mode: Mode) -> Array:
+def full_information(residuals: Residuals, mode: Mode) -> Floats:
     """Return minus the second derivatives (d, d) at a mode, by differences of the gradient."""
     size = residuals.chart.dimension
     # Aligned once, the estimate is rounded once: differences are of one and the same function.
@@ -155,7 +153,7 @@ def full_information(residuals: Residuals, mode: Mode) -> Array:
             gradients.append(residuals.slope(residuals.chart.elements(delta)[0]).gradient)
         near, far = gradients[0] - gradients[1], gradients[2] - gradients[3]
         information[axis] = (far - 8.0 * near) / (12.0 * steps[axis])
-    symmetric: Array = 0.5 * (information + information.T)
+    symmetric: Floats = 0.5 * (information + information.T)
     return symmetric
 
 
@@ -192,7 +190,7 @@ def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:
     return _log_sum(values) - float(np.log(_DRAWS)) + _log_root(error), share
 
 
-def _log_values(error: AbsoluteErrorDensity, white: Array) -> Array:
+def _log_values(error: AbsoluteErrorDensity, white: Floats) -> Floats:
     """Return the log integrand (K,) at white coordinates (K, d) about the mode."""
     chart = error.residuals.chart
     variances, vectors = np.linalg.eigh(error.information)
@@ -208,7 +206,7 @@ def _log_root(error: AbsoluteErrorDensity) -> float:
     return -0.5 * float(np.linalg.slogdet(error.information)[1])
 
 
-def _log_sum(values: Array) -> float:
+def _log_sum(values: Floats) -> float:
     largest = float(values.max())
     return largest + float(np.log(np.exp(values - largest).sum()))
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.likelihood.residuals import Residuals, Slope
-
-Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 100
 # Stop where the next step is so small a share of the alignment's own uncertainty.
@@ -31,7 +29,7 @@ class Mode:
         slope: There.
     """
 
-    element: Array
+    element: Floats
     log_density: float
     slope: Slope
 
@@ -68,7 +66,7 @@ def find_mode(residuals: Residuals) -> Mode:
     return Mode(element, value, residuals.slope(element))
 
 
-def unit_diagonal(information: Array) -> Array:
+def unit_diagonal(information: Floats) -> Floats:
     """Return what scales an information matrix (d, d) to a unit diagonal, (d,).
 
     Raises:
@@ -76,7 +74,7 @@ def unit_diagonal(information: Array) -> Array:
     """
     diagonal = np.diag(information)
     if (diagonal > 0.0).all():
-        scale: Array = 1.0 / np.sqrt(diagonal)
+        scale: Floats = 1.0 / np.sqrt(diagonal)
         if np.linalg.eigvalsh(information * scale * scale[:, None])[0] > _UNSEEN:
             return scale
     raise DegenerateGeometryError(
@@ -86,7 +84,7 @@ def unit_diagonal(information: Array) -> Array:
     )
 
 
-def _first_alignment(residuals: Residuals) -> Array:
+def _first_alignment(residuals: Residuals) -> Floats:
     """Return an alignment to start from: rotations and positions, each by its mean variance."""
     gauge, covariances = residuals.gauge, residuals.covariances
     truth, other = residuals.belief.poses, residuals.estimate

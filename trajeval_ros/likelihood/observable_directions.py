@@ -12,17 +12,15 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import scales
 from trajeval_ros.likelihood.marginal import AbsoluteErrorDensity, generalised_absolute_error
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
     return _condition(tilt, error.covariance[3:5, 3:5])
 
 
-def _condition(values: Array, covariance: Array) -> Condition:
+def _condition(values: Floats, covariance: Floats) -> Condition:
     squared = float(values @ np.linalg.solve(covariance, values))
     determinant = float(np.linalg.slogdet(covariance)[1])
     return Condition(

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.block_tridiagonal import Factor
-
-Array = NDArray[np.float64]
 
 LOG_2_PI = float(np.log(2.0 * np.pi))
 
@@ -31,8 +29,8 @@ class RelativeErrorDensity:
         whitened: (M - 1, 6), each edge's surprise given those before it, of unit variance.
     """
 
-    edges: Array
-    whitened: Array
+    edges: Floats
+    whitened: Floats
 
     @property
     def log_likelihood(self) -> float:
@@ -40,29 +38,29 @@ class RelativeErrorDensity:
         return float(self.edges.sum())
 
 
-def relative_poses(poses: Array) -> Array:
+def relative_poses(poses: Floats) -> Floats:
     """Return T_i^-1 T_{i+1} (M - 1, 4, 4): eq. (10) of groundtruth, eq. (11) of an estimate."""
-    steps: Array = se3.inverse(poses[:-1]) @ poses[1:]
+    steps: Floats = se3.inverse(poses[:-1]) @ poses[1:]
     return steps
 
 
-def transports(poses: Array) -> Array:
+def transports(poses: Floats) -> Floats:
     """Return B_i = Ad(T_{i+1}^-1 T_i), (M - 1, 6, 6), of groundtruth poses (M, 4, 4)."""
     return se3.adjoint(se3.inverse(relative_poses(poses)))
 
 
-def stepwise(carriers: Array, perturbations: Array) -> Array:
+def stepwise(carriers: Floats, perturbations: Floats) -> Floats:
     """Return Q xi, xi_{i+1} - B_i xi_i, (M - 1, 6): eq. (14), the first order of eq. (13).
 
     Args:
         carriers: B_i, (M - 1, 6, 6), as `transports` has them.
         perturbations: (M, 6), or residuals.
     """
-    steps: Array = perturbations[1:] - se3.times(carriers, perturbations[:-1])
+    steps: Floats = perturbations[1:] - se3.times(carriers, perturbations[:-1])
     return steps
 
 
-def relative_covariance(carriers: Array, covariances: Array) -> tuple[Array, Array]:
+def relative_covariance(carriers: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     """Return the blocks of V_r = Q V Q^T, eq. (15).
 
     Args:
@@ -76,12 +74,12 @@ def relative_covariance(carriers: Array, covariances: Array) -> tuple[Array, Arr
     return diagonal, -carriers[1:] @ covariances[1:-1]
 
 
-def relative_errors(poses: Array, estimate: Array) -> Array:
+def relative_errors(poses: Floats, estimate: Floats) -> Floats:
     """Return e_i (M - 1, 6) of groundtruth and estimated poses (M, 4, 4): eq. (16)."""
     return se3.log(se3.inverse(relative_poses(poses)) @ relative_poses(estimate))
 
 
-def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeErrorDensity:
+def generalised_relative_error(belief: Belief, estimate: Floats) -> RelativeErrorDensity:
     """Return P_RE, eq. (17), in O(M); by eq. (29) it is the first-order absolute error, too.
 
     Its parts of second order add up along the way: at 1 deg and a thousand poses it is off by a
@@ -97,7 +95,7 @@ def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeError
     return decomposed(belief, relative_errors(belief.poses, estimate))
 
 
-def decomposed(belief: Belief, differences: Array) -> RelativeErrorDensity:
+def decomposed(belief: Belief, differences: Floats) -> RelativeErrorDensity:
     """Return the log density of differences (M - 1, 6) of relative poses, edge by edge.
 
     Args:

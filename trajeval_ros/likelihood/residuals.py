@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
-
-Array = NDArray[np.float64]
 
 # Rows that stay in a core's cache, and poses times alignments that fit in memory.
 _ROWS, _MOST_AT_ONCE = 8192, 1 << 18
@@ -31,9 +29,9 @@ class Slope:
         whitened: (M, k), residuals of unit variance.
     """
 
-    gradient: Array
-    information: Array
-    whitened: Array
+    gradient: Floats
+    information: Floats
+    whitened: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +49,7 @@ class Residuals:
     """
 
     belief: Belief
-    estimate: Array
+    estimate: Floats
     gauge: Gauge
     oriented: bool = True
 
@@ -70,12 +68,12 @@ class Residuals:
         return Chart(self.gauge, self.belief.poses[:, :3, 3].mean(axis=0))
 
     @cached_property
-    def covariances(self) -> Array:
+    def covariances(self) -> Floats:
         """Of the residuals, (M, k, k)."""
         return self.belief.covariances[:, : self.axes, : self.axes]
 
     @cached_property
-    def root(self) -> Array:
+    def root(self) -> Floats:
         """W (M, k, k) with W S W^T = 1.
 
         Raises:
@@ -95,14 +93,14 @@ class Residuals:
         return float(np.log(roots).sum()) - 0.5 * self.axes * len(self) * LOG_2_PI
 
     @cached_property
-    def _inverse(self) -> Array:
+    def _inverse(self) -> Floats:
         return se3.inverse(self.belief.poses)
 
     @cached_property
-    def _carried(self) -> Array:
+    def _carried(self) -> Floats:
         return se3.adjoint(self._inverse)
 
-    def at(self, elements: Array) -> Array:
+    def at(self, elements: Floats) -> Floats:
         """Return eps_i (..., M, k), eq. (20), for alignments (..., 4, 4).
 
         Positions alone are compared along the body's axes, as covariances are given.
@@ -110,7 +108,7 @@ class Residuals:
         missed = self._inverse @ act(elements[..., None, :, :], self.estimate)
         return se3.log(missed) if self.oriented else missed[..., :3, 3]
 
-    def log_density(self, elements: Array) -> Array:
+    def log_density(self, elements: Floats) -> Floats:
         """Return log p(X | X_gt, g) (K,), eq. (18), for alignments (K, 4, 4)."""
         values = np.empty(len(elements))
         block = max(1, _MOST_AT_ONCE // len(self))
@@ -123,7 +121,7 @@ class Residuals:
                 values[some] -= 2.0 * se3.log_determinant(residuals[..., 3:]).sum(axis=1)
         return values
 
-    def slope(self, element: Array) -> Slope:
+    def slope(self, element: Floats) -> Slope:
         """Return gradient and information at one alignment (4, 4).
 
         d eps_i / d delta = J_l^-1(eps_i) Ad(T_i)^-1 G_i, exactly.

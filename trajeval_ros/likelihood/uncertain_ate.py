@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.weighted_alignment import weighted_errors
-
-Array = NDArray[np.float64]
 
 # A pose is well supported where its groundtruth is better known than half of the error, or about
 # as well as a sample is.
@@ -42,7 +40,7 @@ class UncertainAte:
 
     weighted_m: float
     supported_m: float | None
-    supported: NDArray[np.bool_]
+    supported: Booleans
     interval_m: tuple[float, float] | None
 
     @property
@@ -52,9 +50,9 @@ class UncertainAte:
 
 
 def uncertain_ate(
-    groundtruth: Array,
-    covariances: Array,
-    estimate: Array,
+    groundtruth: Floats,
+    covariances: Floats,
+    estimate: Floats,
     gauge: Gauge | None,
     sample_sigma_m: float,
     joint: JointPosterior,
@@ -90,7 +88,7 @@ def uncertain_ate(
 
 
 def _explained_variance(
-    covariances: Array, supported: NDArray[np.bool_], errors: Array, joint: JointPosterior
+    covariances: Floats, supported: Booleans, errors: Floats, joint: JointPosterior
 ) -> float:
     """Return the variance of mean(2 e.x + |x|^2) over supported poses, x the groundtruth's error.
 
@@ -99,7 +97,7 @@ def _explained_variance(
     """
     own = np.linalg.cholesky(covariances)
     theirs = np.asarray(np.linalg.inv(np.linalg.cholesky(joint.marginals())))
-    scaling: Array = (own @ theirs) * supported[:, None, None]
+    scaling: Floats = (own @ theirs) * supported[:, None, None]
     signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(*errors.shape, _PROBES))
     vectors = np.concatenate([errors[..., None], signs], axis=2)
     products = scaling @ joint.times(se3.transposed(scaling) @ vectors)
@@ -108,7 +106,7 @@ def _explained_variance(
     return (linear + quadratic) / float(np.count_nonzero(supported)) ** 2
 
 
-def _variance_of_mean(values: Array) -> float:
+def _variance_of_mean(values: Floats) -> float:
     """Return the variance of the mean of values that are alike along the way, by stretches."""
     means = [float(each.mean()) for each in np.array_split(values, _STRETCHES) if len(each)]
     return float(np.var(means, ddof=1)) / len(means) if len(means) > 1 else 0.0

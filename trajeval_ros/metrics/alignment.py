@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.metrics.moments import Moments
-
-Array = NDArray[np.float64]
 
 # Below this ratio of squared lengths a direction is rounding, not motion.
 _ROUNDING = 1e-12
@@ -122,22 +120,22 @@ def solve(gauge: Gauge, moments: Moments) -> AlignmentSolution:
     )
 
 
-def _is_mirrored(orthogonal: Array) -> bool:
+def _is_mirrored(orthogonal: Floats) -> bool:
     """Return whether an orthogonal matrix (3, 3) has the determinant -1."""
     (a, b, c), (d, e, f), (g, h, i) = orthogonal.tolist()
     return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0)
 
 
-def _mean_to_mean(rotation: Array, scale: float, moments: Moments) -> Similarity:
+def _mean_to_mean(rotation: Floats, scale: float, moments: Moments) -> Similarity:
     """Return the similarity of a rotation and scale with the translation of line 10 of Alg. 1."""
     return Similarity(rotation, moments.mean_difference(scale * rotation), scale)
 
 
 def align(
     gauge: Gauge | str,
-    groundtruth: Array,
-    estimate: Array,
-    weights: Array | None = None,
+    groundtruth: Floats,
+    estimate: Floats,
+    weights: Floats | None = None,
 ) -> Alignment:
     """Align N estimated positions with the groundtruth's (Alg. 1, or with eq. 18), (N, 3) each.
 
@@ -174,7 +172,7 @@ def align(
     return Alignment(solution.similarity, count, solution.undetermined)
 
 
-def _require_motion(who: str, positions: Array) -> None:
+def _require_motion(who: str, positions: Floats) -> None:
     extent = max(float(np.ptp(positions[:, axis])) for axis in range(3))
     if extent <= _ROUNDING * max(1.0, float(np.abs(positions[0]).max())):
         raise DegenerateGeometryError(
@@ -186,10 +184,10 @@ def _require_motion(who: str, positions: Array) -> None:
 
 def align_first(
     gauge: Gauge,
-    groundtruth_position: Array,
-    groundtruth_quaternion: Array | None,
-    estimate_position: Array,
-    estimate_quaternion: Array | None,
+    groundtruth_position: Floats,
+    groundtruth_quaternion: Floats | None,
+    estimate_position: Floats,
+    estimate_quaternion: Floats | None,
 ) -> Alignment:
     """Align by a single state: eq. (19), for yaw with the rotation of eq. (20).
 

@@ -19,6 +19,7 @@ from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
 from trajeval_ros.metrics.coverage import coverage_of, time_without_gaps
 from trajeval_ros.metrics.evo_association import match
@@ -28,7 +29,6 @@ from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
 
-Indices = NDArray[np.int64]
 _ROUNDS = 8
 _LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
 METHODS = ("linear", "continuous", "nearest", "rpg", "evo", "index")
@@ -224,15 +224,15 @@ class Bracket:
 
     start: Indices
     end: Indices
-    fraction: NDArray[np.float64]
-    early: NDArray[np.bool_]
-    late: NDArray[np.bool_]
-    gap: NDArray[np.bool_]
+    fraction: Floats
+    early: Booleans
+    late: Booleans
+    gap: Booleans
 
     @property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Booleans:
         """Whether there is a state on, or are states on both sides of, each stamp."""
-        usable: NDArray[np.bool_] = ~(self.early | self.late | self.gap)
+        usable: Booleans = ~(self.early | self.late | self.gap)
         return usable
 
     def dropped(self) -> dict[str, int]:
@@ -259,15 +259,15 @@ def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket
 
 
 def mix(
-    column: NDArray[np.float64] | None,
+    column: Floats | None,
     start: Indices,
     end: Indices,
-    fraction: NDArray[np.float64],
-) -> NDArray[np.float64] | None:
+    fraction: Floats,
+) -> Floats | None:
     """Return a column (M, k) interpolated linearly between its rows, (N, k)."""
     if column is None:
         return None
-    mixed: NDArray[np.float64] = column[start] + fraction[:, None] * (column[end] - column[start])
+    mixed: Floats = column[start] + fraction[:, None] * (column[end] - column[start])
     return mixed
 
 
@@ -341,12 +341,12 @@ def _evo(
 _NEAREST = {"nearest": _one_to_one, "rpg": _one_to_one, "evo": _evo}
 
 
-def _float_seconds(stamps: Indices) -> NDArray[np.float64]:
+def _float_seconds(stamps: Indices) -> Floats:
     """Return stamps as the tools to be reproduced read them, seconds to 2.4e-7.
 
     A difference at the very limit then falls to the same side as theirs.
     """
-    seconds: NDArray[np.float64] = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
+    seconds: Floats = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
     return seconds
 
 

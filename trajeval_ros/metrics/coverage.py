@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-
-Indices = NDArray[np.int64]
 
 
 def coverage_of(

@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.errors import RelativeErrors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-
-Array = NDArray[np.float64]
 
 PERCENT = 100.0
 # Of each error, the name of its share of the length, and the share's units in an error per metre.
@@ -37,9 +35,9 @@ class Drift:
     length_m: float
 
 
-def position_percent(errors_m: Array, length_m: float) -> Array:
+def position_percent(errors_m: Floats, length_m: float) -> Floats:
     """Return position errors (K,), metres, in percent of the length that they grew over."""
-    percent: Array = errors_m * (PERCENT / length_m)
+    percent: Floats = errors_m * (PERCENT / length_m)
     return percent
 
 

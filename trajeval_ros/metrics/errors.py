@@ -11,16 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.matrix_errors import by_matrices
 from trajeval_ros.metrics.span_alignment import align_spans
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +34,13 @@ class AbsoluteErrors:
         accelerometer_bias: (N,), m/s^2, length of the difference, in the body.
     """
 
-    position_m: Array
-    rotation_deg: Array | None = None
-    yaw_deg: Array | None = None
-    tilt_deg: Array | None = None
-    velocity_mps: Array | None = None
-    gyroscope_bias: Array | None = None
-    accelerometer_bias: Array | None = None
+    position_m: Floats
+    rotation_deg: Floats | None = None
+    yaw_deg: Floats | None = None
+    tilt_deg: Floats | None = None
+    velocity_mps: Floats | None = None
+    gyroscope_bias: Floats | None = None
+    accelerometer_bias: Floats | None = None
 
 
 def absolute_errors(
@@ -82,12 +79,12 @@ def absolute_errors(
     )
 
 
-def _between(truth_q: Array, aligned_q: Array) -> Array:
+def _between(truth_q: Floats, aligned_q: Floats) -> Floats:
     """Return the rotation errors E = R R'^T of eq. (23), (N, 4)."""
     return lie.multiply(truth_q, lie.conjugate(aligned_q))
 
 
-def _rotation_errors(between: Array) -> tuple[Array, Array, Array]:
+def _rotation_errors(between: Floats) -> tuple[Floats, Floats, Floats]:
     """Return angle, absolute yaw and tilt of E, degrees."""
     return (
         np.degrees(lie.angle(between)),
@@ -112,11 +109,11 @@ class RelativeErrors:
 
     starts: Indices
     ends: Indices
-    position_m: Array
-    rotation_deg: Array
-    yaw_deg: Array
-    tilt_deg: Array | None
-    velocity_mps: Array | None = None
+    position_m: Floats
+    rotation_deg: Floats
+    yaw_deg: Floats
+    tilt_deg: Floats | None
+    velocity_mps: Floats | None = None
 
 
 def relative_errors(
@@ -150,7 +147,7 @@ def relative_errors(
     """
     truth, other = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
 
-    def at_ends(s: Indices, e: Indices) -> tuple[Array, ...]:
+    def at_ends(s: Indices, e: Indices) -> tuple[Floats, ...]:
         rows = np.stack([s, e])
         if form == "fitted":
             difference, between, first = _fitted(truth, other, s, e)
@@ -183,8 +180,8 @@ class PoseArrays(NamedTuple):
         quaternions: (..., 4), xyzw, unit.
     """
 
-    positions: Array
-    quaternions: Array
+    positions: Floats
+    quaternions: Floats
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> PoseArrays:
@@ -200,7 +197,7 @@ class PoseArrays(NamedTuple):
 
 def differences_at_ends(
     truth: PoseArrays, other: PoseArrays, gauge: Gauge, scale: float = 1.0, form: str = "gauge"
-) -> tuple[Array, Array, Array]:
+) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories at their starts; return the differences at their ends.
 
     Args:
@@ -229,7 +226,7 @@ def differences_at_ends(
 
 def _fitted(
     truth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
-) -> tuple[Array, Array, Array]:
+) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories by all their states; return what `differences_at_ends` does."""
     alignment, mean_p, mean_q = align_spans(truth.positions, other.positions, starts, ends)
     aligned = mean_p + lie.rotate(alignment, other.positions[ends] - mean_q)
@@ -239,8 +236,8 @@ def _fitted(
 
 
 def _euler_in_estimate_world(
-    truth_q: Array, other_q: Array, starts: Indices, ends: Indices
-) -> tuple[Array, Array]:
+    truth_q: Floats, other_q: Floats, starts: Indices, ends: Indices
+) -> tuple[Floats, Floats]:
     """Return |yaw| and hypot(pitch, roll) of relative poses' error, degrees, as the toolbox.
 
     The relative rotation's error is turned into the unaligned estimate's world at the end
@@ -255,13 +252,13 @@ def _euler_in_estimate_world(
     return np.degrees(yaw), np.degrees(tilt)
 
 
-def lengths(vectors: Array) -> Array:
+def lengths(vectors: Floats) -> Floats:
     """Return the lengths (N,) of vectors (N, 3)."""
-    norms: Array = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    norms: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
     return norms
 
 
-def _differences(groundtruth: Array | None, estimate: Array | None) -> Array | None:
+def _differences(groundtruth: Floats | None, estimate: Floats | None) -> Floats | None:
     if groundtruth is None or estimate is None:
         return None
     return lengths(groundtruth - estimate)

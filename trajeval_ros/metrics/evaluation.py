@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     import pandas
     import pyarrow
 
-Array = NDArray[np.float64]
 
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
@@ -315,7 +315,7 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
     return align(protocol.gauge, p, q)
 
 
-def _known_covariances(estimate: Trajectory) -> Array:
+def _known_covariances(estimate: Trajectory) -> Floats:
     covariances = estimate.covariances
     if covariances is not None:
         variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)

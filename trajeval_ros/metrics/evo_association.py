@@ -7,10 +7,8 @@ several stamps are equally near.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Floats, Indices
 
 
 def match(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indices, Indices]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Indices = NDArray[np.int64]
 
 
 def match_rows(

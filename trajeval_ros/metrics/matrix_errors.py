@@ -7,18 +7,15 @@ changes small angles: at 6 digits, on KITTI 00 the smallest by 9 %, their mean b
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def by_matrices(
     groundtruth: Trajectory, estimate: Trajectory, starts: Indices, ends: Indices, scale: float
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Return the position errors, metres, and rotation errors, degrees, (K,) each.
 
     With the poses T_i of the groundtruth, and T'_i of the estimate with its positions scaled, the
@@ -38,18 +35,18 @@ def by_matrices(
     error = back @ true_turn
     cosine = 0.5 * (np.trace(error, axis1=1, axis2=2) - 1.0)
     difference = np.einsum("nij,nj->ni", back, true_step - scale * step)
-    position: Array = np.sqrt(np.einsum("ni,ni->n", difference, difference))
+    position: Floats = np.sqrt(np.einsum("ni,ni->n", difference, difference))
     return position, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _steps(trajectory: Trajectory, starts: Indices, ends: Indices) -> tuple[Array, Array]:
+def _steps(trajectory: Trajectory, starts: Indices, ends: Indices) -> tuple[Floats, Floats]:
     """Return the turns (K, 3, 3) and the translations (K, 3) from start to end, at the start."""
     inverse = np.linalg.inv(_matrices(trajectory, starts))
     moved = trajectory.positions[ends] - trajectory.positions[starts]
     return inverse @ _matrices(trajectory, ends), np.einsum("nij,nj->ni", inverse, moved)
 
 
-def _matrices(trajectory: Trajectory, rows: Indices) -> Array:
+def _matrices(trajectory: Trajectory, rows: Indices) -> Floats:
     if trajectory.matrices is not None:
         return trajectory.matrices[rows]
     assert trajectory.quaternions is not None

@@ -12,11 +12,9 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.similarity import Similarity
-
-Array = NDArray[np.float64]
 
 # Pairs to sum at once: what stays in a core's cache.
 _BLOCK = 8192
@@ -41,8 +39,8 @@ class Moments:
 
     anchor: Similarity
     weight: float
-    mean: Array
-    scatter: Array
+    mean: Floats
+    scatter: Floats
 
     @classmethod
     def empty(cls, anchor: Similarity) -> Moments:
@@ -52,9 +50,9 @@ class Moments:
     @classmethod
     def of_pairs(
         cls,
-        groundtruth: Array,
-        estimate: Array,
-        weights: Array | None = None,
+        groundtruth: Floats,
+        estimate: Floats,
+        weights: Floats | None = None,
         anchor: Similarity | None = None,
     ) -> Moments:
         """Return the moments of N pairs of positions, (N, 3) each.
@@ -84,7 +82,7 @@ class Moments:
 
     @classmethod
     def _of_block(
-        cls, groundtruth: Array, estimate: Array, weights: Array | None, anchor: Similarity
+        cls, groundtruth: Floats, estimate: Floats, weights: Floats | None, anchor: Similarity
     ) -> Moments:
         x = np.concatenate([estimate, groundtruth - anchor.positions(estimate)], axis=1)
         w = np.ones(len(x)) if weights is None else weights
@@ -129,12 +127,12 @@ class Moments:
         return Moments(anchor, self.weight, mean, turn @ self.scatter @ turn.T)
 
     @property
-    def mean_q(self) -> Array:
+    def mean_q(self) -> Floats:
         """Mean estimated position, (3,), metres."""
         return self.mean[:3]
 
     @property
-    def covariance_pq(self) -> Array:
+    def covariance_pq(self) -> Floats:
         """The matrix Sigma of Alg. 1, (3, 3), square metres."""
         scatter_qq, scatter_rq = self.scatter[:3, :3], self.scatter[3:, :3]
         return (self.anchor.linear @ scatter_qq + scatter_rq) / self.weight
@@ -144,13 +142,13 @@ class Moments:
         """sigma^2 of the estimated positions in Alg. 1, square metres."""
         return float(self.scatter[:3, :3].trace()) / self.weight
 
-    def mean_difference(self, linear: Array) -> Array:
+    def mean_difference(self, linear: Floats) -> Floats:
         """Return the mean of p - L q, (3,), metres, for a linear map L (3, 3)."""
         # p - L q = (A - L) q + r + t, with small A - L and small r: nothing cancels.
         turned = (self.anchor.linear - linear) @ self.mean_q
         return turned + self.mean[3:] + self.anchor.translation
 
-    def spread(self, linear: Array) -> float:
+    def spread(self, linear: Floats) -> float:
         """Return the root mean square of |p - L q - their mean|, metres."""
         turn = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
         return math.sqrt(max(float(np.vdot(turn @ self.scatter, turn)), 0.0) / self.weight)

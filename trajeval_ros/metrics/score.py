@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class PointTable:
         if not (self.points[0] > 0.0 and self.best > 0.0):
             raise SettingsError("the first points and the best score must be positive")
 
-    def score(self, errors_m: NDArray[np.float64], references: int) -> Score:
+    def score(self, errors_m: Floats, references: int) -> Score:
         """Score a run.
 
         Args:

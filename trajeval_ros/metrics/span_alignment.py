@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Floats, Indices
 
 
 def align_spans(
-    groundtruth: Array, estimate: Array, starts: Indices, ends: Indices
-) -> tuple[Array, Array, Array]:
+    groundtruth: Floats, estimate: Floats, starts: Indices, ends: Indices
+) -> tuple[Floats, Floats, Floats]:
     """Align K spans by yaw and position, eq. (18) over all states of each.
 
     By differences of running sums, about the means of the whole so that they don't cancel.
@@ -30,9 +28,9 @@ def align_spans(
     p, q = groundtruth - middle_p, estimate - middle_q
     count = (ends - starts + 1).astype(np.float64)[:, None]
 
-    def mean(columns: Array) -> Array:
+    def mean(columns: Floats) -> Floats:
         running = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
-        spans: Array = (running[ends + 1] - running[starts]) / count
+        spans: Floats = (running[ends + 1] - running[starts]) / count
         return spans
 
     mean_p, mean_q = mean(p), mean(q)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from trajeval_ros.geometry.arrays import Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,7 +51,7 @@ class Statistics:
         )
 
 
-def statistics_of(errors: NDArray[np.float64] | None) -> Statistics | None:
+def statistics_of(errors: Floats | None) -> Statistics | None:
     """Return the statistics of (N,) errors; None, never zeros, where there are no errors.
 
     The root mean square is eq. (24) of the tutorial.
@@ -77,7 +78,7 @@ def round_below(value: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
 
 
-def quantile(ordered: NDArray[np.float64], share: float) -> float:
+def quantile(ordered: Floats, share: float) -> float:
     """Return a quantile of sorted values (N,), interpolated linearly: numpy's default."""
     place = share * (len(ordered) - 1)
     below = int(place)

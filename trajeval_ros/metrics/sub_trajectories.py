@@ -10,12 +10,10 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 RULES = ("nearest", "toolbox", "first-past")
 
 
@@ -110,7 +108,7 @@ LARGEST_DEVIATION = 0.2
 TOLERANCE = 0.01
 
 
-def select(along: Array, length: float, selection: Selection) -> tuple[Indices, Indices]:
+def select(along: Floats, length: float, selection: Selection) -> tuple[Indices, Indices]:
     """Return the starts and ends (K,) of all sub-trajectories of that length.
 
     Args:
@@ -128,7 +126,7 @@ def select(along: Array, length: float, selection: Selection) -> tuple[Indices, 
 
 
 def select_frames(
-    along: Array, frames: Indices, paired: Indices, length: float, selection: Selection
+    along: Floats, frames: Indices, paired: Indices, length: float, selection: Selection
 ) -> tuple[Indices, Indices]:
     """Return the starts and ends (K,) that the KITTI devkit takes where frames may be missing.
 
@@ -152,8 +150,8 @@ def select_frames(
 
 
 def nearest_ends(
-    along: Array, starts: Indices, length: float | Array, rule: str = "nearest"
-) -> tuple[Indices, NDArray[np.bool_]]:
+    along: Floats, starts: Indices, length: float | Floats, rule: str = "nearest"
+) -> tuple[Indices, Booleans]:
     """Return the state nearest to the length from each start (K,), and whether it is near enough.
 
     Args:

@@ -8,19 +8,17 @@ are computed by turns.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.alignment import Alignment, align
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 2
 _MOST_ROUNDS = 20
 _SETTLED = 1e-3
 
 
-def position_weights(covariances: Array, error_m: float) -> Array:
+def position_weights(covariances: Floats, error_m: float) -> Floats:
     """Return a scalar weight per state (N,), 1/m^2.
 
     1 / (tr Sigma / 3 + e^2 / 3): the mean variance of an axis, with the size e of the errors
@@ -31,12 +29,12 @@ def position_weights(covariances: Array, error_m: float) -> Array:
         error_m: Root mean square of the position errors, metres.
     """
     variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
-    weights: Array = 1.0 / (variance + error_m**2 / 3.0)
+    weights: Floats = 1.0 / (variance + error_m**2 / 3.0)
     return weights
 
 
 def align_weighted(
-    gauge: Gauge, groundtruth: Array, estimate: Array, covariances: Array
+    gauge: Gauge, groundtruth: Floats, estimate: Floats, covariances: Floats
 ) -> Alignment:
     """Align by the estimate's covariances, from an alignment that weighs all pairs alike.
 
@@ -60,8 +58,8 @@ def align_weighted(
 
 
 def weighted_errors(
-    gauge: Gauge | None, groundtruth: Array, estimate: Array, covariances: Array
-) -> tuple[Array, float]:
+    gauge: Gauge | None, groundtruth: Floats, estimate: Floats, covariances: Floats
+) -> tuple[Floats, float]:
     """Return the errors (N, 3) after a weighted alignment, and their weighted rmse, both metres.
 
     Args:
@@ -84,5 +82,5 @@ def weighted_errors(
     return errors, rmse
 
 
-def _rmse(errors: Array, weights: Array) -> float:
+def _rmse(errors: Floats, weights: Floats) -> float:
     return float(np.sqrt(weights @ np.square(errors).sum(axis=1) / weights.sum()))

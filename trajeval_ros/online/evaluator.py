@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
@@ -34,9 +34,6 @@ from trajeval_ros.online.pairing import (
 from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.window import PairStore
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 # A frozen alignment is taken once a turn of one degree would cost as much as the errors do.
 FREEZE_AT_RAD = float(np.radians(1.0))

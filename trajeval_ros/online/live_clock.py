@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.online.pairing import POSITION, QUATERNION, StateBuffer
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 # Shorter, and rotation and lever arm can't be fitted beside the offset.
 FIRST_S = 35.0

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
 from trajeval_ros.metrics.association import bracket_stamps, mix
 from trajeval_ros.metrics.coverage import time_without_gaps
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 # Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)

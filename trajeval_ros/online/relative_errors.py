@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import nearest_ends
 from trajeval_ros.online.pairing import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # A robot at rest ends no sub-trajectory; its pairs are not kept for ever.
 MOST_OPEN_STARTS = 200_000

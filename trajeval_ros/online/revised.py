@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.online.pairing import POSITION, QUATERNION, WIDTH, Pairs, on_plane
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 class RevisedPath:

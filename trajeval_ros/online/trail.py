@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.online.pairing import WIDTH, Pairs
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 MOST_POSES = 2000
 

@@ -6,15 +6,12 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import lengths
 from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _LARGEST = 1e9  # s, m or pairs; in nanoseconds it still fits stamps
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import absolute_form_of, alignment_of, why_no_rotation
@@ -76,7 +76,7 @@ def _draw(
     part_colour: str | None = None,
 ) -> None:
     """Draw one metric, lightly where it is a part of another one, and its rmse across."""
-    errors: NDArray[np.float64] | None = getattr(evaluation.absolute, metric)
+    errors: Floats | None = getattr(evaluation.absolute, metric)
     statistics = evaluation.ate[metric]
     if errors is None or statistics is None:
         return

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Dashes = Literal["-", "--", "-.", ":"]
 
 GROUNDTRUTH_COLOUR = "0.2"
@@ -235,8 +235,8 @@ def say_instead(axes: Axes, sentence: str) -> None:
 
 
 def thinned(
-    columns: Array, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
-) -> Array:
+    columns: Floats, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
+) -> Floats:
     """Return rows (M, K) to draw as a line instead of N rows: few, with nothing lost to the eye.
 
     Of each of many equal runs of rows, those with the least and largest value of each column are

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report import canvas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Colours that stand for those of the page; no figure has these shades otherwise.
 _INK, _GRID, _TRUTH = "#010101", "#020202", "#030303"
@@ -113,12 +112,12 @@ def _draw_boxes(
         )  # fmt: skip
 
 
-def _beside(count: int) -> Array:
+def _beside(count: int) -> Floats:
     """Return places (count,) within a box as wide as 1, the middle if there is but one."""
     return np.linspace(-0.25, 0.25, count) if count != 1 else np.zeros(1)
 
 
-def overlay(name: str, truth: Array, paths: Sequence[tuple[str, Array] | None]) -> str:
+def overlay(name: str, truth: Floats, paths: Sequence[tuple[str, Floats] | None]) -> str:
     """Draw aligned paths over the groundtruth, from above.
 
     Args:
@@ -134,7 +133,7 @@ def overlay(name: str, truth: Array, paths: Sequence[tuple[str, Array] | None]) 
         return _svg(figure, "trajectories from above")
 
 
-def run_path(name: str, place: int, truth: Array, path: Array) -> str:
+def run_path(name: str, place: int, truth: Floats, path: Floats) -> str:
     """Draw the path of one run, from above.
 
     There may be hundreds of them, so margins are fixed instead of measured, and ticks few.
@@ -153,7 +152,7 @@ def run_path(name: str, place: int, truth: Array, path: Array) -> str:
         return _svg(figure, "path from above", tight=False)
 
 
-def run_errors(name: str, place: int, errors: Array) -> str:
+def run_errors(name: str, place: int, errors: Floats) -> str:
     """Draw the errors of one run over time, likewise.
 
     Args:
@@ -180,7 +179,7 @@ def run_errors(name: str, place: int, errors: Array) -> str:
         return _svg(figure, "errors over time", tight=False)
 
 
-def _draw_paths(axes: Axes, truth: Array, paths: Sequence[tuple[str, Array] | None]) -> None:
+def _draw_paths(axes: Axes, truth: Floats, paths: Sequence[tuple[str, Floats] | None]) -> None:
     axes.plot(truth[:, 0], truth[:, 1], color=_TRUTH, linewidth=1.8, label="groundtruth")
     for place, path in enumerate(paths):
         if path is not None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report import canvas
 from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
 from trajeval_ros.visual_inertial.study import Covariances, Trials
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _WIDTH_IN = 6.4
 _HANDLING_COLOURS = dict(zip(GaugeHandling, canvas.COLOURS, strict=False))
@@ -152,10 +151,10 @@ def _per_iteration(trials: Trials) -> float:
     return float(np.median(trials.seconds / trials.iterations))
 
 
-def _by_kind(matrix: Array) -> Array:
+def _by_kind(matrix: Floats) -> Floats:
     """Return log10 of the entries in the paper's order: all positions, rotations, velocities."""
     order = np.arange(len(matrix)).reshape(-1, 3, 3).transpose(1, 0, 2).ravel()
-    logarithm: Array = np.log10(np.abs(matrix[np.ix_(order, order)]) + _FLOOR)
+    logarithm: Floats = np.log10(np.abs(matrix[np.ix_(order, order)]) + _FLOOR)
     return logarithm
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -108,11 +108,11 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
             )
 
 
-def _errors(segments: SubTrajectoryErrors, metric: str) -> NDArray[np.float64]:
+def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats:
     if metric == "position_percent":
         assert segments.length_m is not None
         return position_percent(segments.errors.position_m, segments.length_m)
-    errors: NDArray[np.float64] = getattr(segments.errors, metric)
+    errors: Floats = getattr(segments.errors, metric)
     return errors
 
 

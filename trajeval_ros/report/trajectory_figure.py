@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
@@ -94,7 +94,7 @@ def _draw_correspondences(
     """Join a hundred states of each estimate, evenly along the path, with their groundtruth."""
     from matplotlib.collections import LineCollection
 
-    ends: list[NDArray[np.float64]] = []
+    ends: list[Floats] = []
     for evaluation in evaluations:
         truth, aligned = evaluation.association.groundtruth, evaluation.aligned
         along = truth.travelled

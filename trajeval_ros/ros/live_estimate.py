@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.consistency.marginal_covariances import unknown_covariances
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
@@ -28,9 +28,6 @@ from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.ros.timing import Latency
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 class LiveEstimate:

@@ -10,9 +10,10 @@ from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import Floats, PairingBuffer, Stamps
+from trajeval_ros.online.pairing import PairingBuffer
 from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.output_folder import Finisher

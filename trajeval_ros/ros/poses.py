@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _MOST_NOTES = 20
 _TROUBLE_AFTER = 10  # messages in a row that give no pose

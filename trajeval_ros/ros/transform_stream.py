@@ -6,9 +6,9 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.transform_tree import (
@@ -23,8 +23,6 @@ from trajeval_ros.io.bags.transform_tree import (
 )
 from trajeval_ros.online.pairing import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
-
-Stamps = NDArray[np.int64]
 
 _MEMORY_S = 10.0  # of edges while the two frames aren't connected
 _MOST_TRANSFORMS = 50_000  # of an edge that waits for the others

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.viewer import colours, scene_entities
 from trajeval_ros.viewer.sdk import sdk
-
-Floats = NDArray[np.float64]
 
 _MOST_COLOURED = 1  # estimates that are told apart by colour can't be coloured by error
 

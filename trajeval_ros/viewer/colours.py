@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
+
 Colour = tuple[int, int, int]
 Colours = NDArray[np.uint8]
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.viewer import scene_entities
 from trajeval_ros.viewer.paths import peaks, spread
 from trajeval_ros.viewer.sdk import sdk
-
-Floats = NDArray[np.float64]
 
 _MOST_ROWS = 5000  # of a band
 _ELLIPSOIDS = 24

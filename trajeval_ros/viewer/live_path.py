@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.viewer import scene_entities
 from trajeval_ros.viewer.paths import is_gap
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 Log = Callable[[int, str, Any], None]
 
 DRAWN_EVERY_NS = 100_000_000  # poses that are closer in time are left out

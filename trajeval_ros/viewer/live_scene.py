@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from trajeval_ros.online.relative_errors import RelativeEnd
     from trajeval_ros.online.reports import Snapshot, Update
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _DRAWN_EVERY_NS = NANOSECONDS // 5  # paths, and relative errors of a length
 _WORDS_EVERY_NS = 2 * NANOSECONDS

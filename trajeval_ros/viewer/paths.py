@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.similarity import Similarity
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-Rows = NDArray[np.int64]
 
 _NEAR_M = 1000.0
 _GAP_NS = 500_000_000
@@ -40,7 +36,7 @@ def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
     return low, high
 
 
-def gaps(stamps: Stamps) -> NDArray[np.bool_]:
+def gaps(stamps: Stamps) -> Booleans:
     """Return which of N - 1 steps between stamps (N,) no line should be drawn across."""
     steps = np.diff(stamps)
     usual = float(np.median(steps)) if len(steps) else 0.0
@@ -55,7 +51,7 @@ def is_gap(step_ns: int, usual_ns: float) -> bool:
     return step_ns > max(_GAP_NS, _USUAL_STEPS * usual_ns)
 
 
-def pieces(count: int, is_gap: NDArray[np.bool_], most: int) -> Rows:
+def pieces(count: int, is_gap: Booleans, most: int) -> Indices:
     """Cut a path of N points into equal pieces that share their ends.
 
     Args:
@@ -77,14 +73,14 @@ def pieces(count: int, is_gap: NDArray[np.bool_], most: int) -> Rows:
     return np.take_along_axis(rows, np.minimum(np.arange(size + 1), last[:, None]), axis=1)
 
 
-def spread(count: int, most: int) -> Rows:
+def spread(count: int, most: int) -> Indices:
     """Return at most so many rows of N, evenly, the first and the last among them."""
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 
-def peaks(values: Floats, most: int) -> Rows:
+def peaks(values: Floats, most: int) -> Indices:
     """Return at most so many rows of values (N,), the greatest of each of many equal runs."""
     count = len(values)
     if count <= most:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.viewer import colours, scene_entities, text_panel
@@ -27,9 +27,6 @@ from trajeval_ros.viewer.paths import (
     spread,
 )
 from trajeval_ros.viewer.sdk import sdk
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _MOST_POINTS = 50_000  # of a path
 _MOST_ROWS = 900  # that a viewer draws in each frame, all paths together

@@ -29,12 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.paths import pieces
 from trajeval_ros.viewer.sdk import sdk
-
-Floats = NDArray[np.float64]
 
 APPLICATION = "trajeval"
 TIMELINE = "ros_time"
@@ -245,7 +244,7 @@ def start(position: Floats) -> Any:
 
 
 def path_by_error(
-    points: Floats, errors: Floats, is_gap: NDArray[np.bool_], full_m: float, most: int
+    points: Floats, errors: Floats, is_gap: Booleans, full_m: float, most: int
 ) -> Any:
     """Return a path (N, 3) coloured by errors (N,), in so many pieces at the most."""
     rerun, _ = sdk()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 # Columns: the camera's right, down and forward in a body whose x is forward, y left and z up.
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -34,26 +33,26 @@ class Camera:
     farthest_m: float = 30.0
 
     @property
-    def centre(self) -> Array:
+    def centre(self) -> Floats:
         """Principal point (2,), pixels."""
         return np.array([self.width / 2.0, self.height / 2.0])
 
-    def pixels(self, points: Array) -> Array:
+    def pixels(self, points: Floats) -> Floats:
         """Project points in the camera's frame, (..., 3) to (..., 2)."""
-        projected: Array = self.focal_px * points[..., :2] / points[..., 2:] + self.centre
+        projected: Floats = self.focal_px * points[..., :2] / points[..., 2:] + self.centre
         return projected
 
-    def rays(self, pixels: Array) -> Array:
+    def rays(self, pixels: Floats) -> Floats:
         """Return the points of depth 1 (..., 3), in the camera's frame, behind pixels (..., 2)."""
         plane = (pixels - self.centre) / self.focal_px
         return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
 
-    def sees(self, points: Array) -> NDArray[np.bool_]:
+    def sees(self, points: Floats) -> Booleans:
         """Whether points in the camera's frame (..., 3) are in range and in the image."""
         depth = points[..., 2]
         in_range = (depth > self.nearest_m) & (depth < self.farthest_m)
         # A point behind the camera is projected at depth 1, so that nothing divides by zero.
         pixels = self.pixels(np.where(in_range[..., None], points, 1.0))
         inside = (pixels >= 0.0) & (pixels < [self.width, self.height])
-        seen: NDArray[np.bool_] = in_range & inside.all(axis=-1)
+        seen: Booleans = in_range & inside.all(axis=-1)
         return seen

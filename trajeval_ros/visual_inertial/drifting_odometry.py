@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Array = NDArray[np.float64]
 
 EPOCH_S = 1_700_000_000
 GRAVITY = 9.81
@@ -114,10 +113,10 @@ class _Flight:
         phases: (K, 3), rad.
     """
 
-    centre: Array
-    speeds: Array
-    frequencies: Array
-    phases: Array
+    centre: Floats
+    speeds: Floats
+    frequencies: Floats
+    phases: Floats
 
     @classmethod
     def random(cls, generator: np.random.Generator) -> _Flight:
@@ -131,15 +130,15 @@ class _Flight:
         centre = np.append(generator.uniform(-2.0, 2.0, 2), 3.5)
         return cls(centre, speeds, frequencies, phases)
 
-    def positions(self, times: Array) -> Array:
+    def positions(self, times: Floats) -> Floats:
         """Return the positions at N times, (N, 3), metres."""
         return self.centre + self._sum(times, self.speeds / self.frequencies, 0.0)
 
-    def velocities(self, times: Array) -> Array:
+    def velocities(self, times: Floats) -> Floats:
         """Return the velocities at N times, (N, 3), m/s."""
         return self._sum(times, self.speeds, np.pi / 2.0)
 
-    def rotations(self, times: Array) -> Rotation:
+    def rotations(self, times: Floats) -> Rotation:
         """Return N attitudes: z along the thrust, x towards where the flight goes."""
         velocities = self.velocities(times)
         thrust = self._sum(times, self.speeds * self.frequencies, np.pi)
@@ -149,9 +148,9 @@ class _Flight:
         y /= np.linalg.norm(y, axis=1, keepdims=True)
         return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2))
 
-    def _sum(self, times: Array, amplitudes: Array, ahead: float) -> Array:
+    def _sum(self, times: Floats, amplitudes: Floats, ahead: float) -> Floats:
         angles = times[:, None, None] * self.frequencies + self.phases + ahead
-        summed: Array = np.einsum("nki,ki->ni", np.sin(angles), amplitudes)
+        summed: Floats = np.einsum("nki,ki->ni", np.sin(angles), amplitudes)
         return summed
 
 
@@ -217,13 +216,13 @@ def _odometry(
     )[heard]
 
 
-def _yaw_rotations(angle: Array) -> Rotation:
+def _yaw_rotations(angle: Floats) -> Rotation:
     return Rotation.from_rotvec(angle[..., None] * np.array([0.0, 0.0, 1.0]))
 
 
 def _wandering(
     generator: np.random.Generator, count: int, columns: int, correlation: float
-) -> Array:
+) -> Floats:
     """Return noise (count, columns) of variance 1 that forgets itself after that many rows."""
     from scipy.signal import lfilter
 
@@ -233,5 +232,5 @@ def _wandering(
     return np.asarray(lfilter([1.0], [1.0, -memory], news, axis=0))
 
 
-def _stamps(times: Array) -> NDArray[np.int64]:
+def _stamps(times: Floats) -> NDArray[np.int64]:
     return EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64)

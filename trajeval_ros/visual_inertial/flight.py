@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import EPOCH_S, SHORTEST_S, simulate
 from trajeval_ros.visual_inertial.motion import recorded
 from trajeval_ros.visual_inertial.sampler import SampledEstimate, Sampler, solved
 from trajeval_ros.visual_inertial.scene import Scene, SensorProfile, make_scene
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
 
 KEYFRAME_RATE_HZ = 10.0
 # Half an hour takes 3.4 GB, which grows with the length, and 142 s, most of them for the spline,
@@ -122,7 +120,7 @@ def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
 
 
 def _trajectory(
-    state: State, times: Array, frame: str, name: str, covariances: Array | None
+    state: State, times: Floats, frame: str, name: str, covariances: Floats | None
 ) -> Trajectory:
     return Trajectory(
         stamps=EPOCH_S * NANOSECONDS + np.rint(times * NANOSECONDS).astype(np.int64),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.reduction import (
     ReducedSystem,
@@ -21,13 +22,11 @@ from trajeval_ros.visual_inertial.reduction import (
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 from trajeval_ros.visual_inertial.state import State
 
-Array = NDArray[np.float64]
-
 # Of the information, scaled to a diagonal of ones, relative to its largest eigenvalue.
 _ROUNDING = 1e-13
 
 
-def fixed_covariance(problem: Problem, state: State) -> Array:
+def fixed_covariance(problem: Problem, state: State) -> Floats:
     """Return the covariance of gauge fixation, eq. (10): zero where the gauge is held.
 
     Raises:
@@ -36,7 +35,7 @@ def fixed_covariance(problem: Problem, state: State) -> Array:
     return _fixed(_undamped(problem, state))
 
 
-def free_covariance(problem: Problem, state: State) -> Array:
+def free_covariance(problem: Problem, state: State) -> Floats:
     """Return the motion's block of the pseudo-inverse of the whole Hessian: the free gauge.
 
     H^+ = P G P with P the projector off the gauge's directions and G any symmetric generalised
@@ -62,13 +61,13 @@ def free_covariance(problem: Problem, state: State) -> Array:
     image_landmarks = reduced.by_inverse(half_landmarks - reduced.half.T @ image[poses])
     core = basis.T @ np.concatenate([image, image_landmarks])
     cross = image @ of_motion.T
-    covariance: Array = fixed - cross - cross.T + of_motion @ core @ of_motion.T
+    covariance: Floats = fixed - cross - cross.T + of_motion @ core @ of_motion.T
     return (covariance + covariance.T) / 2.0
 
 
 def transform(
-    covariance: Array, state: State, rotation: Array, position: Array
-) -> tuple[Array, State]:
+    covariance: Floats, state: State, rotation: Floats, position: Floats
+) -> tuple[Floats, State]:
     """Bring a covariance into the gauge of fixation: eq. (12) to (15).
 
     Args:
@@ -96,15 +95,15 @@ def transform(
     coefficients = np.linalg.solve(basis[GAUGE_INDICES], carried[GAUGE_INDICES])
     cross = basis @ coefficients
     held = np.linalg.solve(basis[GAUGE_INDICES], coefficients[:, GAUGE_INDICES].T)
-    projected: Array = carried - cross - cross.T + basis @ held @ basis.T
+    projected: Floats = carried - cross - cross.T + basis @ held @ basis.T
     return (projected + projected.T) / 2.0, moved
 
 
-def _congruent(covariance: Array, blocks: Array) -> Array:
+def _congruent(covariance: Floats, blocks: Floats) -> Floats:
     """Return D C D' for a D of blocks (n, 3, 3) on the diagonal."""
     size = len(covariance)
     rows = (blocks @ covariance.reshape(-1, 3, size)).reshape(size, size)
-    product: Array = (blocks @ rows.T.reshape(-1, 3, size)).reshape(size, size)
+    product: Floats = (blocks @ rows.T.reshape(-1, 3, size)).reshape(size, size)
     return product.T
 
 
@@ -116,7 +115,7 @@ def _undamped(problem: Problem, state: State) -> ReducedSystem:
     )
 
 
-def _fixed(reduced: ReducedSystem) -> Array:
+def _fixed(reduced: ReducedSystem) -> Floats:
     size = len(reduced.matrix)
     kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
     information = reduced.matrix[np.ix_(kept, kept)]
@@ -136,10 +135,10 @@ def _fixed(reduced: ReducedSystem) -> Array:
     return covariance
 
 
-def _by_factor(reduced: ReducedSystem, columns: Array) -> Array:
+def _by_factor(reduced: ReducedSystem, columns: Floats) -> Floats:
     """Return L^-1 times columns (3K, c)."""
     blocks = columns.reshape(len(reduced.inverse), 3, -1)
-    product: Array = reduced.inverse @ blocks
+    product: Floats = reduced.inverse @ blocks
     return product.reshape(columns.shape)
 
 

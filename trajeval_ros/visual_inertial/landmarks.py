@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LAYOUTS = ("plane", "random")
 # Seen once, a landmark has an unknown depth and adds a null direction; twice is the least, and
@@ -26,11 +23,11 @@ def draw_landmarks(
     generator: np.random.Generator,
     layout: str,
     count: int,
-    positions: Array,
-    cameras: Array,
+    positions: Floats,
+    cameras: Floats,
     camera: Camera,
     track: int,
-) -> tuple[Array, Indices, Indices, Array]:
+) -> tuple[Floats, Indices, Indices, Floats]:
     """Draw landmarks that at least three keyframes see.
 
     Args:
@@ -56,7 +53,7 @@ def draw_landmarks(
             f"there is no layout of landmarks {layout!r}; use one of {', '.join(LAYOUTS)}"
         )
     keyframes = len(positions)
-    found: list[tuple[Array, NDArray[np.bool_], Indices]] = []
+    found: list[tuple[Floats, Booleans, Indices]] = []
     kept = 0
     for _ in range(_ROUNDS):
         origin = generator.integers(0, keyframes, 4 * count)
@@ -90,8 +87,8 @@ def draw_landmarks(
 
 
 def _sightings(
-    points: Array, origin: Indices, positions: Array, cameras: Array, camera: Camera, track: int
-) -> tuple[NDArray[np.bool_], Indices]:
+    points: Floats, origin: Indices, positions: Floats, cameras: Floats, camera: Camera, track: int
+) -> tuple[Booleans, Indices]:
     """Return which keyframes of each point's track see it, and which keyframes these are."""
     keyframes = len(positions)
     span = min(2 * track + 1, keyframes)
@@ -101,12 +98,12 @@ def _sightings(
     return camera.sees(in_camera) & (np.abs(near - origin[:, None]) <= track), near
 
 
-def _in_camera(points: Array, positions: Array, cameras: Array) -> Array:
-    moved: Array = np.einsum("...ji,...j->...i", cameras, points - positions)
+def _in_camera(points: Floats, positions: Floats, cameras: Floats) -> Floats:
+    moved: Floats = np.einsum("...ji,...j->...i", cameras, points - positions)
     return moved
 
 
-def _depths_of_walls(positions: Array, cameras: Array, origin: Indices, rays: Array) -> Array:
+def _depths_of_walls(positions: Floats, cameras: Floats, origin: Indices, rays: Floats) -> Floats:
     """Return the depth at which each ray meets a wall ahead, at the sides, or the floor."""
     centre = positions.mean(axis=0)
     ahead = cameras[:, :, 2].mean(axis=0) * [1.0, 1.0, 0.0]
@@ -126,5 +123,5 @@ def _depths_of_walls(positions: Array, cameras: Array, origin: Indices, rays: Ar
         depths = (distances - positions[origin] @ normals.T) / towards
     # Not what is parallel, behind, or touches the lens.
     depths[~(depths > 0.5)] = np.inf
-    nearest: Array = np.where(np.isfinite(depths), depths, _FARTHEST_WALL_M).min(axis=1)
+    nearest: Floats = np.where(np.isfinite(depths), depths, _FARTHEST_WALL_M).min(axis=1)
     return nearest

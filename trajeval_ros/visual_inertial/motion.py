@@ -8,16 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.camera import FORWARD
-
-Array = NDArray[np.float64]
 
 SHAPES = ("sine", "arc", "rec")
 SPEED_MPS = 2.0
@@ -48,31 +46,31 @@ class Motion:
     position: BSpline
     quaternion: BSpline
     duration_s: float
-    camera_in_body: Array
+    camera_in_body: Floats
     name: str
 
-    def positions(self, times: Array) -> Array:
+    def positions(self, times: Floats) -> Floats:
         """Return positions (N, 3), metres."""
         return np.asarray(self.position(times))
 
-    def velocities(self, times: Array) -> Array:
+    def velocities(self, times: Floats) -> Floats:
         """Return velocities (N, 3), m/s, in the world."""
         return np.asarray(self.position(times, 1))
 
-    def accelerations(self, times: Array) -> Array:
+    def accelerations(self, times: Floats) -> Floats:
         """Return accelerations (N, 3), m/s^2, in the world, without gravity."""
         return np.asarray(self.position(times, 2))
 
-    def rotations(self, times: Array) -> Array:
+    def rotations(self, times: Floats) -> Floats:
         """Return rotation matrices (N, 3, 3) from the body to the world."""
         return np.asarray(Rotation.from_quat(self.quaternion(times)).as_matrix())
 
-    def angular_velocities(self, times: Array) -> Array:
+    def angular_velocities(self, times: Floats) -> Floats:
         """Return angular velocities (N, 3), rad/s, in the body: twice the vector of q* dq/dt."""
         quaternion, rate = self.quaternion(times), self.quaternion(times, 1)
         product = lie.multiply(lie.conjugate(quaternion), rate)[..., :3]
         # The length of q only adds to the scalar part; the vector part scales with its square.
-        turned: Array = 2.0 * product / np.sum(quaternion**2, axis=-1, keepdims=True)
+        turned: Floats = 2.0 * product / np.sum(quaternion**2, axis=-1, keepdims=True)
         return turned
 
 
@@ -172,7 +170,7 @@ def recorded(trajectory: Trajectory, start_s: float, duration_s: float) -> Motio
 
 
 def _fitted(
-    times: Array, positions: Array, quaternions: Array, inner: int, camera: Array, name: str
+    times: Floats, positions: Floats, quaternions: Floats, inner: int, camera: Floats, name: str
 ) -> Motion:
     """Return the least-squares splines through waypoints."""
     # q and -q are one rotation: a spline needs them on one side.

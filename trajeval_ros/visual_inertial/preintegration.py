@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -44,16 +42,16 @@ class Preintegrated:
         covariances: (I, 9, 9) of (rotation about the body's axes, velocity, position).
     """
 
-    durations_s: Array
-    rotations: Array
-    velocities: Array
-    positions: Array
-    covariances: Array
+    durations_s: Floats
+    rotations: Floats
+    velocities: Floats
+    positions: Floats
+    covariances: Floats
 
 
 def preintegrate(
-    angular_velocities: Array,
-    accelerations: Array,
+    angular_velocities: Floats,
+    accelerations: Floats,
     step_s: float,
     noise: ImuNoise,
     scheme: str = "middle",

@@ -11,15 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class ReprojectionErrors(NamedTuple):
@@ -34,9 +31,9 @@ class ReprojectionErrors(NamedTuple):
         rays: (M, 3), from keyframe to landmark, in the world, metres.
     """
 
-    residuals: Array
-    by_point: Array
-    rays: Array
+    residuals: Floats
+    by_point: Floats
+    rays: Floats
 
 
 class InertialErrors(NamedTuple):
@@ -48,9 +45,9 @@ class InertialErrors(NamedTuple):
         by_after: (N - 1, 9, 9), by those of the later one.
     """
 
-    residuals: Array
-    by_before: Array
-    by_after: Array
+    residuals: Floats
+    by_before: Floats
+    by_after: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +70,12 @@ class NormalEquations:
 
     cost: float
     reprojection_px: float
-    diagonal: Array
-    coupling: Array
-    cross: Array
-    landmark: Array
-    motion_gradient: Array
-    landmark_gradient: Array
+    diagonal: Floats
+    coupling: Floats
+    cross: Floats
+    landmark: Floats
+    motion_gradient: Floats
+    landmark_gradient: Floats
     keyframe_of: Indices
     landmark_of: Indices
 
@@ -89,8 +86,8 @@ class Problem:
     def __init__(
         self,
         camera: Camera,
-        camera_in_body: Array,
-        pixels: Array,
+        camera_in_body: Floats,
+        pixels: Floats,
         keyframe_of: Indices,
         landmark_of: Indices,
         landmarks: int,
@@ -116,7 +113,7 @@ class Problem:
         self._of_keyframe = _indicator(keyframe_of, self.keyframes)
         self._of_landmark = _indicator(landmark_of, landmarks)
 
-    def residuals(self, state: State) -> tuple[Array, Array]:
+    def residuals(self, state: State) -> tuple[Floats, Floats]:
         """Return the whitened errors of camera (M, 2) and IMU (N - 1, 9)."""
         _, points = self._points(state)
         return self._reprojection(points), self._inertial_errors(state)[0]
@@ -206,17 +203,17 @@ class Problem:
             landmark_of=self.landmark_of,
         )
 
-    def _points(self, state: State) -> tuple[Array, Array]:
+    def _points(self, state: State) -> tuple[Floats, Floats]:
         """Return the rays in the world, and the landmarks in the camera that sees them."""
         rays = state.landmarks[self.landmark_of] - state.positions[self.keyframe_of]
         cameras = (state.rotations @ self.camera_in_body)[self.keyframe_of]
         return rays, np.einsum("mji,mj->mi", cameras, rays)
 
-    def _reprojection(self, points: Array) -> Array:
-        errors: Array = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
+    def _reprojection(self, points: Floats) -> Floats:
+        errors: Floats = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
         return errors
 
-    def _inertial_errors(self, state: State) -> tuple[Array, Array, Array, Array]:
+    def _inertial_errors(self, state: State) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the whitened errors, and the unwhitened terms that Jacobians need."""
         measured = self.preintegrated
         durations = measured.durations_s[:, None]
@@ -244,7 +241,7 @@ def _indicator(group_of: Indices, groups: int) -> scipy.sparse.csr_matrix:
     )
 
 
-def _cross(left: Array, right: Array) -> Array:
+def _cross(left: Floats, right: Floats) -> Floats:
     """Return the cross products along the last axis, in a third of numpy's time."""
     a, b, c = left[..., 0], left[..., 1], left[..., 2]
     x, y, z = right[..., 0], right[..., 1], right[..., 2]

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations
-
-Array = NDArray[np.float64]
 
 # Pivots below this share of a landmark's largest are rounding (seen once, or without parallax).
 _ROUNDING = 1e-13
@@ -28,25 +26,25 @@ class ReducedSystem:
         pull: (3K,), L^-1 g_l.
     """
 
-    matrix: Array
-    gradient: Array
-    half: Array
-    inverse: Array
-    pull: Array
+    matrix: Floats
+    gradient: Floats
+    half: Floats
+    inverse: Floats
+    pull: Floats
 
-    def landmarks_after(self, motion_step: Array) -> Array:
+    def landmarks_after(self, motion_step: Floats) -> Floats:
         """Return the landmarks' step (3K,), V^-1 (-g_l - W^T dm), that goes with (9N,)."""
         pose_step = motion_step.reshape(-1, 9)[:, :6].ravel()
         return self.by_inverse(-self.pull - self.half.T @ pose_step)
 
-    def by_inverse(self, columns: Array) -> Array:
+    def by_inverse(self, columns: Floats) -> Floats:
         """Return L^-T times columns (3K, ...)."""
         blocks = columns.reshape(len(self.inverse), 3, -1)
-        product: Array = np.swapaxes(self.inverse, 1, 2) @ blocks
+        product: Floats = np.swapaxes(self.inverse, 1, 2) @ blocks
         return product.reshape(columns.shape)
 
 
-def motion_matrix(normal: NormalEquations) -> Array:
+def motion_matrix(normal: NormalEquations) -> Floats:
     """Return H_mm (9N, 9N): what couples keyframes directly."""
     count = len(normal.diagonal)
     matrix = np.zeros((count, 9, count, 9))
@@ -58,7 +56,7 @@ def motion_matrix(normal: NormalEquations) -> Array:
 
 
 def reduce_landmarks(
-    normal: NormalEquations, motion_damping: Array, landmark_damping: Array
+    normal: NormalEquations, motion_damping: Floats, landmark_damping: Floats
 ) -> ReducedSystem:
     """Eliminate the landmarks.
 
@@ -84,7 +82,7 @@ def reduce_landmarks(
     return ReducedSystem(matrix, gradient.ravel(), half, inverse, pull)
 
 
-def inverse_landmark_factors(normal: NormalEquations, damping: Array | float) -> Array:
+def inverse_landmark_factors(normal: NormalEquations, damping: Floats | float) -> Floats:
     """Return L^-1 (K, 3, 3) of each landmark's damped V = L L^T.
 
     Raises:
@@ -92,7 +90,7 @@ def inverse_landmark_factors(normal: NormalEquations, damping: Array | float) ->
     """
     blocks = normal.landmark.copy()
     blocks[:, [0, 1, 2], [0, 1, 2]] += damping
-    factors: Array = np.linalg.inv(np.linalg.cholesky(blocks))
+    factors: Floats = np.linalg.inv(np.linalg.cholesky(blocks))
     return factors
 
 

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.information import information_of
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
 
 _FARTHEST_OFFSET_M = 5.0
 _TOLERANCE = 1e-9
@@ -39,7 +37,7 @@ class SampledEstimate:
 
     state: State
     information: scipy.sparse.csr_matrix
-    marginals: Array
+    marginals: Floats
 
     def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
         """Return the run in a frame that is turned about gravity and shifted at will."""
@@ -101,13 +99,13 @@ class _FixedGaugeGaussian:
         self._kept = np.setdiff1d(np.arange(self._size), GAUGE_INDICES)
         self._gaussian = BandedGaussian(information[self._kept][:, self._kept].tocsr())
 
-    def sampled(self, generator: np.random.Generator) -> Array:
+    def sampled(self, generator: np.random.Generator) -> Floats:
         """Return a perturbation (9N,)."""
         step = np.zeros(self._size)
         step[self._kept] = self._gaussian.sampled(generator.standard_normal(len(self._kept)))
         return step
 
-    def marginals(self) -> Array:
+    def marginals(self) -> Floats:
         """Return the covariance of each keyframe, (N, 9, 9)."""
         blocks = np.zeros((self._size // 9, 9, 9))
         # Of the first keyframe, roll, pitch and velocity are not held.

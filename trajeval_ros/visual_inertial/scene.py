@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.landmarks import draw_landmarks
 from trajeval_ros.visual_inertial.motion import Motion
@@ -19,8 +20,6 @@ from trajeval_ros.visual_inertial.preintegration import (
 )
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
 
 IMU_RATE_HZ = 200.0
 # How far off an estimator starts (gauge paper, section V-B).
@@ -92,15 +91,15 @@ class Scene:
     """
 
     profile: SensorProfile
-    times_s: Array
+    times_s: Floats
     truth: State
     flown: State
     keyframe_of: NDArray[np.int64]
     landmark_of: NDArray[np.int64]
-    pixels: Array
-    angular_velocities: Array
-    accelerations: Array
-    camera_in_body: Array
+    pixels: Floats
+    angular_velocities: Floats
+    accelerations: Floats
+    camera_in_body: Floats
 
     def measured(self, generator: np.random.Generator) -> Problem:
         """Return the estimation problem of one set of noisy measurements."""
@@ -121,7 +120,9 @@ class Scene:
         """Return the estimation problem of perfect measurements."""
         return self._problem(self.pixels, self.angular_velocities, self.accelerations)
 
-    def _problem(self, pixels: Array, angular_velocities: Array, accelerations: Array) -> Problem:
+    def _problem(
+        self, pixels: Floats, angular_velocities: Floats, accelerations: Floats
+    ) -> Problem:
         preintegrated = preintegrate(
             angular_velocities,
             accelerations,
@@ -217,7 +218,7 @@ def make_scene(
     )
 
 
-def _perfect_samples(motion: Motion, times: Array, *, honest: bool) -> tuple[Array, Array]:
+def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Floats, Floats]:
     """Return what a noise-free IMU measures over each step between `times`."""
     rotations = motion.rotations(times)
     if not honest:
@@ -232,7 +233,7 @@ def _perfect_samples(motion: Motion, times: Array, *, honest: bool) -> tuple[Arr
     return rates, np.einsum("nji,nj->ni", middle, forces)
 
 
-def _flown(motion: Motion, times: Array, *, honest: bool) -> State:
+def _flown(motion: Motion, times: Floats, *, honest: bool) -> State:
     """Return the truth at the IMU's rate, as a state without landmarks.
 
     Of an honest profile it is what the perfect samples lead to, so that no measurement errs but
@@ -246,7 +247,7 @@ def _flown(motion: Motion, times: Array, *, honest: bool) -> State:
     return State.at(positions, motion.rotations(times), velocities, np.zeros((0, 3)))
 
 
-def _directions(generator: np.random.Generator, count: int) -> Array:
+def _directions(generator: np.random.Generator, count: int) -> Floats:
     vectors = generator.standard_normal((count, 3))
-    directions: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    directions: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return directions

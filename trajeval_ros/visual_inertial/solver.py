@@ -12,13 +12,11 @@ from enum import Enum
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import ReducedSystem, reduce_landmarks
 from trajeval_ros.visual_inertial.state import State
-
-Array = NDArray[np.float64]
 
 # The first position, and the z component of the first rotation's Dphi: eq. (10).
 GAUGE_INDICES = np.array([0, 1, 2, 5])
@@ -51,10 +49,10 @@ class Trace:
         yaw_deg: Absolute z component of the first rotation's Dphi.
     """
 
-    cost: Array
-    reprojection_px: Array
-    position_m: Array
-    yaw_deg: Array
+    cost: Floats
+    reprojection_px: Floats
+    position_m: Floats
+    yaw_deg: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,23 +145,23 @@ class _Linearised:
 
     normal: NormalEquations
     cost: float
-    prior: Array  # (4,), gradient of the prior
+    prior: Floats  # (4,), gradient of the prior
 
     @property
-    def curvature(self) -> Array:
+    def curvature(self) -> Floats:
         """Diagonal of J^T J, (9N + 3K,), without the prior's share."""
         motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2)
         landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
         return np.concatenate([motion.ravel(), landmarks.ravel()])
 
     @property
-    def gradient(self) -> Array:
+    def gradient(self) -> Floats:
         """J^T r, (9N + 3K,)."""
         motion = self.normal.motion_gradient.ravel().copy()
         motion[GAUGE_INDICES] += self.prior
         return np.concatenate([motion, self.normal.landmark_gradient.ravel()])
 
-    def steepest(self, free: NDArray[np.bool_]) -> float:
+    def steepest(self, free: Booleans) -> float:
         """Return the largest component of the gradient along free parameters."""
         motion, landmarks = np.split(self.gradient, [len(free)])
         return float(max(np.abs(motion[free]).max(), np.abs(landmarks).max()))
@@ -193,7 +191,7 @@ class _Descent:
         yaw_deg = float(np.degrees(np.abs(shift[3])))
         return here.cost, here.normal.reprojection_px, float(np.linalg.norm(shift[:3])), yaw_deg
 
-    def step(self, here: _Linearised, damping: Array) -> tuple[Array, float]:
+    def step(self, here: _Linearised, damping: Floats) -> tuple[Floats, float]:
         """Return the damped step and the decrease that it promises; 0 if there is none."""
         motion_damping, landmark_damping = np.split(damping, [len(self.free)])
         try:
@@ -209,7 +207,7 @@ class _Descent:
         gain = -0.5 * float(here.gradient @ step) + 0.5 * float((damping * step) @ step)
         return step, gain
 
-    def _solved(self, reduced: ReducedSystem, prior: Array) -> Array:
+    def _solved(self, reduced: ReducedSystem, prior: Floats) -> Floats:
         matrix, gradient = reduced.matrix, reduced.gradient
         matrix[GAUGE_INDICES, GAUGE_INDICES] += self.weight
         gradient[GAUGE_INDICES] += prior
@@ -221,7 +219,7 @@ class _Descent:
         return motion
 
 
-def _from_reference(state: State) -> Array:
+def _from_reference(state: State) -> Floats:
     """Return the residual of the prior, eq. (11): shift (3,) and yaw of the first keyframe."""
     shift = state.positions[0] - state.reference_position
     return np.append(shift, state.first_turn[2])

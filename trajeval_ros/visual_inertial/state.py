@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
-
-Array = NDArray[np.float64]
+from trajeval_ros.geometry.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,22 +28,24 @@ class State:
         reference_position: (3,), the first position's initial value.
     """
 
-    positions: Array
-    rotations: Array
-    velocities: Array
-    landmarks: Array
-    first_turn: Array
-    reference_rotation: Array
-    reference_position: Array
+    positions: Floats
+    rotations: Floats
+    velocities: Floats
+    landmarks: Floats
+    first_turn: Floats
+    reference_rotation: Floats
+    reference_position: Floats
 
     @classmethod
-    def at(cls, positions: Array, rotations: Array, velocities: Array, landmarks: Array) -> State:
+    def at(
+        cls, positions: Floats, rotations: Floats, velocities: Floats, landmarks: Floats
+    ) -> State:
         """Return a state that is its own reference."""
         return cls(
             positions, rotations, velocities, landmarks, np.zeros(3), rotations[0], positions[0]
         )
 
-    def moved(self, step: Array) -> State:
+    def moved(self, step: Floats) -> State:
         """Return the state after a step (9N + 3K,)."""
         count = len(self.positions)
         motion = step[: 9 * count].reshape(count, 9)
@@ -62,7 +62,7 @@ class State:
             self.reference_position,
         )
 
-    def transformed(self, rotation: Array, translation: Array) -> State:
+    def transformed(self, rotation: Floats, translation: Floats) -> State:
         """Return the state moved by g, eq. (5), with its references left where they are."""
         return State(
             self.positions @ rotation.T + translation,
@@ -74,7 +74,7 @@ class State:
             self.reference_position,
         ).referred_to(self.reference_rotation, self.reference_position)
 
-    def referred_to(self, rotation: Array, position: Array) -> State:
+    def referred_to(self, rotation: Floats, position: Floats) -> State:
         """Return the same state with other references."""
         return State(
             self.positions,
@@ -87,7 +87,7 @@ class State:
         )
 
     @property
-    def gauge_basis(self) -> Array:
+    def gauge_basis(self) -> Floats:
         """U of eq. (15), (9N + 3K, 4): how yaw about the origin and translation move the state."""
         count = len(self.positions)
         basis = np.zeros((3 * count + len(self.landmarks), 3, 4))
@@ -102,6 +102,6 @@ class State:
         return basis.reshape(-1, 4)
 
 
-def _gravity_cross(vectors: Array) -> Array:
+def _gravity_cross(vectors: Floats) -> Floats:
     """Return e_z x v."""
     return np.stack([-vectors[:, 1], vectors[:, 0], np.zeros(len(vectors))], axis=1)

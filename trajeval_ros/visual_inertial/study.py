@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
@@ -23,7 +23,6 @@ from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, SolverResult, Trace, solve
 from trajeval_ros.visual_inertial.state import State
 
-Array = NDArray[np.float64]
 Advance = Callable[[], object]
 
 PRIOR_WEIGHT = 1e5
@@ -46,11 +45,11 @@ class Trials:
         seconds: From the initial state to the solution.
     """
 
-    position_m: Array
-    rotation_deg: Array
-    velocity_mps: Array
-    iterations: Array
-    seconds: Array
+    position_m: Floats
+    rotation_deg: Floats
+    velocity_mps: Floats
+    iterations: Floats
+    seconds: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +63,9 @@ class Covariances:
         difference: Of the latter two, relative, Frobenius norm.
     """
 
-    free: Array
-    transformed: Array
-    fixed: Array
+    free: Floats
+    transformed: Floats
+    fixed: Floats
     difference: float
 
 
@@ -140,7 +139,7 @@ def _errors(truth: State, state: State) -> tuple[float, float, float]:
     )
 
 
-def _rms(vectors: Array) -> float:
+def _rms(vectors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))
 
 

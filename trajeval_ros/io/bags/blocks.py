@@ -10,7 +10,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Index = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Booleans, Indices
+
 Buffer = NDArray[np.uint8]
 Owner = TypeVar("Owner")
 
@@ -35,17 +36,17 @@ class Block:
     """
 
     earliest: int
-    connections: Index
-    log_times: Index
+    connections: Indices
+    log_times: Indices
     buffer: Buffer
-    begins: Index
-    sizes: Index
+    begins: Indices
+    sizes: Indices
 
     def __len__(self) -> int:
         """Return the number of messages."""
         return len(self.begins)
 
-    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> Block:
+    def __getitem__(self, rows: Booleans | Indices | slice) -> Block:
         """Return some of the messages."""
         return replace(
             self,
@@ -119,8 +120,8 @@ class Block:
 
 
 def block_of(
-    connections: Sequence[int] | Index,
-    log_times: Sequence[int] | Index,
+    connections: Sequence[int] | Indices,
+    log_times: Sequence[int] | Indices,
     payloads: Sequence[bytes | memoryview],
 ) -> Block:
     """Return single messages as a block."""

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.io.bags.cdr_steps import Elements, FixedFields, Span, Step, String, steps_of
 from trajeval_ros.io.bags.message_definitions import Fields
 
 Numbers = NDArray[Any]
-Index = NDArray[np.int64]
 Buffer = NDArray[np.uint8]
-Offsets = int | Index  # an int as long as it is the same for all: that saves most of the work
+Offsets = int | Indices  # an int as long as it is the same for all: that saves most of the work
 
 # How CDR says that it is encoded: byte order, and the largest alignment (DDS-XTYPES 1.3, 7.6.3.1).
 _ENCAPSULATIONS = {0x0000: (">", 8), 0x0001: ("<", 8), 0x0006: (">", 4), 0x0007: ("<", 4)}
@@ -41,7 +41,7 @@ class StringColumn:
     """A column of strings: `names[codes[row]]` is the one of a row."""
 
     names: tuple[str, ...]
-    codes: Index
+    codes: Indices
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Columns:
             numbers or strings has one column, with the empty name.
     """
 
-    rows: Index
+    rows: Indices
     numbers: dict[str, Numbers]
     texts: dict[str, StringColumn]
     sequences: dict[str, Columns]
@@ -92,7 +92,7 @@ class CdrPlan:
         buffer = np.frombuffer(b"".join(payloads), dtype=np.uint8)
         return self.decode_at(buffer, np.cumsum(sizes) - sizes, sizes)
 
-    def decode_at(self, buffer: Buffer, begins: Index, sizes: Index) -> Columns:
+    def decode_at(self, buffer: Buffer, begins: Indices, sizes: Indices) -> Columns:
         """Return the columns of messages that lie in a buffer.
 
         Args:
@@ -147,9 +147,9 @@ class _MessageBatch:
         buffer: Buffer,
         order: str,
         limit: int,
-        rows: Index,
-        origins: Index,
-        rooms: Index,
+        rows: Indices,
+        origins: Indices,
+        rooms: Indices,
         at: Offsets = 0,
     ) -> None:
         self.buffer = buffer
@@ -163,7 +163,7 @@ class _MessageBatch:
         if len(rooms):
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
         self.at = at
-        self._numbers: list[tuple[Span, Index]] = []
+        self._numbers: list[tuple[Span, Indices]] = []
         self._texts: dict[str, StringColumn] = {}
         self._sequences: dict[str, list[_MessageBatch]] = {}
 
@@ -200,7 +200,7 @@ class _MessageBatch:
             return
         self._keep(end <= self.rooms)
 
-    def _keep(self, good: NDArray[np.bool_]) -> None:
+    def _keep(self, good: Booleans) -> None:
         """Leave out the messages that aren't good, and what was found in them."""
         if good.all():
             return
@@ -262,7 +262,7 @@ class _MessageBatch:
         else:
             self._unequal_elements(step, counts)
 
-    def _equal_elements(self, step: Elements, counts: Index) -> None:
+    def _equal_elements(self, step: Elements, counts: Indices) -> None:
         """Walk elements that all have the same size."""
         run, stride = step.steps[0], step.stride
         assert isinstance(run, FixedFields)
@@ -282,7 +282,7 @@ class _MessageBatch:
             self._sequences[step.path].append(batch)
         self.at = ends
 
-    def _unequal_elements(self, step: Elements, counts: Index) -> None:
+    def _unequal_elements(self, step: Elements, counts: Indices) -> None:
         """Walk elements whose strings make them as long as they like.
 
         Where the next element begins is known at the end of the one before. But mostly elements
@@ -320,7 +320,7 @@ class _MessageBatch:
         self.at = at
         self._keep(good)
 
-    def _elements_at(self, owners: Index, places: Index) -> _MessageBatch:
+    def _elements_at(self, owners: Indices, places: Indices) -> _MessageBatch:
         """Return a batch of elements of the messages `owners` (M,), that begin at `places`."""
         return _MessageBatch(
             self.buffer,
@@ -395,7 +395,7 @@ def _joined_texts(parts: Sequence[StringColumn], order: Any) -> StringColumn:
     return StringColumn(tuple(names), np.concatenate(codes)[order])
 
 
-def _gather(buffer: Buffer, places: Index, dtype: np.dtype[Any]) -> Numbers:
+def _gather(buffer: Buffer, places: Indices, dtype: np.dtype[Any]) -> Numbers:
     """Return what lies at the places (N,), whatever their alignment."""
     if not len(places):
         return np.zeros(0, dtype=dtype)
@@ -419,7 +419,7 @@ def _usable(column: Numbers) -> Numbers:
 
 
 def _texts(
-    buffer: Buffer, places: Index, lengths: Offsets, is_terminated: bool
+    buffer: Buffer, places: Indices, lengths: Offsets, is_terminated: bool
 ) -> tuple[tuple[str, ...], Offsets]:
     """Return strings at the places (N,): names, and which one each is; -1 is no string."""
     names: dict[str, int] = {}
@@ -434,7 +434,7 @@ def _texts(
 
 
 def _texts_of_length(
-    buffer: Buffer, places: Index, length: int, is_terminated: bool, names: dict[str, int]
+    buffer: Buffer, places: Indices, length: int, is_terminated: bool, names: dict[str, int]
 ) -> Offsets:
     """Return the codes of strings of one length; new ones are added to the names."""
     if not len(places):
@@ -469,11 +469,11 @@ def _are_same(values: Numbers) -> bool:
     return content == content[: values.itemsize] * len(values)
 
 
-def _those(offsets: Offsets, good: NDArray[np.bool_]) -> Offsets:
+def _those(offsets: Offsets, good: Booleans) -> Offsets:
     return offsets if isinstance(offsets, int) else offsets[good]
 
 
-def _repeated(counts: Index) -> tuple[Index, Index]:
+def _repeated(counts: Indices) -> tuple[Indices, Indices]:
     """Return, for each of `counts` things, its owner and its number among the owner's things."""
     owners = np.repeat(np.arange(len(counts)), counts)
     return owners, np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.io.bags.blocks import block_of
-from trajeval_ros.io.bags.cdr import Buffer, Columns, Index, StringColumn
+from trajeval_ros.io.bags.cdr import Buffer, Columns, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
 TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")
@@ -71,7 +72,7 @@ class FoxglovePlan:
         block = block_of([], [], payloads)
         return self.decode_at(block.buffer, block.begins, block.sizes)
 
-    def decode_at(self, buffer: Buffer, begins: Index, sizes: Index) -> Columns:
+    def decode_at(self, buffer: Buffer, begins: Indices, sizes: Indices) -> Columns:
         """Return the columns of messages that lie in a buffer; see `Plan.decode_at`."""
         whole = memoryview(buffer.data)
         good: list[int] = []
@@ -114,7 +115,7 @@ class FoxglovePlan:
             raise ValueError("a field is of the wrong kind")
         return stamp, names, tuple(map(float, numbers))
 
-    def _columns(self, owners: Index, rows: list[_Row]) -> Columns:
+    def _columns(self, owners: Indices, rows: list[_Row]) -> Columns:
         stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64).reshape(-1, 2)
         numbers = np.array([numbers for _, _, numbers in rows], dtype=np.float64).reshape(-1, 7)
         place = ("transform.translation", "transform.rotation")

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from trajeval_ros.geometry.arrays import Booleans, Indices
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
     from rosbags.interfaces import Connection
 
-Index = NDArray[np.int64]
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = (
@@ -47,12 +47,12 @@ class MessageIndex:
         sizes: (N,) bytes of their payloads.
     """
 
-    channels: Index
-    log_times: Index
-    offsets: Index
-    sizes: Index
+    channels: Indices
+    log_times: Indices
+    offsets: Indices
+    sizes: Indices
 
-    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> MessageIndex:
+    def __getitem__(self, rows: Booleans | Indices | slice) -> MessageIndex:
         """Return some of them."""
         return MessageIndex(
             self.channels[rows], self.log_times[rows], self.offsets[rows], self.sizes[rows]

@@ -10,8 +10,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.io.bags.byte_source import ByteSource
 from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
@@ -148,5 +148,5 @@ def _look_into_chunks(source: ByteSource, found: Scan) -> None:
                 chunk.last = int(messages.log_times.max())
 
 
-def _known(messages: MessageIndex, registry: Registry) -> NDArray[np.bool_]:
+def _known(messages: MessageIndex, registry: Registry) -> Booleans:
     return np.isin(messages.channels, np.fromiter(registry.channels, np.int64))

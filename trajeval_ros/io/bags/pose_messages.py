@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
-Floats = NDArray[np.float64]
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 PATH_TYPE = "nav_msgs/msg/Path"
 
@@ -262,8 +262,8 @@ def _appended(edge: TransformColumns, other: TransformColumns) -> TransformColum
 
 def encode_path(
     stamps: NDArray[np.int64],
-    positions: NDArray[np.float64],
-    quaternions: NDArray[np.float64],
+    positions: Floats,
+    quaternions: Floats,
     frame: str,
 ) -> bytes:
     """Return a nav_msgs/Path in little-endian CDR, stamped as its last pose.

@@ -6,9 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.blocks import Index
+from trajeval_ros.geometry.arrays import Booleans, Indices
 
 
 @dataclass(eq=False)
@@ -34,7 +33,7 @@ def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
     return frozenset().union(*(each.connections for each in selections))
 
 
-def are_of(ids: Index, wanted: Collection[int]) -> NDArray[np.bool_]:
+def are_of(ids: Indices, wanted: Collection[int]) -> Booleans:
     """Return which of the ids (N,) are of some connections."""
     if len(wanted) == 1:  # a tenth of the time that isin takes
         return np.asarray(ids == next(iter(wanted)))

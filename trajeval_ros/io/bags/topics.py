@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Advance, Bag, Topic
 from trajeval_ros.io.bags.topic_readers import (
@@ -22,8 +22,6 @@ from trajeval_ros.io.bags.topic_readers import (
 )
 from trajeval_ros.io.bags.transform_tree import compose_transforms
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, judge_poses
 from trajeval_ros.io.checks import nearest, times
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 EdgeKey = tuple[str, str]
 Way = list[tuple[EdgeKey, bool]]  # edges in order, and whether each points from parent to child
 

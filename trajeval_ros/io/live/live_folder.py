@@ -17,9 +17,10 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.io.checks import judge_rotations
-from trajeval_ros.io.live.pair_file import SUFFIX, Floats, RecordedPairs, Stamps, read_pairs
+from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import Association, AssociationRule
 from trajeval_ros.metrics.coverage import coverage_of

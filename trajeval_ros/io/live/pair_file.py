@@ -23,9 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from trajeval_ros.geometry.arrays import Floats, Stamps
 
 FORMAT = "trajeval-pairs/1"
 SUFFIX = ".pairs"

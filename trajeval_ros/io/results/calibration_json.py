@@ -7,9 +7,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _verdict(found: Parameter, applied: bool) -> dict[str, Any]:
     }
 
 
-def _list(column: NDArray[np.float64] | None) -> list[float | None] | None:
+def _list(column: Floats | None) -> list[float | None] | None:
     """Return the components, null where one is not known."""
     if column is None:
         return None

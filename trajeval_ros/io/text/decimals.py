@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.io.text.stamps import POWERS_OF_TEN, ExactNumbers, billionths, exact_numbers
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
 
 _LONGEST_NUMBER = 400  # characters; nobody writes longer ones, and memory has an end
 _PADDING = b" " * _LONGEST_NUMBER  # so that words that reach beyond a number end in the block
@@ -66,7 +65,7 @@ class ParsedRows:
     """
 
     stamps: ExactNumbers | None
-    timed: NDArray[np.bool_]
+    timed: Booleans
     values: Floats
 
 
@@ -185,7 +184,7 @@ class _Decimals:
     The places have the shape (1,) if they are the same for all.
     """
 
-    negative: NDArray[np.bool_]
+    negative: Booleans
     whole: NDArray[np.uint64]
     fraction: NDArray[np.uint64]
     places: Indices
@@ -226,7 +225,7 @@ def _parse_numbers(tokens: _Tokens) -> Floats:
     return numbers
 
 
-def _parse_stamps(tokens: _Tokens) -> tuple[ExactNumbers, NDArray[np.bool_]]:
+def _parse_stamps(tokens: _Tokens) -> tuple[ExactNumbers, Booleans]:
     """Return the numbers (N,) exactly, and which of them are finite."""
     parts = _parse_decimals(tokens)
     if parts is None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.text.decimals import ParsedRows, RowError, parse_rows
@@ -19,7 +20,6 @@ from trajeval_ros.io.text.head import COMMENT, TextFormat, read_head, recognise_
 from trajeval_ros.io.text.layouts import Layout
 from trajeval_ros.io.text.stamps import ExactNumbers, to_nanoseconds
 
-Floats = NDArray[np.float64]
 Advance = Callable[[int, int], None]
 
 # Bytes that are allocated and freed once: that tells glibc's malloc to keep so much for the next

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 Unsigned = NDArray[np.uint64]
@@ -35,7 +36,7 @@ class ExactNumbers:
         billionths: (N,) uint64, from 0 to 1e9 (rounding may carry).
     """
 
-    negative: NDArray[np.bool_]
+    negative: Booleans
     whole: Unsigned
     billionths: Unsigned
 
@@ -48,7 +49,7 @@ class ExactNumbers:
             np.concatenate([part.billionths for part in parts]),
         )
 
-    def __getitem__(self, rows: NDArray[np.bool_]) -> ExactNumbers:
+    def __getitem__(self, rows: Booleans) -> ExactNumbers:
         """Return the numbers of a mask."""
         return ExactNumbers(self.negative[rows], self.whole[rows], self.billionths[rows])
 
