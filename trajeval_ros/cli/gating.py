@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trajeval_ros.cli.pipes import may_break
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.io.writing import write_text
 
 if TYPE_CHECKING:
@@ -39,8 +39,9 @@ FailIfOption = Annotated[
     ),
 ]
 UndecidedOption = Annotated[
-    Literal["pass", "fail"],
+    str,
     typer.Option(
+        metavar="pass|fail",
         help="What a gate does that is neither worse nor shown to be no worse.",
         rich_help_panel=GATES,
     ),
@@ -84,6 +85,7 @@ def gates_of(
         raise SettingsError(
             "--baseline says what to compare with and --fail-if what is worse; give both"
         )
+    require_one_of(undecided, ("pass", "fail"), "value of --undecided")
     if not 0.0 < false_alarms <= 20.0:
         raise SettingsError(
             f"--false-alarms {false_alarms:g} is a chance in per cent; give one above 0 and up to "
