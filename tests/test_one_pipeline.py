@@ -15,6 +15,7 @@ from strategies import make_pair
 from test_live_run import ESTIMATE, TRUTH, Live
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.request_words import request_from
@@ -214,3 +215,8 @@ def test_a_live_run_can_not_be_given_another_time_offset(tmp_path: Path) -> None
     live.end()
     with pytest.raises(SettingsError, match="fixed time offset"):
         evaluate_folder(live.folder, Request(calibration=CalibrationRequest(offset=True)))
+
+
+def test_no_estimate_is_refused_in_a_sentence() -> None:
+    with pytest.raises(InputError, match="no estimate to evaluate"):
+        run(make_pair(5, 40, smooth=True).groundtruth, [])

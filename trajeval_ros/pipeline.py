@@ -223,8 +223,8 @@ def run(
         request: What to compute; by default ATE and relative errors by the default protocol.
 
     Raises:
-        InputError: An estimate can't be evaluated; the message begins with its source or name.
-        SettingsError: The request means nothing for these trajectories.
+        InputError: There is no estimate, or one can't be evaluated as requested; then the message
+            begins with its source or name.
 
     Example:
         >>> from trajeval_ros import Request, run, simulate
@@ -234,6 +234,8 @@ def run(
         2
     """
     request = request or Request()
+    if not estimates:
+        raise InputError("there is no estimate to evaluate; give at least one")
     runs: list[RunOutcome] = []
     for estimate in estimates:
         with _named(estimate):

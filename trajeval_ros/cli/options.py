@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -200,14 +199,6 @@ RequireOption = Annotated[
         metavar="BOUND",
         help="Exit with status 1 unless it holds for every estimate; repeatable. "
         "Such as 'ate.position_m.rmse < 0.3' or 're.8m.position_percent.mean < 1'.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-OutputFolderOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Write result.json, errors.npz and figures to this folder.",
         rich_help_panel=OUTPUT,
     ),
 ]
