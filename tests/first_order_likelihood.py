@@ -1,4 +1,4 @@
-"""Equations (12), (13) and (21) to (28) of the probabilistic paper, to compare with.
+"""Equations (12), (13), (16), (17) and (21) to (28) of the probabilistic paper, to compare with.
 
 The generalised absolute error to first order, and relative poses of stochastic groundtruth.
 
@@ -19,7 +19,8 @@ from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.geometry import se3
 from trajeval_ros.likelihood.relative_density import (
     LOG_2_PI,
-    relative_errors,
+    RelativeErrorDensity,
+    decomposed,
     relative_poses,
     transports,
 )
@@ -40,6 +41,16 @@ class FirstOrderAbsoluteError:
     log_likelihood: float
     mean: Array
     information: Array
+
+
+def relative_errors(poses: Array, estimate: Array) -> Array:
+    """Return e_i (M - 1, 6) of groundtruth and estimated poses (M, 4, 4): eq. (16)."""
+    return se3.log(se3.inverse(relative_poses(poses)) @ relative_poses(estimate))
+
+
+def generalised_relative_error(belief: Belief, estimate: Array) -> RelativeErrorDensity:
+    """Return P_RE of M poses, eq. (17), to the letter."""
+    return decomposed(belief, relative_errors(belief.poses, estimate))
 
 
 def first_residual(first: Array, gauge_twist: Array) -> Array:

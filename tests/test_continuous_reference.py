@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from se3_manifold import Poses
+from solved_process import solved
 
+from trajeval_ros.continuous_time.gp_segments import GPSegments
 from trajeval_ros.continuous_time.hyperparameters import Hyperparameters, negative_log_likelihood
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.kernels import MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
-from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.geometry import se3
@@ -43,13 +44,9 @@ def piecewise_process(given: Any, case: Any) -> PiecewiseGP:
     hyperparameters = [Hyperparameters(*case[f"hyper_{name}"]) for name in ("trans", "rot")]
     noise = Noise(hyperparameters[0].noise, hyperparameters[1].noise)
     samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
-    return PiecewiseGP.fit(
-        samples,
-        (KERNELS[case["kernel"]],),
-        joint=case["coords"] == "se3",
-        size=case["n"],
-        hyperparameters=hyperparameters,
-    )
+    segments = GPSegments.of(samples, case["n"], joint=case["coords"] == "se3")
+    kernel = KERNELS[case["kernel"]]
+    return PiecewiseGP.conditioned(segments, [(kernel, each) for each in hyperparameters])
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -117,7 +114,7 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
         "so3": (Rotations(), poses[:, :3, :3]),
         "se3": (Poses(), poses),
     }[group]
-    process = Process.fit(manifold, order, times, measured, 0.01, density=0.5)
+    process = solved(manifold, order, times, measured, 0.01, 0.5)
     if group == "se3":
         # Its translations and rotations have noises of their own.
         process = replace(
@@ -149,9 +146,7 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
 
 def test_joint_posterior(numbers: Any) -> None:
     given = numbers["joint_posterior_r3_wnoj"]
-    process = Process.fit(
-        Positions(), 3, np.array(given["t"]), np.array(given["X"]), 0.01, given["Qc"]
-    )
+    process = solved(Positions(), 3, np.array(given["t"]), np.array(given["X"]), 0.01, given["Qc"])
     asked = np.array(given["tq"])
     joint = JointPosterior.of(process, asked)
     np.testing.assert_allclose(joint.covariance(), given["P_qq"], rtol=1e-8, atol=1e-14)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.io.bags import pacing
 from trajeval_ros.io.bags.pacing import TICK_S, PlaybackResult, play
 
 SECOND = 10**9
@@ -24,9 +27,6 @@ class Clock:
         self.ticks: list[int] = []
         self.cost_s, self.wait_s = cost_s, wait_s
 
-    def now(self) -> float:
-        return self.time_s
-
     def sleep(self, duration_s: float) -> None:
         assert duration_s > 0.0
         self.time_s += duration_s
@@ -40,16 +40,16 @@ class Clock:
     def play(
         self, times_s: Sequence[float], rate: float, stop_s: float = 1e9
     ) -> PlaybackResult[str]:
-        return play(
-            [(BEGIN + round(time * SECOND), f"{time}", b"") for time in times_s],
-            BEGIN,
-            rate,
-            publish=self.publish,
-            tick=self.ticks.append,
-            is_stopped=lambda: self.time_s - 100.0 >= stop_s,
-            now=self.now,
-            sleep=self.sleep,
-        )
+        clock = SimpleNamespace(monotonic=lambda: self.time_s, sleep=self.sleep)
+        with mock.patch.object(pacing, "time", clock):
+            return play(
+                [(BEGIN + round(time * SECOND), f"{time}", b"") for time in times_s],
+                BEGIN,
+                rate,
+                publish=self.publish,
+                tick=self.ticks.append,
+                is_stopped=lambda: self.time_s - 100.0 >= stop_s,
+            )
 
 
 TIMES = st.lists(st.floats(0.0, 20.0), max_size=60).map(sorted)

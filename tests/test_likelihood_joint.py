@@ -61,7 +61,7 @@ def test_what_hides_the_groundtruths_errors_makes_poses_independent() -> None:
     estimate = truth @ se3.exp(errors)
     covariances = np.tile(np.diag([0.25] * 3 + [0.09] * 3), (len(times), 1, 1))
     belief = Belief(MODEL.at(times).poses, covariances)
-    single = generalised_absolute_error(Residuals(belief, estimate, Gauge.YAW), "laplace")
+    single = generalised_absolute_error(Residuals(belief, estimate, Gauge.YAW))
     groundtruth = CorrelatedGroundtruth.of(MODEL, times, Noise(0.5, 0.3))
     joint = joint_log_likelihood(groundtruth, estimate, Gauge.YAW, single.mode.element)
     assert joint == pytest.approx(single.log_likelihood, abs=0.05)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.online import trail
 from trajeval_ros.online.pairing import WIDTH, Pairs
 from trajeval_ros.online.trail import Trail
 
@@ -19,7 +22,11 @@ def numbered(first: int, count: int) -> Pairs:
 
 @given(most=st.integers(2, 40), batches=st.lists(st.integers(0, 120), max_size=30))
 def test_a_trail_is_every_kth_pair_and_the_newest(most: int, batches: list[int]) -> None:
-    trail = Trail(most)
+    with mock.patch.object(trail, "MOST_POSES", most):
+        check(Trail(), most, batches)
+
+
+def check(trail: Trail, most: int, batches: list[int]) -> None:
     first = 0
     for count in batches:
         trail.add(numbered(first, count))

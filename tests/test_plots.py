@@ -93,8 +93,7 @@ def test_same_evaluation_gives_the_same_bytes_whatever_the_users_settings(
 @pytest.mark.slow
 def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> None:
     evaluations = [_evaluation(0), _evaluation(0), _evaluation(0)]
-    names = ["first", "second", "third"]
-    for path in write_figures(evaluations, tmp_path, names):
+    for path in write_figures(evaluations, tmp_path):
         assert _pixels(path).std() > 0.05
     pixels = _pixels(tmp_path / "relative_error.png")
     assert all(_colour_share(pixels, canvas.tint(colour)) > 1e-3 for colour in canvas.COLOURS[:3])
@@ -103,7 +102,7 @@ def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_more_estimates_than_colours(tmp_path: Path) -> None:
-    assert len(write_figures([_evaluation()] * 8, tmp_path, [f"trial {k}" for k in range(8)])) == 4
+    assert len(write_figures([_evaluation()] * 8, tmp_path)) == 4
     assert len({canvas.line_style(place) for place in range(20)}) == 20
 
 

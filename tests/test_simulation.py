@@ -15,7 +15,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.pipeline import evaluate
-from trajeval_ros.visual_inertial.drifting_odometry import DriftModel, Simulation, simulate
+from trajeval_ros.visual_inertial import drifting_odometry
+from trajeval_ros.visual_inertial.drifting_odometry import TILT_DEG, Simulation, simulate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=metres(40))
 
@@ -78,12 +79,16 @@ def test_drifts_as_a_vio_does(seed: int) -> None:
     assert 0.05 < evaluation.ate["position_m"].rmse < 1.5
     assert 0.05 < evaluation.ate["yaw_deg"].rmse < 3.0
     # Gravity is observed: two axes, each never beyond twice its standard deviation.
-    assert evaluation.ate["tilt_deg"].max < 2.0 * np.sqrt(2.0) * DriftModel().tilt_deg
+    assert evaluation.ate["tilt_deg"].max < 2.0 * np.sqrt(2.0) * TILT_DEG
     assert evaluation.ate["velocity_mps"].rmse < 0.15
 
 
-def test_without_drift_only_the_frame_and_the_stamps_differ() -> None:
-    simulation = simulate(0, 60.0, drift=DriftModel(0.0, 0.0, 0.0, 0.0))
+def test_without_drift_only_the_frame_and_the_stamps_differ(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("_YAW_DEG_PER_SQRT_S", "_VELOCITY_SHARE", "_SCALE", "TILT_DEG"):
+        monkeypatch.setattr(drifting_odometry, name, 0.0)
+    simulation = simulate(0, 60.0)
     evaluation = evaluate(*_sides(simulation), YAW)
     assert evaluation.ate["position_m"].max < 5e-3
     assert evaluation.ate["rotation_deg"].max < 0.2
@@ -110,7 +115,7 @@ def test_rates_stamps_gap_and_frames(flight: Simulation) -> None:
 
 
 def test_refuses_what_makes_no_flight() -> None:
-    for arguments in ((0, 1.0), (0, np.nan), (0, 10.0, 6.0), (-1, 10.0)):
+    for arguments in ((0, 1.0), (0, np.nan), (-1, 10.0)):
         with pytest.raises(SettingsError):
             simulate(*arguments)
 

@@ -132,8 +132,9 @@ def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) ->
             assert not (min(ends) < 600 <= max(ends))
 
 
-def test_memory_keeps_the_run_and_its_bounds() -> None:
-    memory = RowHistory(1, most=100)
+def test_memory_keeps_the_run_and_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_path, "_MOST_ROWS", 100)
+    memory = RowHistory(1)
     for each in range(12_345):
         memory.add(each, np.array([float(each)]))
     stamps, rows = memory.columns()
@@ -293,7 +294,11 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
     from trajeval_ros.viewer.recorded_scene import write_recording
 
     one = evaluated(duration_s=10.0)
-    write_recording(tmp_path / "run.rrd", [one, one], names=["/a b/c", "x#2"])
+    both = [
+        dataclasses.replace(one, estimate=dataclasses.replace(one.estimate, name=name))
+        for name in ("/a b/c", "x#2")
+    ]
+    write_recording(tmp_path / "run.rrd", both)
     entities = Rrd(tmp_path / "run.rrd").entities
     frames = {
         each.split("/path/")[0]

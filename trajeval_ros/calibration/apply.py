@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.calibrate import Calibration, SystematicErrors, calibrate
+from trajeval_ros.calibration.calibrate import Calibration, calibrate
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
@@ -95,7 +95,6 @@ def evaluate_calibrated(
     protocol: Protocol,
     wanted: CalibrationRequest,
     *,
-    systematic: SystematicErrors | None = None,
     same_as: Calibrated | None = None,
     pairs: Association | None = None,
 ) -> Calibrated:
@@ -106,7 +105,6 @@ def evaluate_calibrated(
         estimate: Poses of a body that carries it.
         protocol: The settings; its time offset is where the search begins.
         wanted: What to calibrate.
-        systematic: See `calibrate`.
         same_as: Another estimate's outcome, whose calibration is to be used: estimates with
             parameters of their own can't be ranked.
         pairs: The states as they were paired before, such as by a live run, row by row; None to
@@ -131,7 +129,6 @@ def evaluate_calibrated(
             estimate,
             protocol.gauge,
             around_s=protocol.association.time_offset_s,
-            systematic=systematic,
         )
     found = _Found.in_calibration(calibration, wanted)
     used = found.significant()

@@ -82,8 +82,9 @@ def gauge_study(
     outcome = {name: _compared(name, scene, trials) for name, scene in scenes.items()}
     swept = scenes["sine plane"]
     with progress("prior weights") as advance:
-        done = iter(range(1, len(study.SWEEP_WEIGHTS) + 1))
-        sweep = study.sweep(swept, trials, lambda: advance(next(done), len(study.SWEEP_WEIGHTS)))
+        weights = study.SWEEP_WEIGHTS
+        done = iter(range(1, len(weights) + 1))
+        sweep = study.sweep(swept, trials, lambda: advance(next(done), len(weights)), weights)
     figured = ["sine random", *(name for name in scenes if name.startswith("motion of "))]
     matrices = {name: study.covariances(scenes[name]) for name in figured}
     output.mkdir(parents=True, exist_ok=True)
@@ -193,7 +194,9 @@ def _draw(
                 SWEEP_WEIGHTS, sweep, f"sine plane, {what}"
             ),
             "prior_paths.png": gauge_figures.prior_paths(
-                PATH_WEIGHTS, paths(swept), f"sine plane, one trial, profile {profile}"
+                PATH_WEIGHTS,
+                paths(swept, PATH_WEIGHTS),
+                f"sine plane, one trial, profile {profile}",
             ),
             "cost.png": gauge_figures.cost(outcome, what),
         }

@@ -44,7 +44,7 @@ class GPSegments:
     def of(
         cls,
         samples: Samples,
-        size: int = SIZE,
+        size: int,
         *,
         joint: bool = False,
         breaks: Indices = _NOWHERE,

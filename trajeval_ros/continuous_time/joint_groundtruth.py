@@ -76,11 +76,6 @@ class JointPosterior:
         """Return the covariances (Q, d, d) of single queries."""
         return self.factor.inverse_blocks()[0][self.rows, : self.dimension, : self.dimension]
 
-    def draws(self, count: int, random: np.random.Generator) -> Floats:
-        """Return draws (count, Q, d) of the error at the queries."""
-        white = random.normal(size=(*self.factor.scale.shape, count))
-        return np.moveaxis(self.factor.coloured(white)[self.rows, : self.dimension], -1, 0)
-
     def times(self, vectors: Floats) -> Floats:
         """Return P v for v (Q, d, k), in O(Q) and without P."""
         spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))

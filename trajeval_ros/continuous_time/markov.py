@@ -58,9 +58,8 @@ class Process:
         times: Floats,
         measured: Floats,
         noise: float,
-        density: float | None = None,
     ) -> Process:
-        """Find the most likely states.
+        """Find the most likely density, and the most likely states.
 
         Args:
             manifold: What the samples are on.
@@ -68,25 +67,32 @@ class Process:
             times: (N,), seconds, distinct and in order.
             measured: (N, ...).
             noise: Standard deviation of the samples, on all axes.
-            density: Of the white noise, on all axes; by default the most likely one.
+        """
+        start = cls.unsolved(manifold, order, times, measured, noise)
+        likely = start._most_likely_density(noise)
+        return replace(start, density=np.full_like(start.density, likely))._solved_with_digits()
+
+    @classmethod
+    def unsolved(
+        cls, manifold: Manifold, order: int, times: Floats, measured: Floats, noise: float
+    ) -> Process:
+        """Return it with density 1, states as measured and rates by differences.
+
+        Arguments as of `fit`.
         """
         order = min(order, len(times) - 1)
         velocity, acceleration = _differences(manifold, times, measured)
         rates = np.stack([velocity, acceleration], axis=1)[:, : order - 1]
-        start = cls(
+        return cls(
             manifold,
             order,
             times,
             measured,
             np.full(velocity.shape, noise**-2),
-            np.full(velocity.shape[1], density or 1.0),
+            np.ones(velocity.shape[1]),
             measured,
             rates,
         )
-        if density is None:
-            likely = start._most_likely_density(noise)
-            start = replace(start, density=np.full_like(start.density, likely))
-        return start._solved_with_digits()
 
     @property
     def dimension(self) -> int:

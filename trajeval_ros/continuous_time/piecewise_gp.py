@@ -47,24 +47,20 @@ class PiecewiseGP:
         kernels: Sequence[Kernel] = (MATERN_52,),
         *,
         joint: bool = False,
-        size: int = SIZE,
         breaks: Sequence[int] | Indices = (),
-        hyperparameters: Sequence[Hyperparameters] | None = None,
     ) -> PiecewiseGP:
-        """Fit the processes.
+        """Fit the processes: the most likely hyperparameters, then as of `conditioned`.
 
         Args:
             samples: Of the trajectory.
             kernels: Forms to choose from, by the likelihood of the samples.
             joint: Use coordinates of se(3), as the paper does.
-            size: Samples in a segment.
             breaks: Samples after which no segment goes on, as of `GPSegments.of`.
-            hyperparameters: Those to use, with the first kernel; by default the most likely ones.
         """
         after = np.asarray(breaks, dtype=np.int64)
-        segments = GPSegments.of(samples, size, joint=joint, breaks=after)
+        segments = GPSegments.of(samples, SIZE, joint=joint, breaks=after)
         sigmas = samples.noise.per_axis(samples.oriented)
-        chosen = [(kernels[0], each) for each in hyperparameters or ()] or [
+        chosen = [
             most_likely(
                 kernels,
                 segments.times,
@@ -74,6 +70,18 @@ class PiecewiseGP:
             )
             for block, sigma in enumerate(sigmas)
         ]
+        return cls.conditioned(segments, chosen)
+
+    @classmethod
+    def conditioned(
+        cls, segments: GPSegments, chosen: Sequence[tuple[Kernel, Hyperparameters]]
+    ) -> PiecewiseGP:
+        """Condition processes on samples.
+
+        Args:
+            segments: With their samples.
+            chosen: Kernel and hyperparameters of translations, and of rotations if there are any.
+        """
         roots, weights = [], []
         for block, (kernel, each) in enumerate(chosen):
             root = _inverse_roots(kernel, segments.times, each)

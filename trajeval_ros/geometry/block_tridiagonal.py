@@ -65,12 +65,6 @@ class Factor:
         scaled = (rows * self.scale).reshape(-1, 1)
         return np.asarray(dtbtrs(self.band, scaled, uplo="L")[0]).reshape(rows.shape)
 
-    def coloured(self, rows: Floats) -> Floats:
-        """Return (S^-1 L)^-T z for z (N, d, k): draws of covariance A^-1 of white ones."""
-        flat = rows.reshape(self.scale.size, -1)
-        solved = np.asarray(dtbtrs(self.band, flat, uplo="L", trans="T")[0])
-        return solved.reshape(rows.shape) * self.scale[..., None]
-
     def solve(self, rows: Floats) -> Floats:
         """Return A^-1 x for x (N, d) or (N, d, k)."""
         scale = self.scale if rows.ndim == 2 else self.scale[..., None]

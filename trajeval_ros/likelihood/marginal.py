@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtri
 
-from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import act
@@ -22,7 +21,6 @@ from trajeval_ros.likelihood.mode import Mode, find_mode
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
-METHODS = ("auto", "laplace", "importance", "quadrature")
 # Where differences of gradients are worth their time: they change a score by less than 1e-5 nats
 # above this.
 _MOST_FOR_FULL = 500
@@ -92,40 +90,32 @@ class AbsoluteErrorDensity:
         return np.asarray(ratio.mean(axis=0))
 
 
-def generalised_absolute_error(residuals: Residuals, method: str = "auto") -> AbsoluteErrorDensity:
+def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
     """Return L_AE, eq. (19).
+
+    By Laplace's approximation, unless a rotation of the alignment is known to no better than
+    0.3 rad: then by importance sampling.
 
     Args:
         residuals: Groundtruth, estimate and gauge.
-        method: `laplace`, `quadrature` or `importance`; `auto` takes Laplace's approximation
-            unless a rotation of the alignment is known to no better than 0.3 rad.
 
     Raises:
-        SettingsError: There is no such method.
         DegenerateGeometryError: A direction of the gauge is not observed at all, or a groundtruth
             pose is exactly known.
     """
-    if method not in METHODS:
-        raise SettingsError(f"there is no method {method!r}; use one of {', '.join(METHODS)}")
     mode = find_mode(residuals)
     information = mode.slope.information
     if len(residuals) <= _MOST_FOR_FULL and residuals.chart.dimension:
         information = full_information(residuals, mode)
     error = AbsoluteErrorDensity(
-        residuals, mode, information, laplace(mode, information), "laplace", None
+        residuals, mode, information, laplace(mode, information), "laplace"
     )
     turn = _turn_uncertainty(error)
-    if method == "auto":
-        method = "importance" if turn > MOST_TURN_RAD else "laplace"
-    share = None
-    if method == "importance":
-        value, share = importance(error)
-    elif method == "quadrature":
-        value = quadrature(error)
-    else:
-        value = error.log_likelihood
+    if turn <= MOST_TURN_RAD:
+        return dataclasses.replace(error, statements=_statements(error, turn, None))
+    value, share = importance(error)
     return AbsoluteErrorDensity(
-        residuals, mode, information, value, method, share, _statements(error, turn, share)
+        residuals, mode, information, value, "importance", share, _statements(error, turn, share)
     )
 
 
@@ -155,16 +145,6 @@ def full_information(residuals: Residuals, mode: Mode) -> Floats:
         information[axis] = (far - 8.0 * near) / (12.0 * steps[axis])
     symmetric: Floats = 0.5 * (information + information.T)
     return symmetric
-
-
-def quadrature(error: AbsoluteErrorDensity, nodes: int = 7) -> float:
-    """Return the log integral by a tensor of Gauss-Hermite nodes about the mode, nodes^d."""
-    size = error.residuals.chart.dimension
-    points, weights = np.polynomial.hermite_e.hermegauss(nodes)
-    grid = np.indices((nodes,) * size).reshape(size, -1).T
-    white = points[grid]
-    values = _log_values(error, white) + np.log(weights)[grid].sum(axis=1)
-    return _log_sum(values + 0.5 * np.square(white).sum(axis=1)) + _log_root(error)
 
 
 def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:

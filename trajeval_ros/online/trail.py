@@ -16,17 +16,12 @@ class Trail:
     The newest pair always is at the end, so that the trail reaches the robot.
     """
 
-    def __init__(self, most: int = MOST_POSES) -> None:
-        """Begin empty.
-
-        Args:
-            most: Number of pairs to hold at the most.
-        """
-        self._most = most
+    def __init__(self) -> None:
+        """Begin empty."""
         self._every = 1
         self._seen = self._count = 0
-        self._stamps: Stamps = np.empty(most, dtype=np.int64)
-        self._rows: Floats = np.empty((most, 2 * WIDTH))
+        self._stamps: Stamps = np.empty(MOST_POSES, dtype=np.int64)
+        self._rows: Floats = np.empty((MOST_POSES, 2 * WIDTH))
         self._newest: Pairs | None = None
 
     def __len__(self) -> int:
@@ -43,7 +38,7 @@ class Trail:
         picked = slice(first, None, self._every)
         stamps = pairs.stamps[picked]
         rows = np.hstack([pairs.groundtruth[picked], pairs.estimate[picked]])
-        while self._count + len(stamps) > self._most:
+        while self._count + len(stamps) > MOST_POSES:
             kept = (self._count + 1) // 2
             self._stamps[:kept] = self._stamps[: self._count : 2]
             self._rows[:kept] = self._rows[: self._count : 2]

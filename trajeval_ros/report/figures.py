@@ -62,9 +62,7 @@ def draw(
     return figure
 
 
-def write_figures(
-    evaluations: Sequence[Evaluation], folder: Path, names: Sequence[str] | None = None
-) -> list[Path]:
+def write_figures(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """Write PNG figures of estimates that were evaluated against one groundtruth.
 
     `trajectory_top.png` and, but for planar evaluations, `trajectory_side.png`: aligned
@@ -74,7 +72,6 @@ def write_figures(
     Args:
         evaluations: One per estimate, with the same groundtruth and protocol.
         folder: Existing folder; figures of the same names are replaced.
-        names: What legends call the estimates; by default their trajectories' names.
 
     Returns:
         The files that were written.
@@ -82,7 +79,7 @@ def write_figures(
     Raises:
         InputError: matplotlib is not installed.
     """
-    legend = canvas.short_names(names or [each.estimate.name for each in evaluations])
+    legend = canvas.short_names([each.estimate.name for each in evaluations])
     protocol = evaluations[0].protocol
     figures = {"trajectory_top.png": top_view}
     if protocol.gauge is not Gauge.PLANAR:

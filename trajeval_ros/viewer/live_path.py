@@ -17,6 +17,7 @@ Log = Callable[[int, str, Any], None]
 DRAWN_EVERY_NS = 100_000_000  # poses that are closer in time are left out
 _PIECE = 200  # poses, of which each is a row that stays in sight
 _HEAD = 20  # poses that are sent again with each new one
+_MOST_ROWS = 100_000  # of a history
 _NEVER = np.iinfo(np.int64).min
 
 
@@ -93,9 +94,8 @@ class LivePath:
 class RowHistory:
     """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
 
-    def __init__(self, width: int, most: int = 100_000) -> None:
+    def __init__(self, width: int) -> None:
         """Begin empty, for rows of so many numbers."""
-        self._most = most
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0
@@ -110,7 +110,7 @@ class RowHistory:
         self._seen += 1
         if self._seen % self._every:
             return
-        if self._count == self._most:
+        if self._count == _MOST_ROWS:
             kept = slice(0, self._count, 2)
             self._count = len(self._stamps[kept])
             self._stamps[: self._count] = self._stamps[kept]

@@ -40,7 +40,6 @@ def write_recording(
     path: Path,
     evaluations: Sequence[Evaluation],
     consistencies: Sequence[Consistency | None] = (),
-    names: Sequence[str] | None = None,
 ) -> None:
     """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth.
 
@@ -48,7 +47,6 @@ def write_recording(
         path: The file; it is replaced if it exists.
         evaluations: One per estimate, with the same groundtruth and protocol.
         consistencies: Of the same, None where nobody asked; by default of none.
-        names: What the estimates are called; by default their trajectories' names.
 
     Raises:
         InputError: rerun-sdk is not installed, or the file can't be written.
@@ -57,7 +55,7 @@ def write_recording(
     consistencies = [
         None if each is None or each.covariances is None else each for each in consistencies
     ] or [None] * len(evaluations)
-    names = names or [each.estimate.name or "estimate" for each in evaluations]
+    names = [each.estimate.name or "estimate" for each in evaluations]
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
     truth = evaluations[0].groundtruth
     origin = origin_for(truth.positions)

@@ -23,13 +23,12 @@ _LOOK_EVERY_S = 0.25
 _SIZE = "1600x900"
 
 
-def save_png(file: Path, png: Path, *, patience_s: float = _PATIENCE_S) -> None:
+def save_png(file: Path, png: Path) -> None:
     """Write what the viewer shows of a file (.rrd) at first open.
 
     Args:
         file: What to show.
         png: What to write.
-        patience_s: After so many seconds the viewer is ended, and with it the attempt.
 
     Raises:
         InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
@@ -37,7 +36,7 @@ def save_png(file: Path, png: Path, *, patience_s: float = _PATIENCE_S) -> None:
     """
     sdk()
     # `--screenshot-to` takes its picture before the file is loaded.
-    with headless_viewer(file, patience_s=patience_s) as url:
+    with headless_viewer(file) as url:
         ask_for_screenshot(url, png)
 
 
@@ -68,13 +67,11 @@ def ask_for_screenshot(url: str, png: Path) -> None:
 
 
 @contextmanager
-def headless_viewer(file: Path, *, patience_s: float = _PATIENCE_S) -> Iterator[str]:
+def headless_viewer(file: Path) -> Iterator[str]:
     """Run the viewer of a file (.rrd) without a window; yields where it listens.
 
-    Args:
-        file: What to show.
-        patience_s: After so many seconds the viewer is ended, and connections to it fail: the
-            SDK itself waits for ever for a viewer that is stuck.
+    After a minute the viewer is ended, and connections to it fail: the SDK itself waits for ever
+    for a viewer that is stuck.
 
     Raises:
         InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
@@ -90,7 +87,7 @@ def headless_viewer(file: Path, *, patience_s: float = _PATIENCE_S) -> Iterator[
             late.set()
             viewer.kill()
 
-        timer = threading.Timer(patience_s, end)
+        timer = threading.Timer(_PATIENCE_S, end)
         timer.start()
         try:
             _wait_for(viewer, port)
@@ -98,7 +95,7 @@ def headless_viewer(file: Path, *, patience_s: float = _PATIENCE_S) -> Iterator[
         except InputError as error:
             if late.is_set():
                 raise InputError(
-                    f"Rerun's viewer did not draw {file} within {patience_s:g} s; try again when "
+                    f"Rerun's viewer did not draw {file} within {_PATIENCE_S:g} s; try again when "
                     "the machine is less busy"
                 ) from error
             raise

@@ -27,25 +27,12 @@ SHORTEST_S, LONGEST_S = 5.0, 86_400.0
 _GROUNDTRUTH_JITTER_S = 20e-6
 _STAMP_DELAY_S = 100e-6
 _LONGEST_STAMP_DELAY_S = 1e-3
-
-
-@dataclass(frozen=True)
-class DriftModel:
-    """How the odometry errs. The defaults lose 0.5 to 1 % of the distance.
-
-    Attributes:
-        yaw_deg_per_sqrt_s: Standard deviation of the yaw error after one second, growing with
-            the square root of time.
-        velocity_share: Standard deviation, per axis, of the velocity error as a share of speed.
-        scale: Standard deviation of the slowly varying scale error.
-        tilt_deg: Standard deviation, per axis, of the roll and pitch error; never more than
-            twice as much.
-    """
-
-    yaw_deg_per_sqrt_s: float = 0.1
-    velocity_share: float = 0.01
-    scale: float = 0.003
-    tilt_deg: float = 0.3
+_GAP_S = 2.0  # how long the odometry is silent
+# How it errs, as standard deviations, which lose 0.5 to 1 % of the distance.
+_YAW_DEG_PER_SQRT_S = 0.1  # after one second, growing with the square root of time
+_VELOCITY_SHARE = 0.01  # of speed, per axis
+_SCALE = 0.003  # varies slowly
+TILT_DEG = 0.3  # of roll and pitch, per axis; never more than twice as much
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +48,13 @@ class Simulation:
     estimate: Trajectory
 
 
-def simulate(
-    seed: int, duration_s: float = 120.0, gap_s: float = 2.0, drift: DriftModel | None = None
-) -> Simulation:
+def simulate(seed: int, duration_s: float = 120.0) -> Simulation:
     """Simulate a flight and its odometry; the same arguments give the same arrays.
 
     Args:
         seed: Chooses the flight, the frames, the clocks' jitter and the drift.
-        duration_s: Length of the flight, 5 s to a day.
-        gap_s: How long the odometry is silent, once, near the middle of the flight.
-        drift: How the odometry errs.
+        duration_s: Length of the flight, 5 s to a day. Near its middle the odometry is silent
+            for two seconds.
 
     Raises:
         SettingsError: A flight too short for what is in it, or too long for memory.
@@ -84,17 +68,13 @@ def simulate(
         raise SettingsError(
             f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
         )
-    if not 0.0 <= gap_s <= duration_s / 2.0:
-        raise SettingsError(
-            f"the gap must be from 0 to half of the flight's {duration_s:g} s, not {gap_s:g}"
-        )
     if seed < 0:
         raise SettingsError(f"the seed must be a number from 0 on, not {seed}")
     generator = np.random.default_rng(seed)
     flight = _Flight.random(generator)
     return Simulation(
         groundtruth=_groundtruth(generator, flight, duration_s),
-        estimate=_odometry(generator, flight, duration_s, gap_s, drift or DriftModel()),
+        estimate=_odometry(generator, flight, duration_s),
     )
 
 
@@ -170,13 +150,7 @@ def _groundtruth(generator: np.random.Generator, flight: _Flight, duration_s: fl
     )
 
 
-def _odometry(
-    generator: np.random.Generator,
-    flight: _Flight,
-    duration_s: float,
-    gap_s: float,
-    drift: DriftModel,
-) -> Trajectory:
+def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float) -> Trajectory:
     step_s = 1.0 / ESTIMATE_RATE_HZ
     # Neither clock knows the other: the phase is arbitrary, and all lies within the groundtruth.
     start_s = generator.uniform(0.01, 0.04)
@@ -184,12 +158,12 @@ def _odometry(
     velocities = flight.velocities(times)
     speed = np.linalg.norm(velocities, axis=1, keepdims=True)
 
-    yaw_step = np.radians(drift.yaw_deg_per_sqrt_s) * np.sqrt(step_s)
+    yaw_step = np.radians(_YAW_DEG_PER_SQRT_S) * np.sqrt(step_s)
     yaw = np.cumsum(yaw_step * generator.standard_normal(len(times)))
     turned = _yaw_rotations(yaw - yaw[0])
-    stretch = 1.0 + drift.scale * _wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
+    stretch = 1.0 + _SCALE * _wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
     disturbance = (
-        drift.velocity_share * speed * _wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
+        _VELOCITY_SHARE * speed * _wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
     )
     steps = np.diff(flight.positions(times), axis=0)
     drifting_steps = stretch[1:] * turned[1:].apply(steps) + disturbance[1:] * step_s
@@ -197,14 +171,14 @@ def _odometry(
 
     level = _wandering(generator, len(times), 2, 2.0 * ESTIMATE_RATE_HZ)
     tilt = np.zeros((len(times), 3))
-    tilt[:, :2] = np.radians(drift.tilt_deg) * 2.0 * np.tanh(level / 2.0)
+    tilt[:, :2] = np.radians(TILT_DEG) * 2.0 * np.tanh(level / 2.0)
     rotations = turned * Rotation.from_rotvec(tilt) * flight.rotations(times)
 
     # The odometry's world begins where the flight does, at an arbitrary yaw.
     frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
     delay = np.minimum(generator.exponential(_STAMP_DELAY_S, len(times)), _LONGEST_STAMP_DELAY_S)
-    gap_start_s = generator.uniform(0.4, 0.6) * duration_s - gap_s / 2.0
-    heard = (times < gap_start_s) | (times >= gap_start_s + gap_s)
+    gap_start_s = generator.uniform(0.4, 0.6) * duration_s - _GAP_S / 2.0
+    heard = (times < gap_start_s) | (times >= gap_start_s + _GAP_S)
     return Trajectory(
         stamps=_stamps(times + delay),
         positions=frame.apply(positions),

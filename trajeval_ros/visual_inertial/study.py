@@ -82,9 +82,7 @@ def compare(scene: Scene, trials: int, advance: Advance) -> dict[GaugeHandling, 
     return {handling: _columns(trials_of) for handling, trials_of in rows.items()}
 
 
-def sweep(
-    scene: Scene, trials: int, advance: Advance, weights: Sequence[float] = SWEEP_WEIGHTS
-) -> list[Trials]:
+def sweep(scene: Scene, trials: int, advance: Advance, weights: Sequence[float]) -> list[Trials]:
     """Solve the same trials with each prior weight (Fig. 4 and 5)."""
     outcome = []
     for weight in weights:
@@ -97,7 +95,7 @@ def sweep(
     return outcome
 
 
-def paths(scene: Scene, weights: Sequence[float] = PATH_WEIGHTS) -> list[Trace]:
+def paths(scene: Scene, weights: Sequence[float]) -> list[Trace]:
     """Return the iterations' ways in one trial, by prior weight (Fig. 6)."""
     return [_trial(scene, 0, GaugeHandling.PRIOR, weight)[1].trace for weight in weights]
 

@@ -46,8 +46,6 @@ def play(
     publish: Callable[[ChannelT, bytes], float],
     tick: Callable[[int], None],
     is_stopped: Callable[[], bool] = lambda: False,
-    now: Callable[[], float] = time.monotonic,
-    sleep: Callable[[float], None] = time.sleep,
 ) -> PlaybackResult[ChannelT]:
     """Publish messages when they are due; what is late is published at once, never left out.
 
@@ -61,20 +59,18 @@ def play(
         publish: Sends a message; returns how long it waited for subscribers, seconds.
         tick: Told the bag time every `TICK_S`; it never goes back, nor past a message unsent.
         is_stopped: Asked at least every `TICK_S` while waiting.
-        now: A monotonic clock, seconds.
-        sleep: Waits some seconds.
     """
     played: PlaybackResult[ChannelT] = PlaybackResult(reached_ns=begin_ns)
     stream = iter(messages)
     opening = list(itertools.islice(stream, 1))  # opening the bag must not make its message late
-    began = next_tick = now()
+    began = next_tick = time.monotonic()
     for time_ns, channel, payload in itertools.chain(opening, stream):
         due = began + (time_ns - begin_ns) / NANOSECONDS / rate
         while True:
             if is_stopped():
                 played.is_complete = False
                 break
-            moment = now()
+            moment = time.monotonic()
             if moment >= next_tick:
                 elapsed_ns = int((moment - began) * rate * NANOSECONDS)
                 played.reached_ns = max(played.reached_ns, min(begin_ns + elapsed_ns, time_ns))
@@ -82,7 +78,7 @@ def play(
                 next_tick += TICK_S * (1 + (moment - next_tick) // TICK_S)
             if moment >= due:
                 break
-            sleep(max(_SHORTEST_SLEEP_S, min(due, next_tick) - moment))
+            time.sleep(max(_SHORTEST_SLEEP_S, min(due, next_tick) - moment))
         if not played.is_complete:
             break
         waited_s = publish(channel, payload)
@@ -92,5 +88,5 @@ def play(
         played.worst_lag_s = max(played.worst_lag_s, moment - due)
         played.reached_ns = max(played.reached_ns, time_ns)
     tick(played.reached_ns)
-    played.took_s = now() - began
+    played.took_s = time.monotonic() - began
     return played
