@@ -17,7 +17,7 @@ from typing import Any
 
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.protocol_file import read_protocol
+from trajeval_ros.io.requests.protocol_file import read_protocol
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors, evaluate
 from trajeval_ros.metrics.protocol import Protocol

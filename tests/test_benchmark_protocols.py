@@ -26,7 +26,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.protocol_file import read_protocol
+from trajeval_ros.io.requests.protocol_file import read_protocol
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres

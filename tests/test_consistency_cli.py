@@ -13,7 +13,7 @@ import pytest
 from trajeval_ros.cli.app import main
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.result import BOUND_STATEMENT, OWN_GAUGE_STATEMENT
-from trajeval_ros.io.covariance_file import read_joint_covariance, write_joint_covariance
+from trajeval_ros.io.requests.covariance_file import read_joint_covariance, write_joint_covariance
 from trajeval_ros.io.sources import read_trajectory
 
 SECONDS = "6"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trajeval_ros.io.bags.bag import Bag, Topic, encoding_of
+from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.cdr import CdrPlan, Columns
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
@@ -33,6 +33,7 @@ from trajeval_ros.io.bags.pose_messages import (
     decode_transforms,
     encode_path,
 )
+from trajeval_ros.io.bags.recorded_topic import Topic, encoding_of
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ROS1_STORE = get_typestore(Stores.ROS1_NOETIC)

@@ -18,7 +18,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io.request_words import request_from
+from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.pipeline import Request, run

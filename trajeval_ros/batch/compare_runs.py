@@ -9,7 +9,7 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.summary_tables import ComparisonSummary, failures, matrices, summary_of
 from trajeval_ros.exceptions import require_one_of
-from trajeval_ros.io.request_words import WORDS
+from trajeval_ros.io.requests.request_words import WORDS
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.report import matrix as tables
 

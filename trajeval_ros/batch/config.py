@@ -11,8 +11,8 @@ from trajeval_ros.batch.conventions import runs_in_folder
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.io.protocol_file import is_protocol_file
-from trajeval_ros.io.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
+from trajeval_ros.io.requests.protocol_file import is_protocol_file
+from trajeval_ros.io.requests.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline import Request
 
@@ -68,7 +68,7 @@ def _runs(config: Mapping[str, Any], target: Path) -> tuple[PlannedRun, ...]:
     if not isinstance(patterns, dict) or not patterns:
         raise InputError(
             f"{target}: runs must be a mapping of algorithms to patterns, as in "
-            "{vio: vio/{sequence}.txt}"
+            '{vio: "vio/{sequence}.txt"}'
         )
     truth = Pattern.parse(_typed(config, "groundtruth", str, target, default=""))
     if truth.has_trials:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.patterns import is_url, split_topic
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.writing import write_text
 
@@ -29,11 +30,8 @@ class Fingerprints:
         self._of_source: dict[str, str] = {}
         self._changed = False
         self._saved_at = time.monotonic()
-        try:
-            known = json.loads(memory.read_text(encoding="utf-8"))
-            self._known = known if isinstance(known, dict) else {}
-        except (OSError, ValueError):
-            pass  # nothing remembered: all is read again
+        with contextlib.suppress(OSError):  # with nothing remembered, all is read again
+            self._known = mapping_in(memory.read_bytes()) or {}
 
     def of(self, source: str) -> str:
         """Return the sha256 of what a SOURCE reads, with its topic.
@@ -50,7 +48,7 @@ class Fingerprints:
     def save(self) -> None:
         """Remember what was read, for the next time."""
         if self._changed:
-            write_text(self._memory, json.dumps(self._known, indent=0) + "\n")
+            write_text(self._memory, json_text(self._known, indent=0))
             self._changed = False
         self._saved_at = time.monotonic()
 

@@ -6,7 +6,6 @@ of numpy's would do, but costs a millisecond each way.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.writing import write_whole
 
 _END_OF_HEAD = b"\n"
@@ -56,7 +56,7 @@ def encode(record: Record) -> bytes:
         "span_ns": record.span_ns,
         "shapes": shapes,
     }
-    text = json.dumps(head, allow_nan=False).encode()
+    text = json_text(head).encode()
     columns = (np.asarray(each, dtype="<f8").tobytes() for each in record.columns.values())
     return b"".join([text, _END_OF_HEAD, *columns])
 
@@ -79,7 +79,9 @@ def read_record(folder: Path, key: str) -> Record | None:
     """Return a record; None if there is none that can be read."""
     try:
         text, _, values = _path(folder, key).read_bytes().partition(_END_OF_HEAD)
-        head = json.loads(text)
+        head = mapping_in(text)
+        if head is None:
+            return None
         sizes = [math.prod(shape) for shape in head["shapes"].values()]
         parts = np.split(np.frombuffer(values, dtype="<f8"), np.cumsum(sizes))
         columns = {

@@ -66,7 +66,7 @@ def compare_association(
 
         trajeval compare-association -g groundtruth.csv -e estimate.txt --rate 2
     """
-    from trajeval_ros.io.request_words import parse_noise
+    from trajeval_ros.io.requests.request_words import parse_noise
     from trajeval_ros.likelihood.association_study import compare_associations
     from trajeval_ros.likelihood.degradation import Degradation
     from trajeval_ros.metrics.settings import protocol_from
@@ -143,7 +143,7 @@ def _write(
     degradation: Degradation,
     poor: Trajectory,
 ) -> None:
-    from trajeval_ros.io.results.result_json import to_json
+    from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.writing import write_text
 
     content: dict[str, Any] = {
@@ -151,6 +151,6 @@ def _write(
         "estimates": [dataclasses.asdict(each) for each in comparisons],
     }
     if target == "-":
-        sys.stdout.write(to_json(content))
+        sys.stdout.write(json_text(content, indent=2))
     else:
-        write_text(Path(target), to_json(content))
+        write_text(Path(target), json_text(content, indent=2))

@@ -18,9 +18,10 @@ import typer
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.results.error_archive import write_errors
 from trajeval_ros.io.results.requirement import Requirement
-from trajeval_ros.io.results.result_json import result_of, to_json
+from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.writing import refused_by_disk, write_text
 
@@ -75,9 +76,9 @@ def deliver(
     pictures.write(runs)
     if json == "-":
         with may_break():
-            sys.stdout.write(to_json(result))
+            sys.stdout.write(json_text(result, indent=2))
     elif json is not None:
-        write_text(Path(json), to_json(result))
+        write_text(Path(json), json_text(result, indent=2))
     if not quiet and json != "-":
         with may_break():
             _print(runs, output, gauge_given=gauge_given)
@@ -137,7 +138,7 @@ def _write_folder(
 
                 write_probabilistic(list(likely.values()), temporary, list(likely))
         pictures.write_into(temporary, runs)
-        (temporary / "result.json").write_text(to_json(result), encoding="utf-8")
+        (temporary / "result.json").write_text(json_text(result, indent=2), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         # Figures of an evaluation before this one would pass for figures of this one.
         for old in folder.glob("*.png"):

@@ -14,7 +14,7 @@ from trajeval_ros.cli.deliver import deliver, refuse_inputs
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.io.request_words import request_from
+from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.pipeline import run

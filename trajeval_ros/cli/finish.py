@@ -10,7 +10,7 @@ import typer
 from trajeval_ros.cli import options
 from trajeval_ros.cli.deliver import deliver
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.request_words import request_from
+from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.requirement import Requirement
 
 

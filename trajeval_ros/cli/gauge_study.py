@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from importlib.util import find_spec
 from pathlib import Path
@@ -134,6 +133,7 @@ def _write(
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
+    from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.writing import write_text
     from trajeval_ros.report import gauge_tables
     from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS
@@ -153,7 +153,7 @@ def _write(
         },
         "covariance_difference": {name: each.difference for name, each in matrices.items()},
     }
-    write_text(folder / "study.json", json.dumps(numbers, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "study.json", json_text(numbers, indent=1))
     lines = [
         f"Root mean square errors after alignment by the first keyframe (yaw and translation), "
         f"means over {trials} trials: p [m] / φ [deg] / v [m/s]; profile `{profile}`. All sensors "

@@ -126,7 +126,7 @@ def _write_runs(
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.consistency.joint_covariance import JointCovariance
     from trajeval_ros.io.bags.write_bag import write_bag
-    from trajeval_ros.io.covariance_file import write_joint_covariance
+    from trajeval_ros.io.requests.covariance_file import write_joint_covariance
     from trajeval_ros.visual_inertial.flight import fly
     from trajeval_ros.visual_inertial.scene import PROFILES
 
@@ -256,7 +256,7 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
 
 def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
     """Refuse to replace a file beside a bag, unless asked to and it is a joint covariance."""
-    from trajeval_ros.io.covariance_file import read_joint_covariance
+    from trajeval_ros.io.requests.covariance_file import read_joint_covariance
 
     if not file.exists() and not file.is_symlink():
         return

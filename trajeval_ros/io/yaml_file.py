@@ -1,4 +1,4 @@
-"""Small YAML files that a user writes, loaded without running anything in them."""
+"""YAML files, which nobody vouches for: loaded up to a size, and without running what they say."""
 
 from __future__ import annotations
 
@@ -9,32 +9,35 @@ from typing import Any
 
 from trajeval_ros.exceptions import InputError
 
-_LARGEST = 1_000_000
+_LARGEST, _LARGEST_GENERATED = 1_000_000, 1 << 24  # bytes
 
 
-def read_mapping(path: Path, what: str) -> dict[str, Any]:
+def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[str, Any]:
     """Return the mapping in a file, the first of several documents.
 
     Args:
         path: The file.
         what: What it should hold, for messages.
+        is_generated: A program writes such files, not a person: they may be larger, and are read
+            by libyaml, which is many times faster but takes a bare `no` or `off` for false.
 
     Raises:
         InputError: It can't be read, is no YAML, or holds something else.
     """
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
 
     try:
-        if path.stat().st_size > _LARGEST:
+        if path.stat().st_size > (_LARGEST_GENERATED if is_generated else _LARGEST):
             raise InputError(f"{path} is far too large for {what}; is it the right file?")
         text = path.read_text(encoding="utf-8")
-        # Aliases could make a few lines into gigabytes, and nobody needs them here.
-        first = next(iter(YAML(typ="safe", pure=True).load_all(text)), None)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{path} can't be read: {reason}") from error
-    except (YAMLError, UnicodeDecodeError, ValueError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no YAML: {error}") from error
+    try:
+        first = next(iter(YAML(typ="safe", pure=not is_generated).load_all(text)), None)
+    except Exception as error:  # YAML's own are a dozen kinds, and deep nesting has another
         line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""

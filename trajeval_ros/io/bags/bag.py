@@ -10,19 +10,18 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import foxglove
+from trajeval_ros.io.bags.bag_folder import BagFolder
 from trajeval_ros.io.bags.blocks import Block, in_order, merged
 from trajeval_ros.io.bags.containers import Container, open_file
-from trajeval_ros.io.bags.metadata import Metadata, read_metadata
-from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.metadata import Metadata
+from trajeval_ros.io.bags.recorded_topic import Reading, Topic
 from trajeval_ros.io.bags.selection import TopicSelection
 from trajeval_ros.io.checks import nearest
 
@@ -31,81 +30,6 @@ if TYPE_CHECKING:
 
 Advance = Callable[[int, int], None]
 Key = tuple[int, int]  # which file, and which of its connections
-
-_ENCODINGS = ("cdr", "ros1")
-_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-
-
-@dataclass(frozen=True, eq=False)
-class Topic:
-    """A topic of a bag.
-
-    Attributes:
-        name: With a slash before it.
-        type: Of its messages.
-        declared: The number of messages that the bag says it has, None if it says nothing.
-        connections: Where it is recorded.
-    """
-
-    name: str
-    type: str
-    declared: int | None
-    connections: tuple[Connection, ...] = field(repr=False, default=())
-
-    @property
-    def count(self) -> int:
-        """The number of its messages; counted if the bag doesn't say it."""
-        if self.declared is not None:
-            return self.declared
-        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
-
-    @property
-    def holds_poses(self) -> bool:
-        """Whether its messages are poses."""
-        return self.type in (*POSE_TYPES, foxglove.POSE_TYPE) and self._is_readable
-
-    @property
-    def holds_transforms(self) -> bool:
-        """Whether its messages are TF."""
-        types = (*TRANSFORM_TYPES, *foxglove.TRANSFORM_TYPES)
-        return self.type in types and self._is_readable
-
-    @property
-    def lacks_protobuf(self) -> bool:
-        """Whether it could be read if what decodes protobuf were installed."""
-        return (
-            self.type in foxglove.TYPES
-            and not self._is_readable
-            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
-        )
-
-    def connections_in(self, container: Container) -> frozenset[int]:
-        """Return the ids of its connections in one file of the bag."""
-        return frozenset(each.id for each in self.connections if each.owner is container)
-
-    @property
-    def _is_readable(self) -> bool:
-        encodings = [encoding_of(each) for each in self.connections]
-        if self.type in foxglove.TYPES:
-            return all(foxglove.is_decodable(each) for each in encodings)
-        return all(each in _ENCODINGS for each in encodings)
-
-
-@dataclass(eq=False)
-class Reading:
-    """A topic that is read, and what was found wrong in doing so.
-
-    Attributes:
-        topic: Which one.
-        count: Number of messages read so far.
-        damage: What of it can't be read, one sentence each; known when all is read.
-        notes: What else to know about how it was read.
-    """
-
-    topic: Topic
-    count: int = 0
-    damage: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
 
 
 class Bag:
@@ -316,26 +240,11 @@ class Bag:
         if self.path.is_file():
             self._add(self.path)
             return
-        files = sorted(
-            (file for ending in _ENDINGS for file in self.path.glob(f"*{ending}")),
-            key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
-        )
-        metadata = self.path / "metadata.yaml"
-        if metadata.exists():
-            try:
-                self._metadata = read_metadata(metadata)
-            except ValueError as error:
-                self.notes.append(f"{metadata} was not used: {error}")
-        if self._metadata is not None:
-            missing = [each for each in self._metadata.files if not (self.path / each).exists()]
-            self.damage += [f"{metadata} names {each}, which is missing" for each in missing]
-        if self._metadata is not None:
-            listed = [file for file in files if file.name in self._metadata.files]
-            files = listed or files
-        if not files:
-            why = "; ".join(self.damage) or "it holds no *.mcap or *.db3"
-            raise InputError(f"{self.path} is a directory without a bag: {why}")
-        for file in files:
+        folder = BagFolder.of(self.path)
+        self._metadata = folder.metadata
+        self.notes += folder.notes
+        self.damage += folder.damage
+        for file in folder.files:
             self._add(file)
 
     def _add(self, file: Path) -> None:
@@ -357,16 +266,6 @@ class Bag:
 
 def _log_time(message: tuple[Topic, int, bytes]) -> int:
     return message[1]
-
-
-def encoding_of(connection: Connection) -> str:
-    """Return how the messages of a connection are serialised: `cdr`, `ros1` or else."""
-    return getattr(connection.ext, "serialization_format", "ros1")
-
-
-def _split(name: str) -> list[str]:
-    """Return a name in parts that sort as people count: `bag_2` before `bag_10`."""
-    return re.split(r"(\d+)", name)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.byte_source import RemoteFile, source_of
+from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
 from trajeval_ros.io.bags.selection import TopicSelection
@@ -16,6 +16,7 @@ from trajeval_ros.io.bags.selection import TopicSelection
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
+_HEAD = 16  # bytes that tell what a file is
 _SQLITE, _ROS1, _ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
 
 
@@ -70,8 +71,14 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
     Raises:
         InputError: It is no bag.
     """
-    source = source_of(path)
-    beginning = source.read(0, 16)
+    source, plain = source_of(path), path
+    beginning = source.read(0, _HEAD)
+    if beginning.startswith(_ZSTD) and isinstance(source, LocalFile):
+        source.close()
+        plain = decompress_file(path, folder)
+        source = LocalFile(plain)
+        source.name = str(path)  # the user knows nothing of a copy
+        beginning = source.read(0, _HEAD)
     if beginning.startswith(MAGIC):
         from trajeval_ros.io.bags.mcap_index import McapReader
 
@@ -79,16 +86,14 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
     source.close()
     if isinstance(source, RemoteFile):
         raise InputError(f"{path} is no MCAP; only those are read in place, so copy it here first")
-    if beginning.startswith(_ZSTD):
-        return open_file(decompress_file(path, folder), folder, strict=strict)
     if not beginning:
         raise InputError(f"{path} is empty; was the recording stopped before it was written?")
     if beginning.startswith(_ROS1):
         from trajeval_ros.io.bags.ros1_bag import Ros1Reader
 
-        return Ros1Reader(path)
+        return Ros1Reader(plain, source.name)
     if beginning.startswith(_SQLITE):
         from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 
-        return SqliteReader(path)
+        return SqliteReader(plain, source.name)
     raise InputError(f"{path} is no bag: it begins as neither MCAP, sqlite3 nor ROS 1")

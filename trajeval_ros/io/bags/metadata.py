@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.yaml_file import read_mapping
+
 if TYPE_CHECKING:
     from rosbags.interfaces import Qos
-
-_LARGEST = 16 << 20  # bytes; real ones have some kB
 
 
 @dataclass(frozen=True)
@@ -29,23 +30,18 @@ def read_metadata(path: Path) -> Metadata:
     """Return what a metadata.yaml says.
 
     Raises:
-        ValueError: It is none; the message says why.
+        InputError: It is none; the message says why.
     """
-    from ruamel.yaml import YAML
-
-    if path.stat().st_size > _LARGEST:
-        raise ValueError(f"it is larger than {_LARGEST} bytes")
+    found = read_mapping(path, "information about a bag", is_generated=True)
     try:
-        content = YAML(typ="safe").load(path.read_bytes())["rosbag2_bagfile_information"]
+        content = found["rosbag2_bagfile_information"]
         files = tuple(PurePath(name).name for name in content["relative_file_paths"])
         counts: dict[tuple[str, str], int] = {}
         for topic in content["topics_with_message_count"]:
             key = topic["topic_metadata"]["name"], topic["topic_metadata"]["type"]
             counts[key] = counts.get(key, 0) + int(topic["message_count"])
-    except OSError:
-        raise
-    except Exception as error:  # of YAML's a dozen kinds, and what a wrong structure raises
-        raise ValueError("it holds no information about a bag") from error
+    except (TypeError, KeyError, ValueError, AttributeError) as error:  # a wrong structure
+        raise InputError(f"{path} holds no information about a bag") from error
     return Metadata(files, counts)
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.bag import Bag, Topic
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.recorded_topic import Topic
 from trajeval_ros.io.bags.ros1_to_cdr import Convert, converter, is_ros1, ros2_type
 
 CLOCK_TOPIC = "/clock"

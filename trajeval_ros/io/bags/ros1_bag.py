@@ -24,10 +24,15 @@ class Ros1Reader:
         damage: What opening it found that can't be read, one sentence each.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Open the bag and read its index."""
+    def __init__(self, path: Path, name: str) -> None:
+        """Open the bag and read its index.
+
+        Args:
+            path: The file.
+            name: What to call it in a sentence.
+        """
         self.damage: list[str] = []
-        self._path = path
+        self._path, self._name = path, name
         self._reader = _opened(path)
         self.connections: list[Connection] = [
             connection._replace(owner=self) for connection in self._reader.connections
@@ -90,7 +95,7 @@ class Ros1Reader:
     def _sentence(self, error: Exception) -> str:
         said = " ".join(str(error).split()).rstrip(".")[:200]
         return (
-            f"{self._path} is damaged ({said or type(error).__name__}); "
+            f"{self._name} is damaged ({said or type(error).__name__}); "
             "`rosbag reindex` or `rosbag fix` may save more"
         )
 

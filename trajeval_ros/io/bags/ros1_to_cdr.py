@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.io.bags.bag import Topic, encoding_of
 from trajeval_ros.io.bags.message_definitions import types_in
+from trajeval_ros.io.bags.recorded_topic import Topic, encoding_of
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -35,19 +35,23 @@ class SqliteReader:
         damage: What opening it found that can't be read, one sentence each.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, name: str) -> None:
         """Open the file, and the write-ahead log beside it if there is one.
+
+        Args:
+            path: The file.
+            name: What to call it in a sentence.
 
         Raises:
             InputError: It is damaged, or its log can't be read.
         """
         self.damage: list[str] = []
         self._counts: dict[int, int] | None = None
-        self._path = path
+        self._path, self._name = path, name
         log = path.with_name(f"{path.name}-wal")
         has_log = log.exists() and log.stat().st_size > 0
         if not has_log:
-            refuse_truncated(path)
+            refuse_truncated(path, name)
         # Without a log nobody writes, and sqlite needn't look for locks, which need rights.
         mode = "mode=ro" if has_log else "immutable=1"
         uri = f"{path.resolve().as_uri()}?{mode}"
@@ -104,7 +108,7 @@ class SqliteReader:
                 size = sum(map(len, payloads)) // len(payloads)
                 count = min(ROWS, 1 + _FETCHED // max(size, 1))
         except sqlite3.DatabaseError as error:
-            said = f"{self._path} is damaged: {error}"
+            said = f"{self._name} is damaged: {error}"
         else:
             return
         if len(selections) > 1:  # the damage may be of one of them alone
@@ -137,7 +141,7 @@ class SqliteReader:
         # A row has several bytes, so that larger ids than these are leaps, or damage as well.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last and last > most:
-            selection.damage.append(f"{self._path}: ids beyond {most} were not looked for")
+            selection.damage.append(f"{self._name}: ids beyond {most} were not looked for")
             last = most
         for key in range(1, (last or 0) + 1):
             yield from ((row[2], row[0]) for row in self._row(query, values, key))
@@ -169,7 +173,7 @@ class SqliteReader:
                 if encoding in formats and text.strip()
             }
         if not self._columns("topics") or not self._columns("messages"):
-            raise InputError(f"{self._path} is no bag: it lacks the tables of topics and messages")
+            raise InputError(f"{self._name} is no bag: it lacks the tables of topics and messages")
         has_qos = "offered_qos_profiles" in self._columns("topics")
         rows = self._database.execute(
             "SELECT id, name, type, serialization_format, "
@@ -274,7 +278,7 @@ def _lost_of(log: Path) -> str:
     return f"{count - used} of its {count} pages could not be used" if used < count else ""
 
 
-def refuse_truncated(path: Path) -> None:
+def refuse_truncated(path: Path, name: str) -> None:
     """Raise InputError if sqlite's header counts more pages than the file has.
 
     What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
@@ -287,6 +291,6 @@ def refuse_truncated(path: Path) -> None:
     size = path.stat().st_size
     if is_valid and size < pages * page_size:
         raise InputError(
-            f"{path} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
-            f"save what is left with `sqlite3 {path} .recover`"
+            f"{name} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
+            "save what is left with sqlite3's command `.recover`"
         )

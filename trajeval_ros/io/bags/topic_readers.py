@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.io.bags.bag import Bag, Key, Reading, Topic, encoding_of
+from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.cdr import CdrPlan, Columns
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
@@ -24,6 +24,7 @@ from trajeval_ros.io.bags.pose_messages import (
     plan_of,
     poses_of,
 )
+from trajeval_ros.io.bags.recorded_topic import Reading, Topic, encoding_of
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 
 if TYPE_CHECKING:

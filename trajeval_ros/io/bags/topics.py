@@ -12,7 +12,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.bags.bag import Advance, Bag, Topic
+from trajeval_ros.io.bags.bag import Advance, Bag
+from trajeval_ros.io.bags.recorded_topic import Topic
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,

@@ -10,7 +10,6 @@ none. What a kill or a full disk left behind of a last chunk is passed over.
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import zlib
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.io.json_file import json_text, mapping_in
 
 FORMAT = "trajeval-pairs/1"
 SUFFIX = ".pairs"
@@ -76,7 +76,7 @@ class PairWriter:
         """Add pairs (N,), (N, 10), (N, 10), and what else is known by now."""
         rows = np.empty(len(stamps), dtype=_ROW)
         rows["stamp"], rows["groundtruth"], rows["estimate"] = stamps, groundtruth, estimate
-        text = b"" if state is None else json.dumps(state, allow_nan=False).encode()
+        text = b"" if state is None else json_text(state).encode()
         body = text + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING:
             self.lost += len(stamps)
@@ -183,11 +183,8 @@ def _chunk(content: bytes, place: int) -> tuple[dict[str, Any], NDArray[Any], in
     end = begin + length + count * _ROW.itemsize
     if magic != _MAGIC or end > len(content) or zlib.crc32(content[begin:end]) != checksum:
         return None
-    try:
-        text = json.loads(content[begin : begin + length]) if length else {}
-    except ValueError:
-        return None
-    if not isinstance(text, dict):
+    text = mapping_in(content[begin : begin + length]) if length else {}
+    if text is None:
         return None
     return text, np.frombuffer(content, _ROW, count, begin + length), end
 

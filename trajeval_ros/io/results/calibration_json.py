@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.hand_eye_file import hand_eye_json
+from trajeval_ros.io.requests.hand_eye_file import hand_eye_json
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated

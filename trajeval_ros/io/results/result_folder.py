@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.results.error_archive import write_errors
-from trajeval_ros.io.results.result_json import result_of, to_json
+from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.writing import refused_by_disk, write_text, write_whole
 from trajeval_ros.pipeline import Outcome
 
@@ -37,5 +38,5 @@ def write_result(outcome: Outcome, folder: str | Path) -> Path:
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / "errors.npz", lambda path: write_errors(path, outcome.runs))
-    write_text(folder / "result.json", to_json(result_of(outcome)))
+    write_text(folder / "result.json", json_text(result_of(outcome), indent=2))
     return folder / "result.json"

@@ -7,7 +7,6 @@ input give the same bytes.
 from __future__ import annotations
 
 import dataclasses
-import json
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros import __version__
@@ -144,8 +143,3 @@ def _consistency(consistency: Consistency) -> dict[str, Any]:
 def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | None:
     """Return STATS of the schema."""
     return None if statistics is None else dataclasses.asdict(statistics)
-
-
-def to_json(result: dict[str, Any]) -> str:
-    """Return the result as text; a NaN in it is a defect and raises ValueError."""
-    return json.dumps(result, indent=2, allow_nan=False) + "\n"

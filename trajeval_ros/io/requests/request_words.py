@@ -10,7 +10,7 @@ from typing import Any
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.protocol_file import is_protocol_file, read_protocol
+from trajeval_ros.io.requests.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.pipeline import Request
 
@@ -75,7 +75,7 @@ def _calibration(time_offset: str | None, hand_eye: str) -> CalibrationRequest:
     offset = time_offset == AUTO
     if hand_eye in (NONE, AUTO):
         return CalibrationRequest(offset=offset, hand_eye=hand_eye == AUTO)
-    from trajeval_ros.io.hand_eye_file import read_hand_eye
+    from trajeval_ros.io.requests.hand_eye_file import read_hand_eye
 
     return CalibrationRequest(offset=offset, known=read_hand_eye(Path(hand_eye)), source=hand_eye)
 
@@ -96,7 +96,7 @@ def _covariances(source: str, frame: str, noise: tuple[float, float] | None) -> 
         return CovarianceRequest(source, rotation_frame=frame, groundtruth_noise=noise)
     # Words that contradict each other are told before a file is read.
     CovarianceRequest(rotation_frame=frame, groundtruth_noise=noise)
-    from trajeval_ros.io.covariance_file import read_joint_covariance
+    from trajeval_ros.io.requests.covariance_file import read_joint_covariance
 
     return CovarianceRequest(
         "joint", read_joint_covariance(Path(source)), source, frame, groundtruth_noise=noise

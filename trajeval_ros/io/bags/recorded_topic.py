@@ -1,0 +1,92 @@
+"""Topics of a bag, and what is found wrong in reading them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from trajeval_ros.io.bags import foxglove
+from trajeval_ros.io.bags.containers import Container
+from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+_ENCODINGS = ("cdr", "ros1")
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """A topic of a bag.
+
+    Attributes:
+        name: With a slash before it.
+        type: Of its messages.
+        declared: The number of messages that the bag says it has, None if it says nothing.
+        connections: Where it is recorded.
+    """
+
+    name: str
+    type: str
+    declared: int | None
+    connections: tuple[Connection, ...] = field(repr=False, default=())
+
+    @property
+    def count(self) -> int:
+        """The number of its messages; counted if the bag doesn't say it."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
+
+    @property
+    def holds_poses(self) -> bool:
+        """Whether its messages are poses."""
+        return self.type in (*POSE_TYPES, foxglove.POSE_TYPE) and self._is_readable
+
+    @property
+    def holds_transforms(self) -> bool:
+        """Whether its messages are TF."""
+        types = (*TRANSFORM_TYPES, *foxglove.TRANSFORM_TYPES)
+        return self.type in types and self._is_readable
+
+    @property
+    def lacks_protobuf(self) -> bool:
+        """Whether it could be read if what decodes protobuf were installed."""
+        return (
+            self.type in foxglove.TYPES
+            and not self._is_readable
+            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
+        )
+
+    def connections_in(self, container: Container) -> frozenset[int]:
+        """Return the ids of its connections in one file of the bag."""
+        return frozenset(each.id for each in self.connections if each.owner is container)
+
+    @property
+    def _is_readable(self) -> bool:
+        encodings = [encoding_of(each) for each in self.connections]
+        if self.type in foxglove.TYPES:
+            return all(foxglove.is_decodable(each) for each in encodings)
+        return all(each in _ENCODINGS for each in encodings)
+
+
+@dataclass(eq=False)
+class Reading:
+    """A topic that is read, and what was found wrong in doing so.
+
+    Attributes:
+        topic: Which one.
+        count: Number of messages read so far.
+        damage: What of it can't be read, one sentence each; known when all is read.
+        notes: What else to know about how it was read.
+    """
+
+    topic: Topic
+    count: int = 0
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def encoding_of(connection: Connection) -> str:
+    """Return how the messages of a connection are serialised: `cdr`, `ros1` or else."""
+    return getattr(connection.ext, "serialization_format", "ros1")
