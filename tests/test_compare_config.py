@@ -12,6 +12,7 @@ from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, natural
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.yaml_file import read_mapping
 
 
 def plan(target: Path, **settings: str) -> Plan:
@@ -209,6 +210,15 @@ def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, said: str
     message = refused(config, "\n".join([*kept, wrong]))
     assert said in message
     assert "\n" not in message
+
+
+def test_what_is_suggested_for_runs_is_yaml(tmp_path: Path) -> None:
+    config = write_runs(tmp_path)
+    kept = [line for line in config.read_text().splitlines() if not line.startswith(("runs", " "))]
+    message = refused(config, "\n".join([*kept, "runs: vio"]))
+    suggestion = message.split(", as in ")[1]
+    config.write_text(f"runs: {suggestion}\n")
+    assert read_mapping(config, "comparison") == {"runs": {"vio": "vio/{sequence}.txt"}}
 
 
 def test_missing_keys_are_told(tmp_path: Path) -> None:

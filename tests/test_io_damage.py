@@ -497,6 +497,23 @@ def test_compressed_files_need_no_metadata(storage: Any, mode: Any, tmp_path: Pa
     assert_whole(bag, 300)
 
 
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_compressed_file_is_called_by_its_own_name(
+    storage: Any, share: float, tmp_path: Path
+) -> None:
+    bag = simple(tmp_path / "bag", 300, storage=storage, compression=CompressionMode.FILE)
+    path = the_file(bag)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    try:
+        said = "; ".join(read_trajectory(str(path)).damage)
+    except InputError as error:
+        said = str(error)
+    assert str(path) in said
+    assert "trajeval-" not in said  # the folder of its copy
+
+
 def split(tmp_path: Path, storage: Any, names: Sequence[str] = ("a_9", "a_10")) -> Path:
     """Write a bag of two files, the second 100 s later, listed the other way round."""
     both = tmp_path / "both"

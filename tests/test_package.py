@@ -176,11 +176,18 @@ def test_command_line_starts_without_heavy_imports(arguments: list[str]) -> None
     assert done.returncode == 0, done.stderr
 
 
+def test_scripts_are_thin() -> None:
+    scripts = sorted((ROOT / "launch_free_scripts").glob("*.py"))
+    assert scripts
+    for script in scripts:
+        assert len(script.read_text(encoding="utf-8").splitlines()) < 30, script.name
+
+
 def test_bag_script_turns_topics_into_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     handed_over: list[str] = []
     monkeypatch.setattr("trajeval_ros.cli.app.main", lambda given: handed_over.extend(given) or 0)
     script = str(ROOT / "launch_free_scripts" / "evaluate_bag.py")
-    given = "flight --groundtruth /truth --estimate /a --gauge yaw --estimate=/b --quiet"
+    given = "flight --groundtruth /truth --estimate /a --gauge yaw --estimate /b --quiet"
     monkeypatch.setattr(sys, "argv", [script, *given.split()])
     monkeypatch.setattr(sys, "path", list(sys.path))
     with pytest.raises(SystemExit, match="0"):
