@@ -193,8 +193,8 @@ def test_bag_script_turns_topics_into_sources(monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(SystemExit, match="0"):
         runpy.run_path(script, run_name="__main__")
     expected = (
-        "evaluate --groundtruth flight:/truth --estimate flight:/a --estimate flight:/b "
-        "--gauge yaw --quiet"
+        "evaluate --groundtruth flight:/truth --estimate flight:/a --gauge yaw "
+        "--estimate flight:/b --quiet"
     )
     assert handed_over == expected.split()
 
