@@ -22,6 +22,7 @@ PACKAGE = ROOT / "trajeval_ros"
 # nothing of each other.
 FLOORS = {
     "exceptions": 0,
+    "formatting": 0,
     "geometry": 1,
     "continuous_time": 2,
     "metrics": 3,

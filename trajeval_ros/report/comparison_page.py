@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.report.matrix import Matrix
-from trajeval_ros.report.numbers import coverage_text, number_text
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def render(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["number"] = lambda value: "-" if value is None else number_text(value)
-    environment.filters["coverage"] = coverage_text
+    environment.filters["number"] = three_decimals
+    environment.filters["coverage"] = whole_percent
     return environment.get_template("comparison.html.j2").render(
         title=title,
         definition=definition,
