@@ -59,28 +59,26 @@ def send_consistency(
         (scene_entities.NEES_LIMIT, known[[0, -1]], np.full(2, consistency.per_pose.limit_95)),
     ):
         entity_data.numbers(values).send(recording, entities.metric(quantity), stamps[at])
-    return _send_ellipsoids(recording, evaluation, consistency, entities, origin)
+    assert consistency.covariances is not None
+    positions = consistency.covariances[:, :3, :3]
+    return _send_ellipsoids(recording, entities.uncertainty, evaluation, positions, origin)
 
 
 def _send_ellipsoids(
-    recording: Any,
-    evaluation: Evaluation,
-    consistency: Consistency,
-    entities: scene_entities.EstimateEntities,
-    origin: Floats,
+    recording: Any, entity: str, evaluation: Evaluation, covariances: Floats, origin: Floats
 ) -> float:
     """Draw them evenly along the way, in the gauge of the alignment, where errors are."""
-    assert consistency.covariances is not None
     truth, aligned = evaluation.association.groundtruth, evaluation.aligned
     along = truth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))
     rows = np.unique(np.minimum(evenly, len(along) - 1))
-    covariances = consistency.covariances[rows, :3, :3]
-    half_axes, _ = entity_data.ellipsoid_axes(covariances)
+    half_axes, _ = entity_data.ellipsoid_axes(covariances[rows])
     extent = float(np.ptp(truth.positions, axis=0).max())
     largest = max(2.0 * float(half_axes.max()), 1e-12)
     factor = max(1.0, round_below(_LARGEST * extent / largest))
-    ellipsoids = entity_data.ellipsoids(aligned.positions[rows] - origin, covariances, factor)
+    ellipsoids = entity_data.ellipsoids(
+        aligned.positions[rows] - origin, covariances[rows], factor
+    )
     stamps = evaluation.association.estimate.stamps[rows]
-    ellipsoids.send(recording, entities.uncertainty, stamps)
+    ellipsoids.send(recording, entity, stamps)
     return factor
