@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.report.matrix import Matrix
 
@@ -93,6 +94,7 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_shown,
     )
     environment.filters["number"] = three_decimals
     environment.filters["coverage"] = whole_percent
@@ -105,3 +107,8 @@ def render(
         runs=runs,
         version=version,
     )
+
+
+def _shown(value: object) -> object:
+    """Return what the page shows of a value; markup, such as a figure, stays as it is."""
+    return one_line(value) if type(value) is str else value
