@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.report.comparison_figures import Box, box_plot
-from trajeval_ros.report.comparison_page import RunPage, render
+from trajeval_ros.report.comparison_page import Plot, RunPage, render
 from trajeval_ros.report.matrix import Cell, Matrix
 
 pytestmark = pytest.mark.slow
@@ -134,6 +134,15 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
     assert tab.title() == NASTY
     assert tab.locator("h1").inner_text() == NASTY
     assert heard == []
+
+
+def test_control_characters_are_shown_and_figures_are_not_touched() -> None:
+    name, figure = "a\x1b\u202eb", "<svg>\n</svg>"
+    table = Matrix("t", name, name, (name,), ((name, (Cell(1.0, name),)),), ("1/1",), (1.0,))
+    text = render(name, name, [name], [table], [Plot(name, name, figure)], [], "0")
+    assert not {"\x1b", "\u202e"} & set(text)
+    assert r"<h1>a\x1b\u202eb</h1>" in text
+    assert figure in text
 
 
 def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Path) -> None:

@@ -14,17 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.formatting.escaping import latex_text
+from trajeval_ros.report.console import console
 from trajeval_ros.report.matrix import (
     Cell,
     Matrix,
-    latex_text,
     to_csv,
     to_latex,
     to_markdown,
     to_terminal,
 )
-from trajeval_ros.report.numbers import coverage_text, number_text
-from trajeval_ros.report.tables import console
 
 VALUES = st.none() | st.just(math.inf) | st.floats(1e-6, 1e6)
 
@@ -76,24 +75,6 @@ def test_marks_are_bold_and_underlined_in_every_form() -> None:
         ["vio_1", "0.1", "", "1/2", "0.5"],
         ["vio_2", "inf", "2.0", "1/2", "0.5"],
     ]
-
-
-@given(st.floats(1e-9, 1e9))
-def test_numbers_keep_three_digits(value: float) -> None:
-    assert float(number_text(value)) == pytest.approx(value, rel=0.05)
-    assert float(number_text(value)) == pytest.approx(value, rel=5e-3, abs=5.001e-4)
-
-
-@pytest.mark.parametrize(("share", "text"), [(0.0, "0 %"), (0.525, "52 %"), (1.0, "100 %")])
-def test_coverage(share: float, text: str) -> None:
-    assert coverage_text(share) == text
-
-
-@given(st.integers(0, 100), st.floats(1e-6, 1.0 - 1e-6))
-def test_coverage_is_all_or_nothing_only_if_it_is(percent: int, more: float) -> None:
-    assert coverage_text(percent / 100) == f"{percent} %"
-    if percent < 100:
-        assert coverage_text((percent + more) / 100) == f"{max(percent, 1)} %"
 
 
 NAMES = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), min_size=1, max_size=20)

@@ -22,6 +22,7 @@ PACKAGE = ROOT / "trajeval_ros"
 # nothing of each other.
 FLOORS = {
     "exceptions": 0,
+    "formatting": 0,
     "geometry": 1,
     "continuous_time": 2,
     "metrics": 3,
@@ -145,6 +146,12 @@ def test_outside_packages_are_imported_in_their_rooms_only(path: Path) -> None:
     names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
     outside = {name.split(".")[0] for name in names} & ROOMS.keys()
     assert not {package for package in outside if room not in ROOMS[package]}
+
+
+@pytest.mark.parametrize("writer", [r'"---"', r"csv\.writer\(", r"begin{+tabular", r"\bTable\("])
+def test_tables_of_a_format_are_written_in_one_place(writer: str) -> None:
+    found = [path.stem for path in sources() if re.search(writer, path.read_text("utf-8"))]
+    assert found == ["console" if "Table" in writer else "text_tables"]
 
 
 def test_package_itself_imports_nothing_until_it_is_asked() -> None:

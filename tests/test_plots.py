@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 from pathlib import Path
 
@@ -113,7 +114,7 @@ def test_titles_state_the_definitions() -> None:
     assert "yaw and translation" in absolute
     assert "plain difference" in absolute
     assert f"rmse {evaluation.ate['position_m'].rmse:.3g} m" in absolute
-    assert f"{100 * evaluation.association.groundtruth_coverage:.0f} % covered" in absolute
+    assert f"{math.floor(100 * evaluation.association.groundtruth_coverage)} % covered" in absolute
     assert "position error [m]" in absolute
     assert "distance travelled [m]" in absolute
     relative = _texts([evaluation], "relative_error")

@@ -19,7 +19,7 @@ from waiting import PATIENCE_S, until
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.viewer import colours, live_path, scene_entities
+from trajeval_ros.viewer import colours, entity_data, live_path, scene_entities
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
 from trajeval_ros.viewer.paths import gaps, pieces
 from trajeval_ros.viewer.stream import DrawingThread
@@ -100,9 +100,11 @@ def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], s
 
 
 def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        scene_entities, "lines", lambda strips: [np.asarray(each) for each in strips]
-    )
+    class Strips(list):
+        def row(self) -> list[np.ndarray]:
+            return [np.asarray(each) for each in self]
+
+    monkeypatch.setattr(entity_data, "lines", Strips)
     rows: list[tuple[int, str, list[np.ndarray]]] = []
     entities = scene_entities.PathEntities.below("world/x")
     path = LivePath(entities, lambda stamp, entity, strips: rows.append((stamp, entity, strips)))

@@ -23,9 +23,9 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.clock_hint import clock_hint
 from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.formatting.text_tables import html_table
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics import evaluation as measuring
-from trajeval_ros.metrics.columns import html_table
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol

@@ -9,6 +9,7 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.summary_tables import ComparisonSummary, failures, matrices, summary_of
 from trajeval_ros.exceptions import require_one_of
+from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.io.requests.request_words import WORDS
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.report import matrix as tables
@@ -84,9 +85,10 @@ def write_tables(folder: Path, summary: ComparisonSummary) -> None:
         InputError: They can't be written.
     """
     made = matrices(summary)
-    lost = [f"* {tables.markdown_text(line)}" for line in failures(summary)]
+    lost = [f"* {markdown_text(line)}" for line in failures(summary)]
     without = ["### Runs without numbers", "", *lost, ""] if lost else []
-    text = "\n".join([f"# {summary.title}", "", *map(tables.to_markdown, made), *without])
+    title = f"# {markdown_text(summary.title)}"
+    text = "\n".join([title, "", *map(tables.to_markdown, made), *without])
     write_text(folder / "tables.md", text)
     write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
     for each in made:

@@ -20,8 +20,9 @@ from trajeval_ros.batch.gate_verdicts import (
     NumberVerdict,
     PooledVerdict,
 )
-from trajeval_ros.report.matrix import markdown_table, markdown_text
-from trajeval_ros.report.numbers import number_text
+from trajeval_ros.formatting.escaping import markdown_text
+from trajeval_ros.formatting.numbers import NOTHING, change_percent, three_decimals
+from trajeval_ros.formatting.text_tables import BOLD, MarkedText, TextCell, markdown_table
 
 _MOST_ROWS = 20  # of a table that isn't folded
 _ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
@@ -30,7 +31,7 @@ _ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
 def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
     """Return the verdict of all gates, then of each, with what would have been noticed."""
     lines = [f"### {markdown_text(title)}: {_head(judgement)}", ""]
-    lines += [line for each in remarks for line in (f"**Note:** {each}.", "")]
+    lines += [line for each in remarks for line in (f"**Note:** {markdown_text(each)}.", "")]
     for each in judgement.gates:
         lines += _gate(each, judgement.false_alarms)
     lines += [_failures(judgement.failures), ""]
@@ -118,25 +119,25 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict) -> str:
         UNDECIDED: f"no change beyond {margin} seen",
     }[pooled.verdict]
     who = "The one number" if pooled.count == 1 else f"All {pooled.count} numbers together"
-    bounds = " … ".join(map(_change, sorted(pooled.bounds)))
+    bounds = " … ".join(map(change_percent, sorted(pooled.bounds)))
     if not all(map(math.isfinite, pooled.bounds)) or min(pooled.bounds) <= -1.0:
         bounds = "no bounds"
-    text = f"**{who}: {said}**: {_change(pooled.change)} ({bounds})."
+    text = f"**{who}: {said}**: {change_percent(pooled.change)} ({bounds})."
     if pooled.noticeable is None:
         return f"{text} No worsening, however large, would have been noticed."
     size = "worsening" if pooled.count == 1 else "common worsening"
-    text += f" A {size} of {_percent(pooled.noticeable)} would have been noticed in 80 %"
+    text += f" A {size} of {_size(pooled.noticeable)} would have been noticed in 80 %"
     alone = [each.noticeable for each in verdict.numbers if each.noticeable is not None]
     if pooled.count == 1 or not alone:
         return f"{text} of comparisons."
-    least, most = _percent(min(alone)), _percent(max(alone))
+    least, most = _size(min(alone)), _size(max(alone))
     span = least if least == most else f"{least} to {most}"
     return f"{text} of comparisons; of one number alone, {span}."
 
 
 def _advice(verdict: GateVerdict, advised: tuple[float, float, float]) -> str:
     sizes = dict.fromkeys(each.trials for each in verdict.numbers if each.verdict in _JUDGED)
-    together, least, most = map(_percent, advised)
+    together, least, most = map(_size, advised)
     span = least if least == most else f"{least} to {most}"
     return (
         f"{', '.join(map(_trials, sizes))}: too few to tell single numbers from chance. With "
@@ -163,37 +164,28 @@ def _failures(failures: Failures) -> str:
 
 def _table(numbers: Sequence[NumberVerdict]) -> list[str]:
     headings = ["algorithm, sequence", "old", "new", "change", "trials", "noticeable", "verdict"]
-    rows = []
+    rows: list[list[TextCell]] = []
     for each in numbers:
-        change = "-"
+        change = NOTHING
         if each.before and each.now is not None and math.isfinite(each.before + each.now):
-            change = _change((each.now - each.before) / each.before)
-        mark = f"**{each.verdict}**" if each.fails else each.verdict
-        reason = f": {markdown_text(each.reason)}" if each.reason else ""
+            change = change_percent((each.now - each.before) / each.before)
         rows.append(
             [
-                markdown_text(f"{each.algorithm}, {each.sequence}"),
-                _value(each.before),
-                _value(each.now),
+                f"{each.algorithm}, {each.sequence}",
+                three_decimals(each.before),
+                three_decimals(each.now),
                 change,
                 "{} / {}".format(*each.trials),
-                "-" if each.noticeable is None else _percent(each.noticeable),
-                mark + reason,
+                NOTHING if each.noticeable is None else _size(each.noticeable),
+                MarkedText(
+                    each.verdict,
+                    BOLD if each.fails else "",
+                    f": {each.reason}" if each.reason else "",
+                ),
             ]
         )
     return markdown_table(headings, rows)
 
 
-def _value(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return "failed" if math.isinf(value) else number_text(value)
-
-
-def _change(share: float) -> str:
-    digits = 0 if abs(share) >= 0.1 else 1
-    return f"{100.0 * share:+.{digits}f} %"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"
+def _size(share: float) -> str:
+    return change_percent(share, sign="")

@@ -16,10 +16,10 @@ from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, matrices
+from trajeval_ros.formatting.numbers import percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
-from trajeval_ros.report.numbers import coverage_text, number_text
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 REPORT = "report.html"
@@ -96,8 +96,8 @@ def _findings(summary: ComparisonSummary) -> list[str]:
         coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))
         most = max(coverage, key=lambda name: coverage[name])
         findings += [
-            f"But {name} covers {coverage_text(coverage[name])} of the groundtruth's time and "
-            f"{most} {coverage_text(coverage[most])}: errors over a part compare only with "
+            f"But {name} covers {whole_percent(coverage[name])} of the groundtruth's time and "
+            f"{most} {whole_percent(coverage[most])}: errors over a part compare only with "
             "errors over the same part; --common-time-span compares these."
             for name in best
             if coverage[name] < 0.9 * coverage[most]
@@ -126,7 +126,7 @@ def _runs(
         if row["kind"] in (ATE, RE, POOLED):
             statistics[key].append(_statistics(row))
         else:
-            facts[key] += ((f"{row['kind']}, {row['metric']}", number_text(row["mean"])),)
+            facts[key] += ((f"{row['kind']}, {row['metric']}", three_decimals(row["mean"])),)
     return [
         RunPage(
             algorithm=trial.algorithm,
@@ -162,7 +162,7 @@ def _run_errors(folder: Path, key: str, place: int) -> str:
 def _statistics(row: dict[str, Any]) -> tuple[str, ...]:
     labels = ABSOLUTE if row["kind"] == ATE else RELATIVE
     where = {ATE: "ATE", RE: f"RE {row['length']}", POOLED: "RE all lengths"}[row["kind"]]
-    values = [number_text(row[name]) for name in STATISTICS]
+    values = [three_decimals(row[name]) for name in STATISTICS]
     return (f"{where}, {labels[row['metric']]}", *values, str(row["count"]))
 
 
@@ -171,7 +171,7 @@ def _facts(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         ("estimate", row["estimate"]),
         ("groundtruth", row["groundtruth"]),
         ("pairs", f"{row['pairs']} over {row['span_s']:.1f} s, "
-                  f"{100 * row['estimate_coverage']:.1f} % of the poses"),
+                  f"{percent(row['estimate_coverage'])} of the poses"),
         ("scale", f"{row['scale']:.5g}"),
         ("sha256", f"{row['estimate_sha256'][:16]}… and {row['groundtruth_sha256'][:16]}…"),
     )  # fmt: skip

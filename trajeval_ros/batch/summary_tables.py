@@ -23,9 +23,9 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
 )
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
+from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.report.matrix import Cell, Matrix
-from trajeval_ros.report.numbers import number_text
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
 _PARTIAL = "†"
@@ -242,9 +242,8 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
         f"{over if several else ''}. {definition(summary.settings)}"
     )
     if partial:
-        caption += (
-            f" {_PARTIAL} covers less than {100 * LOW_COVERAGE:.0f} % of the groundtruth's time."
-        )
+        least = whole_percent(LOW_COVERAGE)
+        caption += f" {_PARTIAL} covers less than {least} of the groundtruth's time."
     return _matrix(summary, f"ate_{metric}", f"ATE, {ABSOLUTE[metric]}", caption, rows)
 
 
@@ -257,7 +256,7 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
     value = median([*known, *[math.inf] * (len(trials) - len(evaluated))])
     notes = []
     if len(known) > 1:
-        notes.append(f"({number_text(min(known))}–{number_text(max(known))})")
+        notes.append(f"({three_decimals(min(known))}–{three_decimals(max(known))})")
     if len(known) < len(trials) and len(trials) > 1:
         notes.append(f"{len(known)}/{len(trials)}")
     if evaluated and median(trial.coverage for trial in evaluated) < LOW_COVERAGE:

@@ -25,6 +25,7 @@ from trajeval_ros.cli.replay import RosCommand, replay
 from trajeval_ros.cli.simulate import simulate
 from trajeval_ros.cli.view import view
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.formatting.escaping import visible
 
 app = typer.Typer(
     name="trajeval",
@@ -97,7 +98,7 @@ def ros_evaluator() -> int:
 
 
 def _fail(sentence: str) -> int:
-    print(f"trajeval: {' '.join(sentence.split())}", file=sys.stderr)
+    print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
     return 2
 
 

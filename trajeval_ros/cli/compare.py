@@ -168,8 +168,8 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
 def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import failures, matrices
+    from trajeval_ros.report.console import console, show
     from trajeval_ros.report.matrix import to_terminal
-    from trajeval_ros.report.tables import console, show
 
     terminal = console()
     for each in matrices(summary):
@@ -198,6 +198,8 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
+    from trajeval_ros.formatting.escaping import visible
+
     columns: list[Any] = [
         MofNCompleteColumn(),
         BarColumn(),
@@ -213,7 +215,7 @@ def _progress_bar() -> Iterator[Callable[[Progress], None]]:
                 total=progress.total or None,
                 completed=progress.kept + progress.done + progress.failed,
                 failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
-                running=escape(", ".join(progress.running)),
+                running=escape(visible(", ".join(progress.running))),
             )
 
         yield tell

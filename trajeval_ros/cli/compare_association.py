@@ -118,10 +118,10 @@ def _read(sources: list[str]) -> list[Trajectory]:
 def _print(
     comparisons: list[AssociationComparison], degradation: Degradation, poor: Trajectory
 ) -> None:
-    from trajeval_ros.report import tables
     from trajeval_ros.report.association_table import association_table
+    from trajeval_ros.report.console import console, show
 
-    terminal = tables.console()
+    terminal = console()
     terminal.print(
         f"groundtruth left: {len(poor)} samples, {degradation.rate_hz:g} Hz with "
         f"{degradation.dropouts} dropouts of {degradation.shortest_s:g} to "
@@ -130,7 +130,7 @@ def _print(
     )
     for comparison in comparisons:
         terminal.print()
-        tables.show(terminal, association_table(comparison))
+        show(terminal, association_table(comparison))
         for each in comparison.reported:
             if each.reason:
                 terminal.print(f"  {each.association}: {each.reason}", soft_wrap=True)

@@ -18,6 +18,7 @@ import typer
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.results.error_archive import write_errors
 from trajeval_ros.io.results.requirement import Requirement
@@ -83,14 +84,14 @@ def deliver(
         with may_break():
             _print(runs, output, gauge_given=gauge_given)
         for line in failed:
-            print(f"warning: {line}", file=sys.stderr)
+            print(f"warning: {visible(line)}", file=sys.stderr)
     else:
         # Missing data are told even to who wants to hear nothing.
         for line in outcome.damage:
-            print(f"warning: {line}", file=sys.stderr)
+            print(f"warning: {visible(line)}", file=sys.stderr)
     pictures.show(runs)
     for line in unmet:
-        print(f"trajeval: {line}", file=sys.stderr)
+        print(f"trajeval: {visible(line)}", file=sys.stderr)
     if unmet:
         raise typer.Exit(1)
 
@@ -157,9 +158,10 @@ def _assessments(runs: Sequence[RunOutcome]) -> dict[str, Assessment]:
 def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool) -> None:
     from trajeval_ros.report import tables
     from trajeval_ros.report.calibration_lines import calibration_lines
+    from trajeval_ros.report.console import console, show
 
     evaluations = [run.evaluation for run in runs]
-    terminal = tables.console()
+    terminal = console()
     for evaluation in evaluations:
         for line in tables.verdict(evaluation):
             terminal.print(line, soft_wrap=True)
@@ -177,15 +179,15 @@ def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool
         )
 
         terminal.print()
-        tables.show(terminal, probabilistic_table(likely))
+        show(terminal, probabilistic_table(likely))
         for line in probabilistic_lines(likely):
             terminal.print(line, soft_wrap=True)
     terminal.print()
-    tables.show(terminal, tables.absolute_table(evaluations, terminal.width))
+    show(terminal, tables.absolute_table(evaluations, terminal.width))
     relative = tables.relative_table(evaluations, terminal.width)
     if relative is not None:
         terminal.print()
-        tables.show(terminal, relative)
+        show(terminal, relative)
     for run in runs:
         if run.calibrated is not None:
             for line in calibration_lines(run.estimate.name, run.calibrated):
@@ -196,7 +198,7 @@ def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool
     if output is not None:
         terminal.print(f"\n{_contents(output)}", soft_wrap=True)
     terminal.file.flush()
-    remarks = tables.console(sys.stderr)
+    remarks = console(sys.stderr)
     for trajectory in (evaluations[0].groundtruth, *(each.estimate for each in evaluations)):
         if trajectory.notes:
             remarks.print(

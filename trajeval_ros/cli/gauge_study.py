@@ -133,6 +133,7 @@ def _write(
     sweep: list[Trials],
     matrices: dict[str, Covariances],
 ) -> None:
+    from trajeval_ros.formatting.text_tables import markdown_table
     from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.writing import write_text
     from trajeval_ros.report import gauge_tables
@@ -159,13 +160,15 @@ def _write(
         f"means over {trials} trials: p [m] / φ [deg] / v [m/s]; profile `{profile}`. All sensors "
         "are simulated, also those along recorded motions. The paper's values are those of its "
         "Tables II and III, whose noise and, for the recordings, feature tracks are not public.\n",
-        gauge_tables.markdown(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(outcome)),
+        *markdown_table(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(outcome)),
+        "",
         "Relative Frobenius difference between the transformed free-gauge covariance, eq. (12), "
         "and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on V1_02):\n",
-        gauge_tables.markdown(
+        *markdown_table(
             ["configuration", "difference"],
             [[name, f"{100 * each.difference:.3f} %"] for name, each in matrices.items()],
         ),
+        "",
     ]
     write_text(folder / "tables.md", "\n".join(lines))
 
@@ -212,10 +215,11 @@ def _print(
     outcome: dict[str, dict[GaugeHandling, Trials]],
     matrices: dict[str, Covariances],
 ) -> None:
-    from trajeval_ros.report import gauge_tables, tables
+    from trajeval_ros.report.console import console, show
+    from trajeval_ros.report.gauge_tables import accuracy_table
 
-    terminal = tables.console()
-    tables.show(terminal, gauge_tables.accuracy_table(outcome))
+    terminal = console()
+    show(terminal, accuracy_table(outcome))
     for name, each in matrices.items():
         terminal.print(
             f"{name}: the free gauge's covariance, transformed, differs by "

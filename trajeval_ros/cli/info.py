@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,8 @@ import typer
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from trajeval_ros.io.describe import Description, TrajectorySummary
 
 Row = tuple[str, ...]
@@ -43,14 +44,16 @@ def info(
     """
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.io.describe import describe
+    from trajeval_ros.report.console import console
 
     with progress(f"reading {source}") as advance:
         description = describe(source, advance=advance)
-    print(f"{description.path}")
+    terminal = console()
+    terminal.print(f"{description.path}", soft_wrap=True)
     for note in description.notes:
-        print(f"note: {note}")
+        terminal.print(f"note: {note}", soft_wrap=True)
     if len(description.trajectories) == 1:
-        _print_table(("", ""), _details(description.trajectories[0]))
+        _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:
         header = (
             "topic",
@@ -63,15 +66,16 @@ def info(
             "frame",
             "could be",
         )
-        _print_table(header, [_row(each) for each in description.trajectories])
-        _print_remarks(description.trajectories)
-    _print_edges(description)
+        _print_table(terminal, header, [_row(each) for each in description.trajectories])
+        _print_remarks(terminal, description.trajectories)
+    _print_edges(terminal, description)
     if description.others:
         _print_table(
+            terminal,
             ("no poses", "type", "messages"),
             [(name, kind, str(count)) for name, kind, count in description.others],
         )
-    _print_next_step(description)
+    _print_next_step(terminal, description)
 
 
 def _row(summary: TrajectorySummary) -> Row:
@@ -129,7 +133,7 @@ def _seconds(stamp: int) -> str:
     return f"{sign}{whole}.{rest // 1_000_000:03d}"
 
 
-def _print_remarks(summaries: Sequence[TrajectorySummary]) -> None:
+def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) -> None:
     """Print what the tables of several trajectories have no column for."""
     for summary in summaries:
         topic = summary.source.rpartition(":")[2]
@@ -137,13 +141,14 @@ def _print_remarks(summaries: Sequence[TrajectorySummary]) -> None:
         if summary.gaps:
             remarks.append(f"gaps over 0.5 s: {_gaps(summary)}")
         for remark in remarks:
-            print(f"{topic}: {remark}")
+            terminal.print(f"{topic}: {remark}", soft_wrap=True)
 
 
-def _print_edges(description: Description) -> None:
+def _print_edges(terminal: Console, description: Description) -> None:
     """Print the TF tree."""
     if description.edges:
         _print_table(
+            terminal,
             ("transforms", "parent", "child", "kind", "stamps", "Hz"),
             [
                 (
@@ -159,35 +164,20 @@ def _print_edges(description: Description) -> None:
         )
 
 
-def _print_next_step(description: Description) -> None:
+def _print_next_step(terminal: Console, description: Description) -> None:
     """Print the command that evaluates what looks like a pair, if one does."""
     usable = [each for each in description.trajectories if not each.problem]
     truths = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
     if len(truths) == 1 and others:
-        print(f"\ntrajeval evaluate -g {truths[0].source} -e {others[0].source}")
+        terminal.print(
+            f"\ntrajeval evaluate -g {truths[0].source} -e {others[0].source}", soft_wrap=True
+        )
 
 
-def _print_table(header: Row, rows: Sequence[Row]) -> None:
-    """Print a table: drawn on a terminal, in plain aligned columns anywhere else."""
-    if sys.stdout.isatty():
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
+def _print_table(terminal: Console, words: Row, rows: Sequence[Row]) -> None:
+    from trajeval_ros.report.console import add_rows, new_table, show
 
-        table = Table(show_header=any(header), box=None, pad_edge=False)
-        for name in header:
-            table.add_column(name, overflow="fold")
-        for row in rows:
-            table.add_row(*(Text(cell) for cell in row))
-        console = Console()
-        # A line that the terminal wraps is easier to read, and to copy from, than folded cells.
-        natural = Console(width=10_000).measure(table).maximum
-        console.width = max(console.width, natural)
-        console.print(table)
-        return
-    lines = [header, *rows] if any(header) else list(rows)
-    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
-    for line in lines:
-        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        print("  ".join(cells).rstrip())
+    table = new_table("", words)
+    add_rows(table, rows)
+    show(terminal, table)

@@ -17,10 +17,13 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
         yield _ignore
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
+    from trajeval_ros.formatting.escaping import visible
+
     bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task(description, total=None, visible=True)
+    task = bar.add_task(escape(visible(description)), total=None, visible=True)
     begin = time.monotonic()
 
     def advance(done: int, total: int) -> None:

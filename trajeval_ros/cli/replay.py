@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -140,17 +141,17 @@ def _check(rate: float, patience_s: float) -> None:
 
 
 def _names(channels: Sequence[Channel]) -> str:
-    return ", ".join(channel.name for channel in channels)
+    return visible(", ".join(channel.name for channel in channels))
 
 
 def _print_notes(notes: Sequence[str]) -> None:
     for note in notes:
-        print(f"note: {note}", flush=True)
+        print(f"note: {visible(note)}", flush=True)
 
 
 def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: float) -> None:
     """Print what was played, in one line."""
-    counts = [f"{played.counts[each]} on {each.name}" for each in playback.channels]
+    counts = [f"{played.counts[each]} on {visible(each.name)}" for each in playback.channels]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS
     if played.worst_lag_s > _LATE_S:
         lag = f"fell behind by {played.worst_lag_s:.2f} s: a lower --rate keeps the times"

@@ -1,9 +1,8 @@
-"""Columns of numbers as other libraries' tables, and a small table for notebooks."""
+"""Columns of numbers as other libraries' tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,15 +45,3 @@ def pandas_frame(columns: Columns) -> pandas.DataFrame:
             "a data frame needs pandas, which is not installed: pip install pandas"
         ) from error
     return pandas.DataFrame(dict(columns))
-
-
-def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of texts as HTML; whatever is in them is shown, never interpreted."""
-    head = "".join(f"<th>{escape(each)}</th>" for each in header)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(each)}</td>" for each in row) + "</tr>" for row in rows
-    )
-    return (
-        f"<table><caption>{escape(caption)}</caption>"
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import percent
+from trajeval_ros.formatting.text_tables import html_table
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -17,7 +19,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
 from trajeval_ros.metrics.alignment import Alignment, align, align_first
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.columns import arrow_table, html_table, pandas_frame
+from trajeval_ros.metrics.columns import arrow_table, pandas_frame
 from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
 from trajeval_ros.metrics.errors import (
     AbsoluteErrors,
@@ -160,10 +162,10 @@ class Evaluation:
     def __repr__(self) -> str:
         """Return a few lines that say how wrong the estimate is, without the arrays."""
         pairs, segments = self.association, self.segments or ()
-        coverage = 100.0 * pairs.groundtruth_coverage
         lines = [
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
-            f"{self.protocol.gauge.value}, {len(pairs)} pairs, {coverage:.1f} % of groundtruth",
+            f"{self.protocol.gauge.value}, {len(pairs)} pairs, "
+            f"{percent(pairs.groundtruth_coverage)} of groundtruth",
             f"  ATE: {_rmse_text(self.ate)}",
             *(f"  RE {each.length}: {_rmse_text(each.statistics)}" for each in segments),
         ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
@@ -27,8 +28,8 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     figure = canvas.new_figure(_WIDTH_IN, _PANEL_IN)
     upper = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
-        coverage = 100.0 * evaluation.association.groundtruth_coverage
-        _draw(upper, evaluation, "position_m", place, f"{name}, {coverage:.0f} % covered, ", "m")
+        coverage = whole_percent(evaluation.association.groundtruth_coverage)
+        _draw(upper, evaluation, "position_m", place, f"{name}, {coverage} covered, ", "m")
     upper.set_ylabel("position error [m]")
     upper.set_ylim(bottom=0.0)
     canvas.head(upper, _WIDTH_IN, f"{absolute_form_of(evaluations)}\n{alignment_of(evaluations)}")

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.report.matrix import Matrix
-from trajeval_ros.report.numbers import coverage_text, number_text
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,10 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
+        finalize=_shown,
     )
-    environment.filters["number"] = lambda value: "-" if value is None else number_text(value)
-    environment.filters["coverage"] = coverage_text
+    environment.filters["number"] = three_decimals
+    environment.filters["coverage"] = whole_percent
     return environment.get_template("comparison.html.j2").render(
         title=title,
         definition=definition,
@@ -105,3 +107,8 @@ def render(
         runs=runs,
         version=version,
     )
+
+
+def _shown(value: object) -> object:
+    """Return what the page shows of a value; markup, such as a figure, stays as it is."""
+    return one_line(value) if type(value) is str else value

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from trajeval_ros.formatting.numbers import NOTHING
+from trajeval_ros.report.console import add_rows, new_table
 from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import Trials
 
@@ -52,39 +54,23 @@ def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list
 def _paper(name: str) -> list[str]:
     known = next((values for key, values in PAPER.items() if key in name), None)
     if known is None:
-        return ["–", "–"]
+        return [NOTHING, NOTHING]
     return [" / ".join(f"{value:.4g}" for value in values) for values in known]
-
-
-def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Table:
     """Return the table for a terminal: a line for each configuration and handling."""
-    from rich.table import Table
-
-    table = Table(
-        "configuration",
-        "gauge",
-        *METRICS.values(),
-        "paper (p / φ / v)",
-        "iterations",
-        title="RMSE after alignment by the first keyframe, means over trials",
-        title_justify="left",
+    table = new_table(
+        "RMSE after alignment by the first keyframe, means over trials",
+        ["configuration", "gauge"],
+        [*METRICS.values(), "paper (p / φ / v)", "iterations"],
     )
     for name, trials in outcome.items():
         paper = dict(zip(_PAPER_HANDLINGS, _paper(name), strict=True))
         for place, handling in enumerate(GaugeHandling):
             each = trials[handling]
-            table.add_row(
-                "" if place else name,
-                handling.value,
-                *(f"{getattr(each, metric).mean():.5f}" for metric in METRICS),
-                paper.get(handling, ""),
-                f"{each.iterations.mean():.2f}",
-                end_section=handling is list(GaugeHandling)[-1],
-            )
+            rmse = [f"{getattr(each, metric).mean():.5f}" for metric in METRICS]
+            beside = [paper.get(handling, ""), f"{each.iterations.mean():.2f}"]
+            add_rows(table, [["" if place else name, handling.value, *rmse, *beside]])
+        table.add_section()
     return table

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trajeval_ros.report.numbers import coverage_text, number_text
-from trajeval_ros.report.tables import new_table
+from trajeval_ros.formatting.escaping import markdown_text
+from trajeval_ros.formatting.numbers import three_decimals, whole_percent
+from trajeval_ros.formatting.text_tables import (
+    BOLD,
+    UNDERLINE,
+    MarkedText,
+    TextCell,
+    csv_table,
+    latex_table,
+    markdown_table,
+)
+from trajeval_ros.report.console import add_rows, new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-_LATEX = {
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "–": "--", "†": r"$^\dagger$", "×": r"$\times$",
-    **{each: f"\\{each}" for each in "&%$#_{}"},
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,7 @@ class Cell:
     @property
     def text(self) -> str:
         """The number as read by people."""
-        if self.value is None:
-            return "-"
-        if math.isinf(self.value):
-            return "failed"
-        return number_text(self.value)
+        return three_decimals(self.value)
 
 
 @dataclass(frozen=True)
@@ -86,113 +82,48 @@ class Matrix:
 
 def to_terminal(matrix: Matrix) -> Table:
     """Return the table with the best in bold and the second underlined, without its caption."""
-    from rich.text import Text
-
-    styles = ("", "bold", "underline")
-    table = new_table(matrix.title)
-    table.add_column("algorithm", no_wrap=True)
-    for heading in (*matrix.columns, "runs", "coverage"):
-        table.add_column(heading, justify="right")
-    for place, ((name, cells), ranks) in enumerate(zip(matrix.rows, matrix.ranks(), strict=True)):
-        texts = [
-            Text.assemble((cell.text, styles[rank]), f" {cell.note}" if cell.note else "")
-            for cell, rank in zip(cells, ranks, strict=True)
-        ]
-        table.add_row(name, *texts, matrix.runs[place], coverage_text(matrix.coverage[place]))
+    name, *numbers = _headings(matrix)
+    table = new_table(matrix.title, [name], numbers)
+    add_rows(table, _body(matrix))
     return table
 
 
 def to_markdown(matrix: Matrix) -> str:
-    """Return the table with the best in bold and the second underlined."""
-    marks: tuple[Callable[[str], str], ...] = (
-        lambda text: text,
-        lambda text: f"**{text}**",
-        lambda text: f"<u>{text}</u>",
-    )
-    return "\n".join(
-        [
-            f"### {matrix.title}",
-            "",
-            *markdown_table(["algorithm", *matrix.columns, "runs", "coverage"], [
-                [markdown_text(each) for each in row] for row in _body(matrix, marks)
-            ]),
-            "",
-            matrix.caption,
-            "",
-        ]
-    )  # fmt: skip
-
-
-def markdown_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table whose first column is text and whose others are numbers."""
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    return [f"| {' | '.join(each)} |" for each in lines]
-
-
-def markdown_text(text: str) -> str:
-    """Return a text that doesn't end a cell of a Markdown table."""
-    return text.replace("|", "\\|").replace("\n", " ")
+    """Return the table, likewise, with its caption."""
+    table = markdown_table(_headings(matrix), _body(matrix))
+    title, caption = markdown_text(matrix.title), markdown_text(matrix.caption)
+    return "\n".join([f"### {title}", "", *table, "", caption, ""])
 
 
 def to_latex(matrix: Matrix) -> str:
-    """Return a table for the booktabs package, the best bold and the second underlined."""
-    marks: tuple[Callable[[str], str], ...] = (
-        lambda text: text,
-        lambda text: f"\\textbf{{{text}}}",
-        lambda text: f"\\underline{{{text}}}",
-    )
-    headings = ["algorithm", *matrix.columns, "runs", "coverage"]
-    rows = [
-        f"    {' & '.join(row)} \\\\" for row in _body(matrix, marks, latex_text)
-    ]  # the marks are LaTeX already
-    return "\n".join(
-        [
-            "% needs \\usepackage{booktabs}",
-            "\\begin{table}",
-            "  \\centering",
-            f"  \\caption{{{latex_text(matrix.title)}. {latex_text(matrix.caption)}}}",
-            f"  \\label{{tab:{matrix.name.replace('_', '-')}}}",
-            f"  \\begin{{tabular}}{{l{'r' * (len(headings) - 1)}}}",
-            "    \\toprule",
-            f"    {' & '.join(map(latex_text, headings))} \\\\",
-            "    \\midrule",
-            *rows,
-            "    \\bottomrule",
-            "  \\end{tabular}",
-            "\\end{table}",
-            "",
-        ]
-    )
-
-
-def latex_text(text: str) -> str:
-    """Return a text as LaTeX prints it."""
-    return re.sub(".", lambda match: _LATEX.get(match[0], match[0]), text)
+    """Return the table, likewise, for the booktabs package."""
+    caption = f"{matrix.title}. {matrix.caption}"
+    return "\n".join(latex_table(matrix.name, caption, _headings(matrix), _body(matrix)))
 
 
 def to_csv(matrix: Matrix) -> str:
     """Return the numbers with all their digits; empty where there is none."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["algorithm", *matrix.columns, "runs", "coverage"])
-    for place, (name, cells) in enumerate(matrix.rows):
-        values = ["" if cell.value is None else repr(cell.value) for cell in cells]
-        writer.writerow([name, *values, matrix.runs[place], repr(matrix.coverage[place])])
-    return stream.getvalue()
+    rows = (
+        [name, *(cell.value for cell in cells), runs, coverage]
+        for (name, cells), runs, coverage in zip(
+            matrix.rows, matrix.runs, matrix.coverage, strict=True
+        )
+    )
+    return csv_table(_headings(matrix), rows)
 
 
-def _body(
-    matrix: Matrix,
-    marks: Sequence[Callable[[str], str]],
-    escape: Callable[[str], str] = lambda text: text,
-) -> list[list[str]]:
+def _headings(matrix: Matrix) -> list[str]:
+    return ["algorithm", *matrix.columns, "runs", "coverage"]
+
+
+def _body(matrix: Matrix) -> list[list[TextCell]]:
     """Return the rows as texts, marked by rank."""
-    rows = []
+    marks = ("", BOLD, UNDERLINE)
+    rows: list[list[TextCell]] = []
     for place, ((name, cells), ranks) in enumerate(zip(matrix.rows, matrix.ranks(), strict=True)):
         texts = [
-            " ".join(filter(None, (marks[rank](escape(cell.text)), escape(cell.note))))
+            MarkedText(cell.text, marks[rank], f" {cell.note}" if cell.note else "")
             for cell, rank in zip(cells, ranks, strict=True)
         ]
-        coverage = escape(coverage_text(matrix.coverage[place]))
-        rows.append([escape(name), *texts, escape(matrix.runs[place]), coverage])
+        rows.append([name, *texts, matrix.runs[place], whole_percent(matrix.coverage[place])])
     return rows

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from trajeval_ros.formatting.numbers import NOTHING, four_digits, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.report.numbers import number
-from trajeval_ros.report.tables import new_table
+from trajeval_ros.report.console import add_rows, new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,17 +30,16 @@ def probabilistic_table(assessments: Mapping[str, Assessment]) -> Table:
     """Return a row for each estimate, by name."""
     first = next(iter(assessments.values()))
     noise = first.continuous.samples.noise
+    rivals = ["log Bayes factor, best rival"] if len(assessments) > 1 else []
     table = new_table(
         f"Against continuous groundtruth, model {first.continuous.model}, noise "
-        f"{noise.position_m:g} m"
+        f"{noise.position_m:g} m",
+        ["estimate"],
+        [*_NUMBERS, *rivals],
     )
-    table.add_column("estimate")
-    for heading in _NUMBERS:
-        table.add_column(heading, justify="right")
-    if len(assessments) > 1:
-        table.add_column("log Bayes factor, best rival", justify="right")
-    for name, assessment in assessments.items():
-        table.add_row(name, *_cells(assessment), *_against_rivals(assessment, len(assessments)))
+    for name, each in assessments.items():
+        against = [_against_rivals(each)] if rivals else []
+        add_rows(table, [[name, *_cells(each), *against]])
     return table
 
 
@@ -56,10 +55,10 @@ def probabilistic_lines(assessments: Mapping[str, Assessment]) -> list[str]:
 
 def _cells(assessment: Assessment) -> list[str]:
     ate, scores = assessment.ate, assessment.gauge_scores
-    interval = "-"
+    interval = NOTHING
     if ate.interval_m is not None:
-        interval = f"{number(ate.interval_m[0])} to {number(ate.interval_m[1])}"
-    scale = tilt = "-"
+        interval = " to ".join(map(four_digits, ate.interval_m))
+    scale = tilt = NOTHING
     # What the sensors don't observe is no error: frames may be tilted, and a camera has no scale.
     gauge = assessment.error.residuals.gauge
     if scores is not None and scores.scale is not None and gauge is not Gauge.SIM3:
@@ -67,10 +66,10 @@ def _cells(assessment: Assessment) -> list[str]:
     if scores is not None and gauge is Gauge.YAW:
         tilt = ", ".join(f"{z:+.1f}" for z in scores.tilt.z)
     return [
-        "-" if ate.supported_m is None else number(ate.supported_m),
-        f"{100.0 * ate.supported_share:.0f} %",
+        NOTHING if ate.supported_m is None else four_digits(ate.supported_m),
+        whole_percent(ate.supported_share),
         interval,
-        number(ate.weighted_m),
+        four_digits(ate.weighted_m),
         f"{assessment.error.nll_per_pose:.2f}",
         f"{assessment.error.chi2_per_dof:.3g}",
         scale,
@@ -78,9 +77,7 @@ def _cells(assessment: Assessment) -> list[str]:
     ]
 
 
-def _against_rivals(assessment: Assessment, estimates: int) -> list[str]:
-    if estimates < 2:
-        return []
+def _against_rivals(assessment: Assessment) -> str:
     if not assessment.log_bayes:
-        return ["-"]
-    return [f"{min(assessment.log_bayes.values()):+.1f}"]
+        return NOTHING
+    return f"{min(assessment.log_bayes.values()):+.1f}"

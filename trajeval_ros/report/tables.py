@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.formatting.numbers import NOTHING, four_digits, percent
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.report.numbers import number
+from trajeval_ros.report.console import add_rows, new_table
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from trajeval_ros.consistency.result import Consistency
@@ -58,17 +57,6 @@ RE_FORMS = {
 }
 
 
-def console(stream: object = None) -> Console:
-    """Return a console: styled and as wide as the terminal, or plain and unwrapped in a pipe."""
-    from rich.console import Console
-
-    output = sys.stdout if stream is None else stream
-    terminal = Console(file=output, highlight=False, markup=False)  # type: ignore[arg-type]
-    if terminal.is_terminal:
-        return terminal
-    return Console(file=output, width=10_000, highlight=False, markup=False, no_color=True)  # type: ignore[arg-type]
-
-
 def verdict(evaluation: Evaluation) -> list[str]:
     """Return the three lines that answer: how wrong, by which definition, over how much."""
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
@@ -89,8 +77,8 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})",
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
-        f"  {len(pairs)} pairs cover {100 * pairs.estimate_coverage:.1f} % of the estimate's "
-        f"poses and {100 * pairs.groundtruth_coverage:.1f} % of the groundtruth's time "
+        f"  {len(pairs)} pairs cover {percent(pairs.estimate_coverage)} of the estimate's "
+        f"poses and {percent(pairs.groundtruth_coverage)} of the groundtruth's time "
         f"({pairs.groundtruth.path_length_m:.1f} m)" + _dropped(evaluation),
         *_score(evaluation),
     ]
@@ -125,33 +113,19 @@ def _dropped(evaluation: Evaluation) -> str:
     return f"; dropped: {reasons(dropped)}" if dropped else ""
 
 
-def show(terminal: Console, table: Table) -> None:
-    """Print a table without cutting a word or a number, if need be wider than the terminal."""
-    from rich.console import Console
-
-    width = terminal.width
-    terminal.width = max(width, Console(width=10_000, markup=False).measure(table).minimum)
-    terminal.print(table)
-    terminal.width = width
-
-
 def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
     shown = [each for each in STATISTICS if _fits(each, width)]
     form = evaluations[0].protocol.ate_form
-    table = new_table(f"Absolute trajectory error, {form} form")
-    table.add_column("estimate", no_wrap=True)
-    table.add_column("error")
-    for statistic in shown:
-        table.add_column(statistic, justify="right")
-    table.add_column("pairs", justify="right")
+    title = f"Absolute trajectory error, {form} form"
+    table = new_table(title, ["estimate", "error"], [*shown, "pairs"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for metric, label in ABSOLUTE.items():
             statistics = evaluation.ate[metric]
             if statistics is not None:
-                numbers = [number(getattr(statistics, each)) for each in shown]
-                table.add_row(name, label, *numbers, str(statistics.count))
+                numbers = [four_digits(getattr(statistics, each)) for each in shown]
+                add_rows(table, [[name, label, *numbers, str(statistics.count)]])
                 name = ""
     return table
 
@@ -172,22 +146,20 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         return None
     with_medians = width >= _WIDTH_FOR_MEDIANS
     what = "mean (median)" if with_medians else "mean"
-    table = new_table(f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}")
-    for heading in ("estimate", "length"):
-        table.add_column(heading, no_wrap=True)
-    for metric in metrics:
-        table.add_column(RELATIVE[metric], justify="right")
-    table.add_column("count", justify="right")
+    title = f"Relative error, {what}: {RE_FORMS[evaluations[0].protocol.re_form]}"
+    headings = [RELATIVE[metric] for metric in metrics]
+    table = new_table(title, ["estimate", "length"], [*headings, "count"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for segment in evaluation.segments or ():
             cells = [_mean(segment.statistics[metric], with_medians) for metric in metrics]
-            table.add_row(name, length_text(segment), *cells, str(len(segment.errors.ends)))
+            count = str(len(segment.errors.ends))
+            add_rows(table, [[name, length_text(segment), *cells, count]])
             name = ""
         pooled = evaluation.pooled["position_percent"]
         if pooled is not None and len(evaluation.segments or ()) > 1:
             cells = [_mean(evaluation.pooled.get(metric), with_medians) for metric in metrics]
-            table.add_row(name, "all", *cells, str(pooled.count))
+            add_rows(table, [[name, "all", *cells, str(pooled.count)]])
     return table
 
 
@@ -198,29 +170,15 @@ def length_text(segment: SubTrajectoryErrors) -> str:
     return f"{segment.length_m:.4g} m"
 
 
-def new_table(title: str) -> Table:
-    """Return an empty table: framed in a terminal, bare in a pipe."""
-    from rich import box
-    from rich.table import Table
-
-    return Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD if sys.stdout.isatty() else None,
-        pad_edge=False,
-    )
-
-
 def _fits(column: str, width: int) -> bool:
     return width >= _WIDTH_FOR_ALL or column not in _WITHOUT_IF_NARROW
 
 
 def _mean(statistics: Statistics | None, with_median: bool) -> str:
     if statistics is None:
-        return "-"
-    mean = number(statistics.mean)
-    return f"{mean} ({number(statistics.median)})" if with_median else mean
+        return NOTHING
+    mean = four_digits(statistics.mean)
+    return f"{mean} ({four_digits(statistics.median)})" if with_median else mean
 
 
 def consistency_lines(name: str, consistency: Consistency) -> list[str]:

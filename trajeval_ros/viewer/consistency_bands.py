@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
-from trajeval_ros.viewer import scene_entities
+from trajeval_ros.viewer import appearance, entity_data, scene_entities
 from trajeval_ros.viewer.paths import peaks, spread
-from trajeval_ros.viewer.sdk import sdk
 
 _MOST_ROWS = 5000  # of a band
 _ELLIPSOIDS = 24
@@ -41,8 +39,7 @@ def send_consistency(
     Returns:
         How many times the ellipsoids are enlarged.
     """
-    rerun, _ = sdk()
-    scene_entities.declare_consistency(recording, entities)
+    appearance.declare_consistency(recording, entities)
     assert consistency.sigmas is not None
     assert consistency.nees is not None
     assert consistency.per_pose is not None
@@ -53,49 +50,35 @@ def send_consistency(
         bands = _UNITS[axis] * np.stack(
             [errors[:, axis], limits[:, axis], -limits[:, axis]], axis=1
         )
-        recording.send_columns(
-            entities.metric(quantity),
-            scene_entities.times(stamps[some]),
-            rerun.Scalars.columns(scalars=bands.ravel()).partition([3] * len(some)),
-        )
+        numbers = entity_data.numbers(bands.ravel())
+        numbers.send(recording, entities.metric(quantity), stamps[some], np.full(len(some), 3))
     known = np.flatnonzero(np.isfinite(consistency.nees))
     some = known[peaks(consistency.nees[known], _MOST_ROWS)]
     for quantity, at, values in (
         (scene_entities.NEES, some, consistency.nees[some]),
         (scene_entities.NEES_LIMIT, known[[0, -1]], np.full(2, consistency.per_pose.limit_95)),
     ):
-        scalars = rerun.Scalars.columns(scalars=values)
-        recording.send_columns(
-            entities.metric(quantity), scene_entities.times(stamps[at]), scalars
-        )
-    return _send_ellipsoids(recording, evaluation, consistency, entities, origin)
+        entity_data.numbers(values).send(recording, entities.metric(quantity), stamps[at])
+    assert consistency.covariances is not None
+    positions = consistency.covariances[:, :3, :3]
+    return _send_ellipsoids(recording, entities.uncertainty, evaluation, positions, origin)
 
 
 def _send_ellipsoids(
-    recording: Any,
-    evaluation: Evaluation,
-    consistency: Consistency,
-    entities: scene_entities.EstimateEntities,
-    origin: Floats,
+    recording: Any, entity: str, evaluation: Evaluation, covariances: Floats, origin: Floats
 ) -> float:
     """Draw them evenly along the way, in the gauge of the alignment, where errors are."""
-    rerun, _ = sdk()
-    assert consistency.covariances is not None
     truth, aligned = evaluation.association.groundtruth, evaluation.aligned
     along = truth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))
     rows = np.unique(np.minimum(evenly, len(along) - 1))
-    half_axes, directions = scene_entities.ellipsoid_axes(consistency.covariances[rows, :3, :3])
+    half_axes, _ = entity_data.ellipsoid_axes(covariances[rows])
     extent = float(np.ptp(truth.positions, axis=0).max())
     largest = max(2.0 * float(half_axes.max()), 1e-12)
     factor = max(1.0, round_below(_LARGEST * extent / largest))
-    recording.send_columns(
-        entities.uncertainty,
-        scene_entities.times(evaluation.association.estimate.stamps[rows]),
-        rerun.Ellipsoids3D.columns(
-            centers=aligned.positions[rows] - origin,
-            half_sizes=factor * half_axes,
-            quaternions=Rotation.from_matrix(directions).as_quat(),
-        ),
+    ellipsoids = entity_data.ellipsoids(
+        aligned.positions[rows] - origin, covariances[rows], factor
     )
+    stamps = evaluation.association.estimate.stamps[rows]
+    ellipsoids.send(recording, entity, stamps)
     return factor

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.viewer import scene_entities
+from trajeval_ros.viewer import entity_data
 from trajeval_ros.viewer.paths import is_gap
+from trajeval_ros.viewer.scene_entities import PathEntities
 
 Log = Callable[[int, str, Any], None]
 
@@ -44,7 +45,7 @@ class LivePath:
     `newest` its end: each is sent anew as it grows, the short one often, the long one seldom.
     """
 
-    def __init__(self, entities: scene_entities.PathEntities, log: Log) -> None:
+    def __init__(self, entities: PathEntities, log: Log) -> None:
         """Begin without a pose.
 
         Args:
@@ -72,7 +73,7 @@ class LivePath:
             self._end_piece()
             self._piece = [point]
         elif len(self._piece) % _HEAD == 1 and len(self._piece) > 1:
-            self._log(stamp, self._entities.recent, scene_entities.lines([np.array(self._piece)]))
+            self._draw(stamp, self._entities.recent, [np.array(self._piece)])
         return gap
 
     def draw_to(self, stamp: int, point: Floats) -> None:
@@ -80,15 +81,16 @@ class LivePath:
         if self._piece:
             begin = (len(self._piece) - 1) // _HEAD * _HEAD
             head = np.array([*self._piece[begin:], point])
-            self._log(stamp, self._entities.newest, scene_entities.lines([head]))
+            self._draw(stamp, self._entities.newest, [head])
 
     def _end_piece(self) -> None:
         if len(self._piece) > 1:
-            self._log(
-                self._stamp, self._entities.past, scene_entities.lines([np.array(self._piece)])
-            )
-            self._log(self._stamp, self._entities.recent, scene_entities.lines([]))
-            self._log(self._stamp, self._entities.newest, scene_entities.lines([]))
+            self._draw(self._stamp, self._entities.past, [np.array(self._piece)])
+            self._draw(self._stamp, self._entities.recent, [])
+            self._draw(self._stamp, self._entities.newest, [])
+
+    def _draw(self, stamp: int, entity: str, strips: list[Floats]) -> None:
+        self._log(stamp, entity, entity_data.lines(strips).row())
 
 
 class RowHistory:

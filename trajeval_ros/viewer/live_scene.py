@@ -12,10 +12,10 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.viewer import colours, scene_entities, text_panel
+from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
-from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for
+from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for, pieces
 
 if TYPE_CHECKING:
     from trajeval_ros.online.relative_errors import RelativeEnd
@@ -75,7 +75,7 @@ class LiveScene:
         """Draw on a recording from now on, and first what came before it."""
         self._recording = recording
         recording.send_recording_name(self._title)
-        scene_entities.declare(recording, self._entities)
+        appearance.declare(recording, self._entities)
         if self._origin is not None:
             self._draw_origin()
         stamps, points = self._truth_memory.columns()
@@ -83,7 +83,7 @@ class LiveScene:
         for each in self._estimates.values():
             each.coloured = 0
             for place, length in enumerate(each.lengths):
-                scene_entities.declare_length(recording, each.entities, length, place)
+                appearance.declare_length(recording, each.entities, length, place)
             stamps, rows = each.memory.columns()
             self._draw_again(each.entities.path.past, stamps, rows[:, 3:])
 
@@ -114,7 +114,7 @@ class LiveScene:
             self._log(
                 self._begin,
                 scene_entities.GroundtruthEntities.start,
-                scene_entities.start(self._at(states[0])),
+                entity_data.start(self._at(states[0])),
             )
         for row in self._truth_thinning.pick(stamps).tolist():
             point = self._at(states[row])
@@ -125,8 +125,8 @@ class LiveScene:
             self._truth_drawn_at = stamp
             point = self._at(states[-1])
             self._truth.draw_to(stamp, point)
-            pose = scene_entities.pose(point, states[-1, 3:7])
-            self._log(stamp, scene_entities.GroundtruthEntities.pose, pose)
+            pose = entity_data.poses(point[None], states[-1:, 3:7])
+            self._log(stamp, scene_entities.GroundtruthEntities.pose, pose.row())
 
     def pairs(self, name: str, stamps: Stamps, truth: Floats, states: Floats) -> None:
         """Take pairs of an estimate: stamps (N,), groundtruth and estimate (N, 10)."""
@@ -139,14 +139,15 @@ class LiveScene:
             stamp, point = int(stamps[row]), states[row, :3] - each.origin
             gap = each.path.add(stamp, point)
             if gap:
-                self.event(stamp, f"{name}: no pair of poses for {gap / NANOSECONDS:.1f} s")
+                self.event(stamp, text_panel.gap_in_words(name, gap))
             each.memory.add(stamp, np.concatenate([truth[row, :3] - self._origin, point]))
         stamp = int(stamps[-1])
         if stamp >= each.drawn_at + _DRAWN_EVERY_NS:
             each.drawn_at = stamp
             point = states[-1, :3] - each.origin
             each.path.draw_to(stamp, point)
-            self._log(stamp, each.entities.pose, scene_entities.pose(point, states[-1, 3:7]))
+            pose = entity_data.poses(point[None], states[-1:, 3:7])
+            self._log(stamp, each.entities.pose, pose.row())
 
     def update(self, name: str, update: Update) -> None:
         """Take the errors of the newest pair, as they are published."""
@@ -164,8 +165,8 @@ class LiveScene:
         each.snapshot = snapshot
         for quantity, value in (
             (scene_entities.ATE_POSITION, snapshot.window_position_rmse_m),
-            (scene_entities.ATE_ROTATION, _rmse(snapshot, "rotation_deg")),
-            (scene_entities.YAW_ERROR, _rmse(snapshot, "yaw_deg")),
+            (scene_entities.ATE_ROTATION, text_panel.rmse_of(snapshot.ate, "rotation_deg")),
+            (scene_entities.YAW_ERROR, text_panel.rmse_of(snapshot.ate, "yaw_deg")),
             (scene_entities.REVISED_ATE_POSITION, revised_m),
         ):
             self._number(stamp, each, quantity, value)
@@ -185,15 +186,14 @@ class LiveScene:
         """Take a position (3,) of an estimate and its covariance (3, 3), in its own frame."""
         each = self._estimates[name]
         if each.origin is not None:
-            around = position - each.origin
-            self._log(
-                stamp, each.entities.covariance, scene_entities.ellipsoid(around, covariance)
-            )
+            around = (position - each.origin)[None]
+            ellipsoid = entity_data.ellipsoids(around, covariance[None])
+            self._log(stamp, each.entities.covariance, ellipsoid.row())
 
     def event(self, stamp: int, text: str, *, warn: bool = True) -> None:
         """Take a line for the log."""
         since = "" if self._begin == _NEVER else f"{(stamp - self._begin) / NANOSECONDS:.1f} s: "
-        self._log(stamp, scene_entities.EVENTS, scene_entities.event(since + text, warn=warn))
+        self._log(stamp, scene_entities.EVENTS, entity_data.event(since + text, warn=warn))
 
     def dropped(self, count: int) -> None:
         """Take the number of updates that were not drawn."""
@@ -205,16 +205,15 @@ class LiveScene:
     def _entities(self) -> list[scene_entities.EstimateEntities]:
         return [each.entities for each in self._estimates.values()]
 
-    def _log(self, stamp: int, entity: str, archetype: Any) -> None:
+    def _log(self, stamp: int, entity: str, row: Any) -> None:
         if self._recording is not None:
-            self._recording.set_time(scene_entities.TIMELINE, timestamp=np.datetime64(stamp, "ns"))
-            self._recording.log(entity, archetype)
+            entity_data.log(self._recording, entity, stamp, row)
 
     def _number(
         self, stamp: int, each: LiveEstimatePicture, quantity: str, value: float | None
     ) -> None:
         if value is not None:
-            self._log(stamp, each.entities.metric(quantity), scene_entities.number(value))
+            self._log(stamp, each.entities.metric(quantity), entity_data.numbers([value]).row())
 
     def _at(self, state: Floats) -> Floats:
         assert self._origin is not None
@@ -223,9 +222,9 @@ class LiveScene:
     def _draw_origin(self) -> None:
         assert self._origin is not None
         if self._recording is not None:
-            scene_entities.send_origin(self._recording, self._origin)
+            entity_data.send_origin(self._recording, self._origin)
         if self._origin.any():
-            self.event(self._begin, scene_entities.origin_in_words(self._origin), warn=False)
+            self.event(self._begin, text_panel.origin_in_words(self._origin), warn=False)
 
     def _end(self, each: LiveEstimatePicture, end: RelativeEnd) -> None:
         """Draw the error of a sub-trajectory, unless its length has had one just now."""
@@ -233,16 +232,16 @@ class LiveScene:
             each.lengths[end.length] = _NEVER
             if self._recording is not None:
                 place = len(each.lengths) - 1
-                scene_entities.declare_length(self._recording, each.entities, end.length, place)
+                appearance.declare_length(self._recording, each.entities, end.length, place)
         if end.stamp >= each.lengths[end.length] + _DRAWN_EVERY_NS:
             each.lengths[end.length] = end.stamp
             entity = each.entities.metric(scene_entities.RELATIVE_ERROR, end.length)
-            self._log(end.stamp, entity, scene_entities.number(end.position_m))
+            self._log(end.stamp, entity, entity_data.numbers([end.position_m]).row())
 
     def _align(self, each: LiveEstimatePicture, stamp: int, similarity: Similarity) -> None:
         """Move the estimate, and tell of it if that is far."""
         before, each.similarity = each.similarity, similarity
-        self._log(stamp, each.entities.frame, scene_entities.alignment(similarity))
+        self._log(stamp, each.entities.frame, entity_data.alignment(similarity))
         yaw = float(Rotation.from_matrix(similarity.rotation).as_euler("ZYX", degrees=True)[0])
         self._number(stamp, each, scene_entities.ALIGNMENT_YAW, yaw)
         if self._gauge.has_scale:
@@ -267,21 +266,19 @@ class LiveScene:
         self._full_m = colours.scale_for(errors)
         each.coloured = len(rows)
         most = min(_MOST_COLOURED, -(-len(rows) // _COLOURED_STEPS))
-        self._log(
-            stamp,
-            each.entities.by_error,
-            scene_entities.path_by_error(rows[:, 3:], errors, gaps(stamps), self._full_m, most),
-        )
+        parts = pieces(len(rows), gaps(stamps), most)
+        path = entity_data.path_by_error(rows[:, 3:], errors, parts, self._full_m)
+        self._log(stamp, each.entities.by_error, path.row())
 
     def _correspond(self, each: LiveEstimatePicture, stamp: int) -> None:
         """Join poses with their groundtruth, evenly over the run."""
         assert each.similarity is not None
         _, rows = each.memory.columns()
         rows = rows[:: max(1, len(rows) // _MOST_CORRESPONDENCES)]
-        joined = scene_entities.correspondences(
+        joined = entity_data.correspondences(
             rows[:, :3], each.similarity.positions(rows[:, 3:]), self._full_m or 1.0
         )
-        self._log(stamp, each.entities.correspondences, joined)
+        self._log(stamp, each.entities.correspondences, joined.row())
 
     def _frame(self) -> None:
         """Have whoever opens the recording see all of the run."""
@@ -300,7 +297,7 @@ class LiveScene:
         if len(stamps) > 1:
             cuts = np.flatnonzero(gaps(stamps)) + 1
             strips = [each for each in np.split(points, cuts) if len(each) > 1]
-            self._log(int(stamps[-1]), entity, scene_entities.lines(strips))
+            self._log(int(stamps[-1]), entity, entity_data.lines(strips).row())
 
     def _tell(self, stamp: int, *, is_growing: bool = True) -> None:
         told = [each for each in self._estimates.values() if each.snapshot is not None]
@@ -312,9 +309,4 @@ class LiveScene:
             self._full_m,
             is_growing=is_growing,
         )
-        self._log(stamp, scene_entities.SUMMARY, scene_entities.summary(words))
-
-
-def _rmse(snapshot: Snapshot, metric: str) -> float | None:
-    statistics = snapshot.ate.get(metric)
-    return None if statistics is None else statistics.rmse
+        self._log(stamp, scene_entities.SUMMARY, entity_data.summary(words))

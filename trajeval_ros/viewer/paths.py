@@ -40,15 +40,17 @@ def gaps(stamps: Stamps) -> Booleans:
     """Return which of N - 1 steps between stamps (N,) no line should be drawn across."""
     steps = np.diff(stamps)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.asarray(steps > max(_GAP_NS, _USUAL_STEPS * usual))
+    return np.asarray(steps > _least_gap_ns(usual))
 
 
 def is_gap(step_ns: int, usual_ns: float) -> bool:
-    """Return whether no line should be drawn across a step.
+    """Return whether no line should be drawn across a step."""
+    return step_ns > _least_gap_ns(usual_ns)
 
-    Keyframes are far apart without being a gap, hence five usual steps.
-    """
-    return step_ns > max(_GAP_NS, _USUAL_STEPS * usual_ns)
+
+def _least_gap_ns(usual_ns: float) -> float:
+    """Return what a gap is longer than: keyframes are far apart, hence five usual steps."""
+    return max(_GAP_NS, _USUAL_STEPS * usual_ns)
 
 
 def pieces(count: int, is_gap: Booleans, most: int) -> Indices:

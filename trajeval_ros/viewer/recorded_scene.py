@@ -12,9 +12,9 @@ import numpy as np
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.viewer import colours, scene_entities, text_panel
+from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency_bands import send_consistency
 from trajeval_ros.viewer.paths import (
@@ -95,13 +95,13 @@ def _draw(
     estimates: Sequence[scene_entities.EstimateEntities],
     origin: Floats,
 ) -> None:
-    scene_entities.declare(recording, estimates)
+    appearance.declare(recording, estimates)
     full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
     truth = evaluations[0].groundtruth
     rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))
     _send_path(recording, scene_entities.GroundtruthEntities.path.past, truth, origin, rows)
     _send_poses(recording, scene_entities.GroundtruthEntities.pose, truth, origin)
-    start = scene_entities.start(truth.positions[0] - origin)
+    start = entity_data.start(truth.positions[0] - origin)
     recording.log(scene_entities.GroundtruthEntities.start, start, static=True)
     remarks = []
     for evaluation, consistency, entities in zip(
@@ -121,11 +121,11 @@ def _draw(
         name = f"{entities.name}: " if len(estimates) > 1 else ""
         remarks += [f"{name}{each}" for each in said]
     if origin.any():
-        remarks.append(scene_entities.origin_in_words(origin))
-    scene_entities.send_origin(recording, origin)
+        remarks.append(text_panel.origin_in_words(origin))
+    entity_data.send_origin(recording, origin)
     names = [each.name for each in estimates]
     words = text_panel.of_evaluations(evaluations, consistencies, names, full_m, remarks)
-    recording.log(scene_entities.SUMMARY, scene_entities.summary(words), static=True)
+    recording.log(scene_entities.SUMMARY, entity_data.summary(words), static=True)
     _send_events(recording, evaluations, names)
 
 
@@ -140,35 +140,25 @@ def _draw_estimate(
     estimate, pairs = evaluation.estimate, evaluation.association
     its_origin = origin_for(estimate.positions)
     similarity = between_origins(evaluation.alignment.similarity, origin, its_origin)
-    recording.log(entities.frame, scene_entities.alignment(similarity), static=True)
+    recording.log(entities.frame, entity_data.alignment(similarity), static=True)
     _send_path(recording, entities.path.past, estimate, its_origin, rows)
     _send_poses(recording, entities.pose, estimate, its_origin)
     _send_by_error(recording, entities.by_error, evaluation, its_origin, full_m, rows)
     some = spread(len(pairs), _MOST_CORRESPONDENCES)
     truth, aligned = pairs.groundtruth.positions[some], evaluation.aligned.positions[some]
-    errors = np.sqrt(np.square(truth - aligned).sum(axis=1))
-    rerun, _ = sdk()
-    recording.send_columns(
-        entities.correspondences,
-        scene_entities.times(pairs.estimate.stamps[some]),
-        rerun.LineStrips3D.columns(
-            strips=np.stack([truth - origin, aligned - origin], axis=1),
-            colors=colours.of_errors(errors, full_m),
-        ),
-    )
+    joined = entity_data.correspondences(truth - origin, aligned - origin, full_m)
+    joined.send(recording, entities.correspondences, pairs.estimate.stamps[some])
     _send_numbers(recording, evaluation, entities)
 
 
 def _send_path(
     recording: Any, entity: str, trajectory: Trajectory, origin: Floats, most: int
 ) -> None:
-    rerun, _ = sdk()
     some = spread(len(trajectory), _MOST_POINTS)
     stamps, points = trajectory.stamps[some], trajectory.positions[some] - origin
     rows = pieces(len(some), gaps(stamps), most)
     if len(rows):
-        strips = rerun.LineStrips3D.columns(strips=points[rows])
-        recording.send_columns(entity, scene_entities.times(stamps[rows[:, -1]]), strips)
+        entity_data.lines(points[rows]).send(recording, entity, stamps[rows[:, -1]])
 
 
 def _send_by_error(
@@ -179,7 +169,6 @@ def _send_by_error(
     full_m: float,
     most: int,
 ) -> None:
-    rerun, _ = sdk()
     paired = evaluation.association.estimate
     some = spread(len(paired), _MOST_POINTS)
     stamps, points = paired.stamps[some], paired.positions[some] - origin
@@ -189,45 +178,26 @@ def _send_by_error(
         return
     begins = np.arange(0, len(rows), _COLOURED_PER_ROW)
     ends = np.minimum(begins + _COLOURED_PER_ROW, len(rows))
-    strips = rerun.LineStrips3D.columns(
-        strips=points[rows], colors=colours.of_errors(errors[rows].mean(axis=1), full_m)
-    )
-    recording.send_columns(
-        entity, scene_entities.times(stamps[rows[ends - 1, -1]]), strips.partition(ends - begins)
-    )
+    path = entity_data.path_by_error(points, errors, rows, full_m)
+    path.send(recording, entity, stamps[rows[ends - 1, -1]], ends - begins)
 
 
 def _send_poses(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
-    rerun, _ = sdk()
     some = spread(len(trajectory), _MOST_POSES)
-    columns = {"translation": trajectory.positions[some] - origin}
-    if trajectory.quaternions is not None:
-        columns["quaternion"] = trajectory.quaternions[some]
-    poses = rerun.Transform3D.columns(**columns)
-    recording.send_columns(entity, scene_entities.times(trajectory.stamps[some]), poses)
+    quaternions = None if trajectory.quaternions is None else trajectory.quaternions[some]
+    poses = entity_data.poses(trajectory.positions[some] - origin, quaternions)
+    poses.send(recording, entity, trajectory.stamps[some])
 
 
 def _send_covariances(recording: Any, entity: str, trajectory: Trajectory, origin: Floats) -> None:
-    from scipy.spatial.transform import Rotation
-
-    rerun, _ = sdk()
     assert trajectory.covariances is not None
     some = spread(len(trajectory), _MOST_POSES)
     covariances = trajectory.covariances[some, :3, :3]
     usable = np.isfinite(covariances).all(axis=(1, 2))
     some, covariances = some[usable], covariances[usable]
-    if not covariances.any():
-        return
-    axes, directions = scene_entities.ellipsoid_axes(covariances)
-    recording.send_columns(
-        entity,
-        scene_entities.times(trajectory.stamps[some]),
-        rerun.Ellipsoids3D.columns(
-            centers=trajectory.positions[some] - origin,
-            half_sizes=axes,
-            quaternions=Rotation.from_matrix(directions).as_quat(),
-        ),
-    )
+    if covariances.any():
+        ellipsoids = entity_data.ellipsoids(trajectory.positions[some] - origin, covariances)
+        ellipsoids.send(recording, entity, trajectory.stamps[some])
 
 
 def _send_numbers(
@@ -246,9 +216,9 @@ def _send_numbers(
         (scene_entities.ATE_POSITION, "position_m"),
         (scene_entities.ATE_ROTATION, "rotation_deg"),
     ):
-        statistics = evaluation.ate[metric]
-        if statistics is not None:
-            level = np.full(2, statistics.rmse)
+        rmse = text_panel.rmse_of(evaluation.ate, metric)
+        if rmse is not None:
+            level = np.full(2, rmse)
             _send_series(recording, entities.metric(quantity), ends, level)
     if evaluation.protocol.gauge.has_scale:
         level = np.full(2, evaluation.alignment.similarity.scale)
@@ -256,7 +226,7 @@ def _send_numbers(
     for place, segment in enumerate(evaluation.segments or ()):
         if len(segment.errors.ends):
             length = str(segment.length)
-            scene_entities.declare_length(recording, entities, length, place)
+            appearance.declare_length(recording, entities, length, place)
             _send_series(
                 recording,
                 entities.metric(scene_entities.RELATIVE_ERROR, length),
@@ -266,29 +236,24 @@ def _send_numbers(
 
 
 def _send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:
-    rerun, _ = sdk()
     some = peaks(values, _MOST_NUMBERS)
-    scalars = rerun.Scalars.columns(scalars=values[some])
-    recording.send_columns(entity, scene_entities.times(stamps[some]), scalars)
+    entity_data.numbers(values[some]).send(recording, entity, stamps[some])
 
 
 def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Sequence[str]) -> None:
     for evaluation, name in zip(evaluations, names, strict=True):
         stamps = evaluation.association.estimate.stamps
         for row in np.flatnonzero(gaps(stamps)).tolist():
-            _say(recording, stamps[row + 1], _gap(name, stamps[row + 1] - stamps[row]))
+            step = int(stamps[row + 1] - stamps[row])
+            _say(recording, stamps[row + 1], text_panel.gap_in_words(name, step))
         for each in evaluation.warnings:
             _say(recording, stamps[-1], f"{name}: {each}")
         _say(recording, stamps[0], f"{name}: first of {len(stamps)} pairs", warn=False)
 
 
 def _say(recording: Any, stamp: np.int64, text: str, *, warn: bool = True) -> None:
-    recording.set_time(scene_entities.TIMELINE, timestamp=np.datetime64(int(stamp), "ns"))
-    recording.log(scene_entities.EVENTS, scene_entities.event(text, warn=warn))
-
-
-def _gap(name: str, step: np.int64) -> str:
-    return f"{name}: no pair of poses for {step / NANOSECONDS:.1f} s"
+    row = entity_data.event(text, warn=warn)
+    entity_data.log(recording, scene_entities.EVENTS, int(stamp), row)
 
 
 def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, Floats]:

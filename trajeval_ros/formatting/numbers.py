@@ -1,0 +1,55 @@
+"""How numbers are written for people: digits, shares in per cent, and what is missing."""
+
+from __future__ import annotations
+
+import math
+
+NOTHING = "-"
+_ROUNDING = 1e-9  # of per cent: 100 * 0.29 is 28.999999999999996
+
+
+def four_digits(value: float) -> str:
+    """Return four significant digits, never an exponent for what people measure."""
+    if value == 0.0 or abs(value) < 5e-7:
+        return "0"
+    if abs(value) >= 1000.0:
+        return f"{value:.1f}"
+    return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
+
+
+def three_decimals(value: float | None) -> str:
+    """Return three decimals, or three significant digits where these say nothing.
+
+    Infinite is what a run failed to be measured by.
+    """
+    if value is None:
+        return NOTHING
+    if math.isinf(value):
+        return "failed"
+    return f"{value:.3f}" if value == 0.0 or 0.01 <= abs(value) < 1000.0 else f"{value:.3g}"
+
+
+def whole_percent(share: float) -> str:
+    """Return a share as whole per cent, of which 100 means all and 0 nothing."""
+    whole = math.floor(100.0 * share + _ROUNDING)
+    return f"{min(max(whole, 1 if share > 0.0 else 0), 100)} %"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in per cent with one decimal."""
+    return NOTHING if share is None else f"{100.0 * share:.1f} %"
+
+
+def change_percent(share: float, sign: str = "+") -> str:
+    """Return a relative change in per cent, with one decimal below ten; `sign=""` for a size."""
+    return f"{100.0 * share:{sign}.{0 if abs(share) >= 0.1 else 1}f} %"
+
+
+def metres(value: float | None) -> str:
+    """Return a length to the millimetre."""
+    return NOTHING if value is None else f"{value:.3f} m"
+
+
+def degrees(value: float | None) -> str:
+    """Return an angle to a hundredth of a degree."""
+    return NOTHING if value is None else f"{value:.2f}°"

@@ -1,0 +1,85 @@
+"""The terminal, or a pipe in its place: lines and tables; foreign text never controls it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import IO, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from trajeval_ros.formatting.escaping import one_line, visible
+from trajeval_ros.formatting.text_tables import MarkedText, TextRow
+
+_UNWRAPPED = 10_000  # letters
+
+
+class VisibleConsole(Console):
+    """A console that shows control characters in whatever text is printed."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return a text as it is printed; what tables and lines consist of passes here."""
+        return super().render_str(visible(text), **options)
+
+
+def console(stream: IO[str] | None = None) -> VisibleConsole:
+    """Return a console: styled and as wide as the terminal, or plain and unwrapped in a pipe."""
+    output = sys.stdout if stream is None else stream
+    terminal = VisibleConsole(file=output, highlight=False, markup=False, emoji=False)
+    if terminal.is_terminal:
+        return terminal
+    return VisibleConsole(
+        file=output, width=_UNWRAPPED, highlight=False, markup=False, emoji=False, no_color=True
+    )
+
+
+def new_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> Table:
+    """Return a table without rows: framed in a terminal, bare in a pipe.
+
+    Args:
+        title: What stands above it, if anything.
+        words: Headings of columns of text, which is never wrapped; none is shown if all are empty.
+        numbers: Headings of columns of numbers behind them.
+    """
+    table = Table(
+        title=one_line(title) or None,
+        title_justify="left",
+        title_style="bold",
+        show_header=any(words),
+        box=box.SIMPLE_HEAD if sys.stdout.isatty() and any(words) else None,
+        pad_edge=False,
+    )
+    for heading in words:
+        table.add_column(one_line(heading), no_wrap=True)
+    for heading in numbers:
+        table.add_column(one_line(heading), justify="right")
+    return table
+
+
+def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
+    """Add rows to a table."""
+    for row in rows:
+        table.add_row(*map(_cell, row))
+
+
+def show(terminal: Console, table: Table) -> None:
+    """Print a table without cutting a word or a number, if need be wider than the terminal."""
+    width = terminal.width
+    terminal.width = max(width, Console(width=_UNWRAPPED, markup=False).measure(table).minimum)
+    if terminal.is_terminal:
+        terminal.print(table)
+    else:  # who reads the table by program wants no blanks at the ends of lines
+        with terminal.capture() as captured:
+            terminal.print(table)
+        lines = captured.get().splitlines()
+        terminal.print("\n".join(map(str.rstrip, lines)), soft_wrap=True)
+    terminal.width = width
+
+
+def _cell(cell: str | MarkedText) -> Text:
+    if isinstance(cell, str):
+        return Text(one_line(cell))
+    return Text.assemble((one_line(cell.text), cell.mark), one_line(cell.rest))

@@ -1,0 +1,134 @@
+"""How every entity of the picture looks, live and recorded: logged once, before its data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.viewer import colours
+from trajeval_ros.viewer.entity_data import marker
+from trajeval_ros.viewer.scene_entities import (
+    ALIGNMENT_YAW,
+    ATE_POSITION,
+    ATE_ROTATION,
+    ERRORS_WITHIN,
+    NEES,
+    NEES_LIMIT,
+    POSITION_ERROR,
+    RELATIVE_ERROR,
+    REVISED_ATE_POSITION,
+    ROTATION_ERROR,
+    SCALE,
+    SIGMAS,
+    WORLD,
+    YAW_ERROR,
+    EstimateEntities,
+    GroundtruthEntities,
+    PathEntities,
+)
+from trajeval_ros.viewer.sdk import sdk
+
+_AXES_M = 0.4
+
+
+def declare(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
+    """Log once how everything looks."""
+    rerun, _ = sdk()
+    recording.log(WORLD, rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    _declare_path(recording, GroundtruthEntities.path, colours.GROUNDTRUTH, 1.2)
+    _declare_pose(recording, GroundtruthEntities.pose, colours.GROUNDTRUTH)
+    for each in estimates:
+        _declare_path(recording, each.path, each.colour, 1.0 if len(estimates) == 1 else 1.6)
+        _declare_pose(recording, each.pose, each.colour, each.name)
+        recording.log(each.pose, rerun.TransformAxes3D(_AXES_M), static=True)
+        _declare_lines(recording, each.by_error, None, 2.6)
+        _declare_lines(recording, each.revised, each.colour, 1.0)
+        _declare_lines(recording, each.correspondences, None, 0.8)
+        _declare_ellipsoids(recording, each.covariance, each.colour)
+        _declare_series(recording, each)
+
+
+def declare_length(recording: Any, estimate: EstimateEntities, length: str, place: int) -> None:
+    """Log once how the relative error of a length looks: the longer, the brighter."""
+    shade = 0.45 + 0.55 * min(place, 4) / 4.0
+    colour = tuple(round(shade * each) for each in estimate.colour)
+    _series(
+        recording,
+        estimate.metric(RELATIVE_ERROR, length),
+        f"{estimate.name} {length}",
+        colour,
+    )
+
+
+def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
+    """Log once how errors beside their uncertainty look."""
+    rerun, _ = sdk()
+    name, colour = estimate.name, estimate.colour
+    _declare_ellipsoids(recording, estimate.uncertainty, colour)
+    _series(recording, estimate.metric(NEES), name, colour)
+    label = f"{name}, 95 % of honest runs stay below"
+    _series(recording, estimate.metric(NEES_LIMIT), label, colours.BAND, 1.6)
+    for quantity in ERRORS_WITHIN:
+        bands = rerun.SeriesLines(
+            colors=[colour, colours.BAND, colours.BAND],
+            names=[name, f"{SIGMAS:g} sigma", f"-{SIGMAS:g} sigma"],
+            widths=[1.2, 1.6, 1.6],
+        )
+        recording.log(estimate.metric(quantity), bands, static=True)
+
+
+def _declare_ellipsoids(recording: Any, entity: str, colour: colours.Colour) -> None:
+    rerun, _ = sdk()
+    ellipsoids = rerun.Ellipsoids3D.from_fields(
+        colors=[(*colour, 110)], fill_mode=rerun.components.FillMode.Solid
+    )
+    recording.log(entity, ellipsoids, static=True)
+
+
+def _declare_path(
+    recording: Any, path: PathEntities, colour: colours.Colour, radius: float
+) -> None:
+    for each in (path.past, path.recent, path.newest):
+        _declare_lines(recording, each, colour, radius)
+
+
+def _declare_lines(
+    recording: Any, entity: str, colour: colours.Colour | None, radius: float
+) -> None:
+    rerun, _ = sdk()
+    recording.log(
+        entity,
+        rerun.LineStrips3D.from_fields(
+            colors=None if colour is None else [colour],
+            radii=[rerun.Radius.ui_points(radius)],
+        ),
+        static=True,
+    )
+
+
+def _declare_pose(recording: Any, entity: str, colour: colours.Colour, label: str = "") -> None:
+    recording.log(entity, marker(np.zeros(3), colour, label), static=True)
+
+
+def _declare_series(recording: Any, estimate: EstimateEntities) -> None:
+    name, colour = estimate.name, estimate.colour
+    pale = tuple((each + 255) // 2 for each in colour)
+    for quantity, label, its, width in (
+        (POSITION_ERROR, name, colour, 1.2),
+        (ATE_POSITION, f"{name}, ATE (rmse)", pale, 2.4),
+        (REVISED_ATE_POSITION, f"{name}, ATE of the revised path", pale, 1.2),
+        (ROTATION_ERROR, name, colour, 1.2),
+        (ATE_ROTATION, f"{name}, ATE (rmse)", pale, 2.4),
+        (YAW_ERROR, f"{name}, yaw", colour, 1.2),
+        (SCALE, f"{name}, scale", colour, 1.6),
+        (ALIGNMENT_YAW, f"{name}, yaw of the alignment", colour, 1.6),
+    ):
+        _series(recording, estimate.metric(quantity), label, its, width)
+
+
+def _series(recording: Any, entity: str, label: str, colour: Any, width: float = 1.2) -> None:
+    rerun, _ = sdk()
+    style = rerun.SeriesLines(colors=[colour], names=[label], widths=[width])
+    recording.log(entity, style, static=True)

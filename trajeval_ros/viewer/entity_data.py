@@ -1,0 +1,162 @@
+"""What is logged of every entity: a row by the live scene, a column by the recorded one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.viewer import colours
+from trajeval_ros.viewer.scene_entities import SIGMAS, TIMELINE
+from trajeval_ros.viewer.sdk import sdk
+
+_DOT = 5.0
+
+
+@dataclass(frozen=True)
+class EntityData:
+    """Elements of one kind.
+
+    Attributes:
+        archetype: The kind, a class of Rerun's.
+        fields: N of each of its parts, by name.
+    """
+
+    archetype: Any
+    fields: dict[str, Any]
+
+    def row(self) -> Any:
+        """Return all elements as one row, for `log`."""
+        return self.archetype.from_fields(**self.fields)
+
+    def send(
+        self, recording: Any, entity: str, stamps: Stamps, lengths: Indices | None = None
+    ) -> None:
+        """Log a row for each of stamps (M,): of one element, or of so many (M,)."""
+        rerun, _ = sdk()
+        columns = self.archetype.columns(**self.fields)
+        times = rerun.TimeColumn(TIMELINE, timestamp=stamps.astype("datetime64[ns]"))
+        recording.send_columns(
+            entity, [times], columns if lengths is None else columns.partition(lengths)
+        )
+
+
+def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
+    """Log one row at a stamp."""
+    recording.set_time(TIMELINE, timestamp=np.datetime64(stamp, "ns"))
+    recording.log(entity, row)
+
+
+def lines(strips: Sequence[Floats] | Floats) -> EntityData:
+    """Return lines through points, each (P, 3)."""
+    rerun, _ = sdk()
+    return EntityData(rerun.LineStrips3D, {"strips": strips})
+
+
+def path_by_error(points: Floats, errors: Floats, rows: Indices, full_m: float) -> EntityData:
+    """Return pieces (M, P) of a path (N, 3), by index, coloured by errors (N,)."""
+    rerun, _ = sdk()
+    colors = colours.of_errors(errors[rows].mean(axis=1), full_m)
+    return EntityData(rerun.LineStrips3D, {"strips": _narrow(points[rows]), "colors": colors})
+
+
+def correspondences(truth: Floats, aligned: Floats, full_m: float) -> EntityData:
+    """Return lines between positions (N, 3) and (N, 3), coloured by their lengths."""
+    rerun, _ = sdk()
+    errors = np.sqrt(np.square(truth - aligned).sum(axis=1))
+    strips, colors = np.stack([truth, aligned], axis=1), colours.of_errors(errors, full_m)
+    return EntityData(rerun.LineStrips3D, {"strips": _narrow(strips), "colors": colors})
+
+
+def poses(positions: Floats, quaternions: Floats | None) -> EntityData:
+    """Return poses (N, 3) and (N, 4) xyzw; without rotations if one is NaN."""
+    rerun, _ = sdk()
+    fields = {"translation": positions}
+    if quaternions is not None and not np.isnan(quaternions).any():
+        fields["quaternion"] = quaternions
+    return EntityData(rerun.Transform3D, fields)
+
+
+def ellipsoids(centres: Floats, covariances: Floats, factor: float = 1.0) -> EntityData:
+    """Return three sigma, so many times enlarged, of covariances (N, 3, 3) about (N, 3)."""
+    rerun, _ = sdk()
+    half_axes, directions = ellipsoid_axes(covariances)
+    fields = {
+        "centers": centres,
+        "half_sizes": factor * half_axes,
+        "quaternions": Rotation.from_matrix(directions).as_quat(),
+    }
+    return EntityData(rerun.Ellipsoids3D, fields)
+
+
+def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
+    """Return half axes (N, 3), metres, and directions (N, 3, 3) of three sigma of (N, 3, 3)."""
+    variances, directions = np.linalg.eigh(covariances)
+    # A mirrored basis is no rotation.
+    directions[:, :, 0] *= np.sign(np.linalg.det(directions))[:, None]
+    return SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
+
+
+def numbers(values: Sequence[float] | Floats) -> EntityData:
+    """Return values (N,) of a series."""
+    rerun, _ = sdk()
+    return EntityData(rerun.Scalars, {"scalars": values})
+
+
+# Of which there is only one at a time.
+
+
+def alignment(similarity: Similarity) -> Any:
+    """Return what moves an estimate into the groundtruth's frame, its scale included."""
+    rerun, _ = sdk()
+    return rerun.Transform3D(
+        translation=similarity.translation,
+        mat3x3=similarity.rotation,
+        scale=similarity.scale,
+    )
+
+
+def marker(position: Floats, colour: colours.Colour, label: str = "") -> Any:
+    """Return a dot at a position (3,), with a name."""
+    rerun, _ = sdk()
+    return rerun.Points3D(
+        [position],
+        colors=[colour],
+        radii=[rerun.Radius.ui_points(_DOT)],
+        labels=[label] if label else None,
+        show_labels=bool(label),
+    )
+
+
+def start(position: Floats) -> Any:
+    """Return where the groundtruth began, (3,)."""
+    return marker(position, colours.GROUNDTRUTH, "groundtruth starts here")
+
+
+def event(text: str, *, warn: bool) -> Any:
+    """Return a line of the log."""
+    rerun, _ = sdk()
+    level = rerun.TextLogLevel.WARN if warn else rerun.TextLogLevel.INFO
+    return rerun.TextLog(text, level=level)
+
+
+def summary(markdown: str) -> Any:
+    """Return a text in Markdown."""
+    rerun, _ = sdk()
+    return rerun.TextDocument(markdown, media_type=rerun.MediaType.MARKDOWN)
+
+
+def send_origin(recording: Any, origin: Floats) -> None:
+    """Log where the picture's origin is in the groundtruth's frame, (3,), metres."""
+    rerun, _ = sdk()
+    recording.send_property("origin", rerun.AnyValues(groundtruth_m=origin))
+
+
+def _narrow(points: Floats) -> Any:
+    """Return coordinates as Rerun has them, so that it need not look at each."""
+    return points.astype(np.float32)
