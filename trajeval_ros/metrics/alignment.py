@@ -106,7 +106,9 @@ def solve(
     if align_with == "poses":
         assert orientations is not None
         by_positions = similarity
-        arm_m = moments.rmse(similarity) / _ARM_ANGLE
+        error_m = moments.rmse(similarity)
+        if error_m**2 > _ROUNDING * similarity.scale**2 * moments.variance_q:
+            arm_m = error_m / _ARM_ANGLE
         pull = arm_m**2 / 2.0 * orientations.mean
         similarity, best_scale, is_free = _fit(gauge, moments, pull, similarity.scale)
     freedom = rotation_freedom(
