@@ -22,8 +22,10 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.metrics.alignment import Alignment, align, solve
+from trajeval_ros.metrics.evaluation import evaluate as measured
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationFreedom
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
@@ -195,6 +197,37 @@ def test_two_pairs_determine_a_yaw(gauge: Gauge, way: str) -> None:
 
 
 # Warnings and what is withheld.
+
+
+@pytest.mark.parametrize(
+    ("std_deg", "error", "least", "turn", "stds", "expected"),
+    [
+        # error, least and turn in degrees; misleading, disagreeing, withheld
+        (5.0, 3.81, 1.0, 3.7, 1.0, (True, False, False)),
+        (5.0, 3.79, 1.0, 3.6, 1.0, (False, False, False)),
+        (5.0, 2.01, 0.1, 2.0, 1.0, (True, False, False)),
+        (5.0, 1.99, 0.1, 1.9, 9.0, (False, False, False)),
+        (5.0, 12.0, 0.1, 10.1, 1.0, (True, False, True)),
+        (5.0, 12.0, 0.1, 9.9, 1.0, (True, False, False)),
+        (5.0, 12.0, 11.0, 12.0, 1.0, (False, False, False)),
+        (5.0, 5.0, 0.1, 5.0, 4.9, (True, False, False)),
+        (5.0, 5.0, 0.1, 5.0, 5.1, (True, True, False)),
+        (29.9, 1.0, 1.0, 0.1, 0.1, (False, False, False)),
+        (30.1, 1.0, 1.0, 0.1, 0.1, (False, False, True)),
+    ],
+)
+def test_limits(
+    std_deg: float,
+    error: float,
+    least: float,
+    turn: float,
+    stds: float,
+    expected: tuple[bool, bool, bool],
+) -> None:
+    freedom = RotationFreedom(False, std_deg, OrientationEvidence(error, least, turn, stds))
+    found = freedom.is_misleading, freedom.disagrees, bool(freedom.untrustworthy)
+    assert found == expected
+    assert bool(freedom.misleading) is expected[0]
 
 
 def test_a_turn_that_positions_hardly_determine_is_said_and_withheld() -> None:
@@ -563,3 +596,33 @@ def test_full_recordings_are_silent(
         for gauge in (Gauge.SE3, Gauge.YAW) if truth.startswith("euroc") else (Gauge.SE3,):
             found = evaluate(recording(truth), recording(estimate), on(gauge))
             assert rotation_warnings(found) == [], (estimate, gauge)
+
+
+@pytest.mark.slow
+def test_windows_of_kitti_that_are_wrong_are_said_and_no_others(
+    kitti: tuple[Trajectory, Trajectory], recording: Callable[[str], Trajectory]
+) -> None:
+    nine = (
+        recording("kitti_odom_eval/09_groundtruth.txt"),
+        recording("kitti_odom_eval/09_full.txt"),
+    )
+    first_state = dataclasses.replace(by_frame(), align_states=1)
+    counts = dict.fromkeys(("windows", "wrong", "missed", "others", "withheld", "needlessly"), 0)
+    for truth, estimate in (kitti, nine):
+        for length in (60, 100, 150, 200):
+            for begin in range(0, len(truth) - length + 1, 30):
+                part = slice(begin, begin + length)
+                window = measured(truth[part], estimate[part], by_frame())
+                by_first = rmse(measured(truth[part], estimate[part], first_state), "rotation_deg")
+                freedom = window.alignment.freedom
+                assert freedom is not None
+                _, error_deg, least_deg, _, _ = freedom_numbers(window.alignment)
+                wrong = error_deg > 2.0 and error_deg > 3.0 * by_first
+                counts["windows"] += 1
+                counts["wrong"] += wrong
+                counts["missed"] += wrong and not freedom.is_misleading
+                counts["others"] += freedom.is_misleading and not wrong
+                counts["withheld"] += bool(window.withheld)
+                fine = error_deg < 2.0 or error_deg <= 2.0 * least_deg
+                counts["needlessly"] += bool(window.withheld) and fine
+    assert tuple(counts.values()) == (789, 153, 0, 0, 41, 1)

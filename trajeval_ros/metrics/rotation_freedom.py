@@ -163,36 +163,34 @@ def rotation_freedom(
         best_scale: The scale that fits best with the alignment's rotation, whatever the gauge.
         is_free: Whether some turn changes the cost by rounding alone.
     """
-    error = 0.0 if orientations is None else orientations.error(similarity.rotation)
+    rotation, linear = similarity.rotation, similarity.linear
+    error = 0.0 if orientations is None else orientations.error(rotation)
     axes = slice(2, 3) if gauge.turns_about_gravity_only else slice(0, 3)
-    aligned = moments.covariance_aligned(similarity.linear)
-    curvature = ((float(aligned.trace()) + arm_m**2) * _IDENTITY - aligned)[axes, axes]
-    covariance = None
-    if not (is_free or np.linalg.eigvalsh(curvature)[0] <= _ROUNDING * aligned.trace()):
+    aligned = moments.covariance_aligned(linear)
+    size = float(aligned.trace())
+    curvature = ((size + arm_m**2) * _IDENTITY - aligned)[axes, axes]
+    curvatures, directions = np.linalg.eigh(curvature)
+    variances, principal = np.array([np.inf]), np.zeros((len(curvature), 1))
+    if not is_free and curvatures[0] > _ROUNDING * size:
         # A wrong scale is an error along the lever arm, which turns nothing.
-        errors = moments.covariance_error(best_scale * similarity.rotation)
+        gradient = _of_cross_products(aligned, moments.covariance_error(best_scale * rotation))
         # Errors of orientations, weighed by the arm, are one sample too.
-        gradient = _of_cross_products(aligned, errors) + arm_m**4 * error**2 / 3.0 * _IDENTITY
-        half = np.linalg.solve(curvature, gradient[axes, axes])
-        covariance = np.linalg.solve(curvature, half.T)
+        gradient += arm_m**4 * error**2 / 3.0 * _IDENTITY
+        inverse = directions / curvatures @ directions.T
+        variances, principal = np.linalg.eigh(inverse @ gradient[axes, axes] @ inverse)
     seen = None
     if orientations is not None and by_orientations is not None:
-        turn = lie.rotation_vector(lie.from_matrix(by_orientations @ similarity.rotation.T))
+        turn = lie.rotation_vector(lie.from_matrix(by_orientations @ rotation.T))
         least = orientations.error(by_orientations)
-        in_stds = 0.0
-        if covariance is not None:
-            spread = covariance + (least**2 / 3.0 + _LEAST_SPREAD**2) * _IDENTITY[axes, axes]
-            in_stds = math.sqrt(float(turn[axes] @ np.linalg.solve(spread, turn[axes])))
+        spread = np.maximum(variances, 0.0) + least**2 / 3.0 + _LEAST_SPREAD**2
         seen = OrientationEvidence(
             error_deg=math.degrees(error),
             least_deg=math.degrees(least),
             turn_deg=math.degrees(math.hypot(*turn.tolist())),
-            turn_in_stds=in_stds,
+            turn_in_stds=math.sqrt(float(np.square(turn[axes] @ principal) @ (1.0 / spread))),
         )
-    std = math.inf
-    if covariance is not None:
-        std = math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))
-    return RotationFreedom(gauge.turns_about_gravity_only, math.degrees(std), seen)
+    std_deg = math.degrees(math.sqrt(max(float(variances[-1]), 0.0)))
+    return RotationFreedom(gauge.turns_about_gravity_only, std_deg, seen)
 
 
 def _of_cross_products(a: Floats, e: Floats) -> Floats:
