@@ -141,12 +141,12 @@ def test_one_turn_throughout_is_its_angle() -> None:
 
 
 @settings(max_examples=10)
-@given(seed=seeds, gauge=st.sampled_from(TURNING))
+@given(seed=seeds, gauge=st.sampled_from(TURNING), way=st.sampled_from(["positions", "poses"]))
 def test_the_covariance_is_the_sandwich_of_all_places_with_all_errors(
-    seed: int, gauge: Gauge
+    seed: int, gauge: Gauge, way: str
 ) -> None:
     truth, estimate = flight(seed, 40)
-    similarity = (found := evaluate(truth, estimate, on(gauge))).alignment.similarity
+    similarity = (found := evaluate(truth, estimate, on(gauge, way))).alignment.similarity
     q = found.association.estimate.positions
     p = found.association.groundtruth.positions
     linear = similarity.rotation
@@ -156,11 +156,31 @@ def test_the_covariance_is_the_sandwich_of_all_places_with_all_errors(
     torques = np.cross(a[:, None], e[None, :]).reshape(-1, 3)
     axes = slice(2, 3) if gauge.turns_about_gravity_only else slice(0, 3)
     curvature = (np.sum(a * a) * np.eye(3) - a.T @ a)[axes, axes] / len(a)
+    gradient = (torques.T @ torques / len(torques))[axes, axes]
+    _, error, least, _, in_stds = np.radians(freedom_numbers(found.alignment))
+    if found.alignment.by_positions is not None:
+        moments = Moments.of_pairs(p, q)
+        arm = moments.rmse(found.alignment.by_positions) / math.radians(2.0)
+        curvature += arm**2 * np.eye(len(curvature))
+        gradient += arm**4 * error**2 / 3.0 * np.eye(len(curvature))
     inverse = np.linalg.inv(curvature)
-    covariance = inverse @ (torques.T @ torques / len(torques))[axes, axes] @ inverse
-    std = math.degrees(math.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    covariance = inverse @ gradient @ inverse
     assert found.alignment.freedom is not None
+    std = math.degrees(math.sqrt(np.linalg.eigvalsh(covariance)[-1]))
     assert found.alignment.freedom.std_deg == pytest.approx(std, rel=1e-9)
+    turned, other = found.association.groundtruth.rotations, found.association.estimate.rotations
+    assert turned is not None
+    assert other is not None
+    mean = (turned * other.inv()).as_matrix().mean(axis=0)
+    if gauge.turns_about_gravity_only:
+        yaw = math.atan2(mean[1, 0] - mean[0, 1], mean[0, 0] + mean[1, 1])
+        alone = Rotation.from_rotvec([0.0, 0.0, yaw])
+    else:
+        alone = (turned * other.inv()).mean()
+    turn = (alone * Rotation.from_matrix(similarity.rotation).inv()).as_rotvec()[axes]
+    spread = covariance + (least**2 / 3.0 + math.radians(0.4) ** 2) * np.eye(len(turn))
+    expected = math.sqrt(turn @ np.linalg.solve(spread, turn))
+    assert math.degrees(in_stds) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("gauge", [Gauge.SE3, Gauge.SIM3])
@@ -435,16 +455,18 @@ def test_a_body_that_calibration_leaves_open_is_refused() -> None:
         run(truth, [estimate], Request(on(way="poses"), CalibrationRequest(hand_eye=True)))
 
 
-def test_positions_that_get_much_worse_are_said() -> None:
+@pytest.mark.parametrize(("turned_deg", "is_said"), [(3.0, False), (4.0, True)])
+def test_positions_that_get_much_worse_are_said(turned_deg: float, is_said: bool) -> None:
     truth, estimate = flight(5)
     level = dataclasses.replace(truth, quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (200, 1)))
     still = dataclasses.replace(estimate, quaternions=level.quaternions)
-    found = evaluate(of_marker(level), still, on(way="poses"))
-    before = rmse(evaluate(of_marker(level), still, on()), "position_m")
-    after = rmse(found, "position_m")
-    assert after > 1.25 * before
-    (said,) = [each for each in found.warnings if "position ATE grows" in each]
-    assert f"from {before:.4g} m to {after:.4g} m" in said
+    marked = of_marker(level, Rotation.from_rotvec(turned_deg / 20.0 * X.as_rotvec()))
+    found = evaluate(marked, still, on(way="poses"))
+    before, after = rmse(evaluate(marked, still, on()), "position_m"), rmse(found, "position_m")
+    assert (after > 1.25 * before) is is_said
+    said = [each for each in found.warnings if "position ATE grows" in each]
+    assert len(said) == is_said
+    assert all(f"from {before:.4g} m to {after:.4g} m" in each for each in said)
 
 
 def test_poses_need_orientations_and_something_to_turn() -> None:
