@@ -200,7 +200,7 @@ def report(
     ]
     withheld = sum(each == WITHHELD for _, each in flat)
     console.print(f"{len(differences)} sets of {len(STATISTICS)} statistics compared")
-    console.print(f"{withheld} rotation errors withheld: positions don't determine the rotation")
+    console.print(f"{withheld} rotation errors withheld: on an exact line nothing determines them")
     console.print(f"worst: {max(differences, key=lambda each: each.share)}")
     wrong = [str(each) for each in differences if not each.share <= 1.0] + refusals
     for each in wrong:

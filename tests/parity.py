@@ -229,6 +229,10 @@ class Row:
         if self.entry.get("note") == "ulp" and not self.rotational:
             # Coordinates of 5e6 m: a float64 step is 9.3e-10 m, and a difference has three axes.
             return max(tolerance, 3e-9 * self._units_per_metre())
+        if self.pair == "straight_flat" and self.rotational and not self.relative:
+            # Of L = 240 m, both sides share w = 1 cm to the side of the line: the rotation about
+            # it is determined to some 16 eps (L^2 / 12) / w^2.
+            return math.degrees(16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2)
         if self.tool == "rpg" and RPG_METRICS.get(self.quantity, "").startswith("rotation"):
             # An angle from its arc cosine: an error e of the cosine is e / angle of the angle.
             # The cosine is half a trace of 27 products, hence some 16 roundings of eps.

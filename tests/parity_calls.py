@@ -29,18 +29,6 @@ OTHER_SUB_TRAJECTORIES = "trajeval chooses no sub-trajectories like this option 
 REFUSED = "the program refused the files"
 DEFECT = "a defect of the program, which trajeval doesn't reproduce"
 TOO_FEW = "the program reports zeros of fewer than two sub-trajectories"
-WITHHELD = "positions don't determine the rotation, so trajeval withholds its error"
-
-# Pairs whose rotation is withheld when aligned by so many states (None: all) by se3 or sim3.
-UNDETERMINED = {("straight_flat", None), ("straight_flat", "50"), ("five_poses", "3")} | {
-    (pair, "50")
-    for pair in (
-        *("half_period", "half_period_unsorted"),
-        *(f"repeated_stamps_{each}" for each in ("est", "both", "long_est")),
-    )
-}
-# The same of evo alone, which takes the last of repeated rows, metres away; rpg takes the first.
-UNDETERMINED_OF_EVO = UNDETERMINED | {("repeated_stamps_gt", "50")}
 
 
 def rows() -> list[Row]:
@@ -94,22 +82,11 @@ def _evo(entry: dict[str, Any]) -> list[Row]:
         time_offset=_number(given.get("--t_offset")),
         protocol_text=EVO_RELATIVE.format(length=given["-d"]) if relative else None,
     )
-    made = _rows(entry, setting, relative=relative)
-    return [_withheld(row, given["-r"] == "angle_deg") for row in made]
+    return _rows(entry, setting, relative=relative)
 
 
 def _number(text: str | None) -> float | None:
     return None if text is None else float(text)
-
-
-def _withheld(row: Row, rotational: bool) -> Row:
-    setting = row.setting
-    assert setting is not None
-    pairs = UNDETERMINED_OF_EVO if row.tool == "evo" else UNDETERMINED
-    undetermined = (row.pair, setting.align_states) in pairs
-    if undetermined and rotational and not row.relative and setting.gauge in ("se3", "sim3"):
-        return dataclasses.replace(row, unanswered=WITHHELD)
-    return row
 
 
 def _rpg(entry: dict[str, Any]) -> list[Row]:
@@ -123,8 +100,7 @@ def _rpg(entry: dict[str, Any]) -> list[Row]:
         lengths=RPG_LENGTHS if everything else "none",
     )
     reasons = {"slip": DEFECT, "few": TOO_FEW}
-    made = _rows(entry, setting, relative=relative, unanswered=reasons.get(entry.get("note", "")))
-    return [_withheld(row, row.quantity == "abs_e_rot_stats") for row in made]
+    return _rows(entry, setting, relative=relative, unanswered=reasons.get(entry.get("note", "")))
 
 
 def _kitti(entry: dict[str, Any]) -> list[Row]:

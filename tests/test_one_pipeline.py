@@ -217,6 +217,29 @@ def test_a_live_run_can_not_be_given_another_time_offset(tmp_path: Path) -> None
         evaluate_folder(live.folder, Request(calibration=CalibrationRequest(offset=True)))
 
 
+def test_a_live_run_can_be_aligned_with_poses_afterwards(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    pair = make_pair(5, 80, smooth=True)
+    feed = [
+        *messages_of(pair.groundtruth, TRUTH, POSE),
+        *messages_of(pair.estimate, ESTIMATE, ODOM),
+    ]
+    feed.sort(key=lambda each: each[2])
+    write_messages(tmp_path / "bag", feed)
+    live.feed(feed)
+    live.end()
+    by_live, by_bag = tmp_path / "live.json", tmp_path / "bag.json"
+    assert live.finish("--align-with", "poses", "--json", str(by_live)) == 0
+    bag = tmp_path / "bag"
+    assert main(["evaluate", "-g", f"{bag}:{TRUTH}", "-e", f"{bag}:{ESTIMATE}", "--gauge", "yaw",
+                 "--lengths", "2,4", "--align-with", "poses", "--quiet", "--json", str(by_bag)]
+                ) == 0  # fmt: skip
+    here, there = (json.loads(each.read_text()) for each in (by_live, by_bag))
+    assert here["provenance"]["settings"]["align_with"] == "poses"
+    for block in ("alignment", "ate", "re"):
+        assert_same(here["runs"][0][block], there["runs"][0][block])
+
+
 def test_no_estimate_is_refused_in_a_sentence() -> None:
     with pytest.raises(InputError, match="no estimate to evaluate"):
         run(make_pair(5, 40, smooth=True).groundtruth, [])

@@ -20,6 +20,7 @@ TOPICS: dict[str, Any] = {"groundtruth_topic": "/truth", "estimate_topics": ["/v
     ("values", "complaint"),
     [
         ({"gauge": "yawn"}, "yawn"),
+        ({"align_with": "pose"}, "did you mean poses?"),
         ({"window": "abc"}, "'abc' is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"),
         ({"association": "nearest"}, "association nearest can't be live: which pairs are closest"),
         ({"max_gap": "wide"}, "parameter max_gap must be a number, not 'wide'"),

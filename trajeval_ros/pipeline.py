@@ -21,6 +21,7 @@ import numpy as np
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.clock_hint import clock_hint
+from trajeval_ros.diagnosis.rotation_hints import require_same_body
 from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.text_tables import html_table
@@ -307,7 +308,12 @@ def evaluate(
 
 
 def with_warnings(evaluation: Evaluation) -> Evaluation:
-    """Return an evaluation with what a reader of its numbers must know."""
+    """Return an evaluation with what a reader of its numbers must know.
+
+    Raises:
+        InputError: It is aligned by the orientations of another body.
+    """
+    require_same_body(evaluation)
     hints = clock_hint(evaluation.association, evaluation.aligned)
     return dataclasses.replace(
         evaluation, warnings=(*hints, *warnings_of(evaluation), *evaluation.warnings)

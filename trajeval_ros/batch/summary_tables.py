@@ -141,6 +141,8 @@ def definition(settings: dict[str, Any]) -> str:
     modality = f" for {settings['modality']}" if settings["modality"] else ""
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
+    # Comparisons of older versions don't say it.
+    how += " and their orientations" if settings.get("align_with") == "poses" else ""
     span = (
         ", only the time that all runs of a sequence have" if settings["common_time_span"] else ""
     )

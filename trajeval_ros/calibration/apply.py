@@ -13,8 +13,13 @@ import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, calibrate
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.calibration.significance import Parameter
-from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError, SettingsError
+from trajeval_ros.calibration.significance import UNOBSERVABLE, WEAK, Parameter
+from trajeval_ros.exceptions import (
+    DegenerateGeometryError,
+    InputError,
+    NoMatchError,
+    SettingsError,
+)
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import Association
@@ -130,6 +135,8 @@ def evaluate_calibrated(
             protocol.gauge,
             around_s=protocol.association.time_offset_s,
         )
+    if calibration is not None:
+        _require_body_known(calibration, protocol, wanted)
     found = _Found.in_calibration(calibration, wanted)
     used = found.significant()
     before = _before(groundtruth, estimate, protocol, pairs)
@@ -155,6 +162,19 @@ def evaluate_calibrated(
     return dataclasses.replace(
         calibrated, evaluation=dataclasses.replace(evaluation, warnings=warnings)
     )
+
+
+def _require_body_known(
+    calibration: Calibration, protocol: Protocol, wanted: CalibrationRequest
+) -> None:
+    """Refuse an alignment by orientations that may be of another body."""
+    turn = calibration.turn
+    if protocol.align_with == "poses" and wanted.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
+        raise InputError(
+            "--hand-eye auto doesn't find out how the groundtruth's body is turned against the "
+            f"estimate's ({turn.reason}), so its orientations can't be used to align; align with "
+            "positions, or give --hand-eye FILE"
+        )
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ def finish(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="The live evaluator's output folder.")
     ],
+    align_with: options.AlignWithOption = None,
     hand_eye: options.HandEyeOption = None,
     json: options.JsonOption = None,
     output: Annotated[
@@ -45,7 +46,7 @@ def finish(
     request = request_from({"hand_eye": hand_eye})
     requirements = [Requirement.parse(text) for text in require or []]
     deliver(
-        evaluate_folder(folder, request),
+        evaluate_folder(folder, request, align_with),
         requirements,
         json=json,
         output=output,

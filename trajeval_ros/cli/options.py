@@ -78,6 +78,15 @@ AlignStatesOption = Annotated[
         rich_help_panel=ALIGN,
     ),
 ]
+AlignWithOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="positions|poses",
+        help="What decides the alignment's rotation: positions (default), or poses to let "
+        "orientations help, for paths that are nearly straight.",
+        rich_help_panel=ALIGN,
+    ),
+]
 AssociationOption = Annotated[
     str | None,
     typer.Option(

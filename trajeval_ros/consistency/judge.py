@@ -64,8 +64,12 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
             "consistency knows no alignment that is weighted by covariances; use align "
             "weights none"
         )
-    if evaluation.alignment.undetermined:
-        why = evaluation.alignment.undetermined
+    if protocol.align_with != "positions":
+        raise SettingsError(
+            "consistency knows no alignment that weighs orientations; align with positions"
+        )
+    if evaluation.alignment.untrustworthy:
+        why = evaluation.alignment.untrustworthy
         raise InputError(f"no covariance can be brought into this gauge: {why}")
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.diagnosis.jumps import Steps
+from trajeval_ros.diagnosis.rotation_hints import about_bodies, about_freedom, about_poses
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
-LARGE_BODY_DEG = 5.0
 _ENOUGH = 20_000  # states, to recognise something by
 # Of steps in time: their spread that is worth a look, how many are needed, and the share of it
 # that steps in space follow where stamps are honest (1) or of arrivals (0).
@@ -59,13 +58,8 @@ def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
 
 
 def _about_alignment(evaluation: Evaluation) -> list[str]:
-    warnings = []
+    warnings = [*about_freedom(evaluation), *about_poses(evaluation)]
     protocol, alignment = evaluation.protocol, evaluation.alignment
-    if alignment.undetermined:
-        warnings.append(
-            f"{alignment.undetermined}; rotation and velocity errors are withheld: align by the "
-            "first state, or by a gauge that turns less"
-        )
     if protocol.align_states is not None and alignment.states_used < protocol.align_states:
         warnings.append(
             f"aligned by all {alignment.states_used} matched states, since there are fewer than "
@@ -135,7 +129,7 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
             f"the {' and the '.join(without)} has positions only: rotation errors and relative "
             "errors are withheld"
         )
-    body = _about_bodies(evaluation)
+    body = about_bodies(evaluation)
     if body:
         return [*warnings, *body]
     tilt = evaluation.absolute.tilt_deg
@@ -148,35 +142,6 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
                 "the same body?"
             )
     return warnings
-
-
-def _about_bodies(evaluation: Evaluation) -> list[str]:
-    """Recognise groundtruth of another body: one rotation in its axes explains all errors."""
-    if evaluation.absolute.rotation_deg is None:
-        return []
-    some = slice(None, None, -(-len(evaluation.aligned) // _ENOUGH))
-    truth = evaluation.association.groundtruth[some].quaternions
-    aligned = evaluation.aligned[some].quaternions
-    assert truth is not None
-    assert aligned is not None
-    turned_deg, left_deg = _constant_rotation(lie.multiply(lie.conjugate(aligned), truth))
-    if turned_deg <= LARGE_BODY_DEG or 3.0 * left_deg >= turned_deg:
-        return []
-    # Worlds that are turned against each other look alike, unless the body itself turns.
-    if left_deg > 0.5 * _constant_rotation(lie.multiply(truth, lie.conjugate(aligned)))[1]:
-        return []
-    return [
-        f"one constant rotation of {turned_deg:.0f} deg in the body's axes explains the rotation "
-        f"error but for {left_deg:.1f} deg: the groundtruth seems to be of another body, such as "
-        "a marker; --hand-eye auto tests it, --hand-eye FILE takes what is known"
-    ]
-
-
-def _constant_rotation(quaternions: Floats) -> tuple[float, float]:
-    """Return the angle of the mean of N rotations, and the rms angle to it, degrees."""
-    mean = np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1]
-    apart = lie.angle(lie.multiply(lie.conjugate(mean), quaternions))
-    return float(np.degrees(lie.angle(mean))), float(np.degrees(np.sqrt(np.mean(apart**2))))
 
 
 def _about_coverage(evaluation: Evaluation) -> list[str]:

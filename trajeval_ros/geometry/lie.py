@@ -199,6 +199,16 @@ def to_matrix(quaternion: Floats) -> Floats:
     return matrix
 
 
+def sum_of_matrices(quaternions: Floats, weights: Floats | None = None) -> Floats:
+    """Return the sum (3, 3) of the rotation matrices of N unit quaternions, each by its weight.
+
+    A rotation matrix is linear in the products of q's components, so those are summed.
+    """
+    weighted = quaternions if weights is None else quaternions * weights[:, None]
+    total: Floats = ((weighted.T @ quaternions).ravel() @ _ROTATION).reshape(3, 3)
+    return total
+
+
 def angle(quaternion: Floats) -> Floats:
     """Return the rotation angle (...) in [0, pi] rad; exact for tiny angles and near pi."""
     half: Floats = np.arctan2(

@@ -6,8 +6,9 @@ one state: eq. (19) and (20).
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +18,19 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.metrics.rotation_freedom import RotationFreedom, rotation_freedom
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.protocol import Protocol
 
 # Below this ratio of squared lengths a direction is rounding, not motion.
 _ROUNDING = 1e-12
+# An orientation that is wrong by so much weighs as much as a position that is wrong by the ATE:
+# at half of it the ATE of good runs grows, at twice of it bad rotations are mended less.
+_ARM_ANGLE = float(np.radians(2.0))
+# Rotation and scale by turns, where both orientations and a scale have a say.
+_SAME_SCALE, _MOST_ROUNDS = 1e-12, 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +40,10 @@ class Alignment:
     Attributes:
         similarity: Maps the estimate onto the groundtruth.
         states_used: Number of states that it was computed from.
-        undetermined: Empty, or the sentence that says why the rotation is not determined by
-            the states; rotation errors under this alignment mean nothing then.
+        freedom: How far these leave its rotation open; None where nothing turns, or a single
+            state's orientation decides.
+        by_positions: The alignment by their positions alone, where orientations were weighed
+            with them; else None.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -41,83 +54,122 @@ class Alignment:
 
     similarity: Similarity
     states_used: int
-    undetermined: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class AlignmentSolution:
-    """The least-squares alignment of some moments, and how well they determine its rotation.
-
-    The curvature of the cost about its flattest axis is a squared lever arm: positions that far
-    to the side of the axis would resist a turn as much. They resist it in vain if the errors,
-    a wrong scale left out, are larger.
-
-    Attributes:
-        gauge: What the alignment may change.
-        similarity: The alignment.
-        lever_m: The lever arm, metres; infinite where the gauge has no rotation.
-        residual_m: Root mean square of the errors under the best scale, metres.
-    """
-
-    gauge: Gauge
-    similarity: Similarity
-    lever_m: float = np.inf
-    residual_m: float = 0.0
-
-    @property
-    def rotation_uncertainty(self) -> float:
-        """Turn that costs as much as the errors present, rad; infinite if none costs anything."""
-        if self.lever_m == np.inf:
-            return 0.0
-        return self.residual_m / self.lever_m if self.lever_m > 0.0 else np.inf
+    freedom: RotationFreedom | None = None
+    by_positions: Similarity | None = None
 
     @property
     def undetermined(self) -> str:
-        """Empty, or why the positions don't determine the rotation."""
-        if self.rotation_uncertainty < 1.0:
+        """Empty, or the sentence that says why the states don't determine the rotation."""
+        return "" if self.freedom is None else self.freedom.undetermined
+
+    @property
+    def untrustworthy(self) -> str:
+        """Empty, or why rotation and velocity errors under it mean nothing."""
+        return "" if self.freedom is None else self.freedom.untrustworthy
+
+    def why_withheld(self, protocol: Protocol) -> str:
+        """Return an empty text, or why a protocol doesn't print these errors.
+
+        Protocols of other programs print what those print, unless it is rounding.
+        """
+        if self.freedom is None or (
+            protocol.is_of_a_program and np.isfinite(self.freedom.std_deg)
+        ):
             return ""
-        about_gravity = self.gauge.turns_about_gravity_only
-        axis = "gravity" if about_gravity else "the direction of travel"
-        return (
-            f"the positions don't determine the alignment's rotation about {axis}: they extend "
-            f"{self.lever_m:.2g} m to its side, with residuals of {self.residual_m:.2g} m "
-            "(a straight line, no motion, or an estimate unlike the groundtruth)"
-        )
+        return self.freedom.untrustworthy
 
 
-def solve(gauge: Gauge, moments: Moments) -> AlignmentSolution:
-    """Return the least-squares alignment, eq. (13) in the gauge: Alg. 1, or with eq. (18)."""
+def solve(
+    gauge: Gauge,
+    moments: Moments,
+    orientations: OrientationSum | None = None,
+    *,
+    align_with: str = "positions",
+) -> Alignment:
+    """Return the least-squares alignment, eq. (13) in the gauge: Alg. 1, or with eq. (18).
+
+    Args:
+        gauge: What it may change.
+        moments: Of the states' positions.
+        orientations: Of the same states; None if either side has none.
+        align_with: `positions`, or `poses` to weigh orientations with them: the least of the
+            mean of |p - s R q - t|^2 + l^2 |A - R B|^2 / 2, where l is the position ATE by
+            positions alone for every 2 deg. It needs `orientations`.
+    """
+    states = int(moments.weight)
     if not gauge.has_translation:
-        return AlignmentSolution(gauge, Similarity.identity())
-    sigma = moments.covariance_pq
-    if gauge.turns_freely:
-        # scipy's LAPACK takes a third of the time, but importing it as long as a whole evaluation.
-        u, d, vt = np.linalg.svd(sigma)
-        flip = -1.0 if _is_mirrored(u @ vt) else 1.0
-        rotation = (u * [1.0, 1.0, flip]) @ vt
-        curvature = float(d[1] + flip * d[2])  # of the cost about its flattest axis, m^2/rad^2
-    elif gauge.turns_about_gravity_only:
-        sine, cosine = sigma[1, 0] - sigma[0, 1], sigma[0, 0] + sigma[1, 1]
-        rotation = lie.about_gravity(np.arctan2(sine, cosine))
-        curvature = float(np.hypot(sine, cosine))
-    else:
-        return AlignmentSolution(gauge, _mean_to_mean(np.eye(3), 1.0, moments))
-    # Line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma.
-    best_scale = 1.0
-    if moments.variance_q > 0.0:
-        best_scale = float(np.vdot(rotation, sigma)) / moments.variance_q
-        # Groundtruth at rest has no scale: what is left is the rounding of the sums.
-        if best_scale <= _ROUNDING * moments.anchor.scale:
-            best_scale = 0.0
-    lever_squared = best_scale * curvature
-    if lever_squared <= _ROUNDING * best_scale**2 * moments.variance_q:
-        lever_squared = 0.0
-    return AlignmentSolution(
+        return Alignment(Similarity.identity(), states)
+    if not (gauge.turns_freely or gauge.turns_about_gravity_only):
+        return Alignment(_mean_to_mean(np.eye(3), 1.0, moments), states)
+    similarity, best_scale, is_free = _fit(gauge, moments, np.zeros((3, 3)), 1.0)
+    arm_m, by_positions = 0.0, None
+    if align_with == "poses":
+        assert orientations is not None
+        by_positions = similarity
+        error_m = moments.rmse(similarity)
+        if error_m**2 > _ROUNDING * similarity.scale**2 * moments.variance_q:
+            arm_m = error_m / _ARM_ANGLE
+        pull = arm_m**2 / 2.0 * orientations.mean
+        similarity, best_scale, is_free = _fit(gauge, moments, pull, similarity.scale)
+    freedom = rotation_freedom(
         gauge,
-        _mean_to_mean(rotation, best_scale if gauge.has_scale else 1.0, moments),
-        math.sqrt(lever_squared),
-        moments.spread(best_scale * rotation),
+        moments,
+        orientations,
+        similarity,
+        None if orientations is None else _nearest_rotation(gauge, orientations.mean)[0],
+        arm_m,
+        best_scale,
+        is_free=is_free,
     )
+    return Alignment(similarity, states, freedom, by_positions)
+
+
+def _fit(
+    gauge: Gauge, moments: Moments, pull: Floats, scale: float
+) -> tuple[Similarity, float, bool]:
+    """Return the alignment, the best scale for its rotation, and whether that is free.
+
+    It is free if some turn changes the cost by rounding alone.
+
+    Args:
+        gauge: One that turns.
+        moments: Of positions.
+        pull: (3, 3) what orientations add to s Sigma, whose nearest rotation is taken.
+        scale: To begin with; without a pull it doesn't matter.
+    """
+    sigma = moments.covariance_pq
+    for _ in range(_MOST_ROUNDS):
+        target = scale * sigma + pull
+        rotation, curvature = _nearest_rotation(gauge, target)
+        best_scale = _best_scale(rotation, sigma, moments)
+        before, scale = scale, best_scale if gauge.has_scale else 1.0
+        if not pull.any() or abs(scale - before) <= _SAME_SCALE * scale:
+            break
+    is_free = best_scale == 0.0 or curvature <= _ROUNDING * float(np.vdot(rotation, target))
+    return _mean_to_mean(rotation, scale, moments), best_scale, is_free
+
+
+def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
+    """Return the gauge's rotation R that maximises tr(R^T K), K (3, 3): lines 5 to 8 of Alg. 1.
+
+    With it the curvature of the trace about the axis where it is flattest.
+    """
+    if gauge.turns_about_gravity_only:
+        sine, cosine = target[1, 0] - target[0, 1], target[0, 0] + target[1, 1]
+        return lie.about_gravity(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
+    # scipy's LAPACK takes a third of the time, but importing it as long as a whole evaluation.
+    u, d, vt = np.linalg.svd(target)
+    flip = -1.0 if _is_mirrored(u @ vt) else 1.0
+    return (u * [1.0, 1.0, flip]) @ vt, float(d[1] + flip * d[2])
+
+
+def _best_scale(rotation: Floats, sigma: Floats, moments: Moments) -> float:
+    """Return the scale of line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma."""
+    if moments.variance_q <= 0.0:
+        return 1.0
+    scale = float(np.vdot(rotation, sigma)) / moments.variance_q
+    # Groundtruth at rest has no scale: what is left is the rounding of the sums.
+    return scale if scale > _ROUNDING * moments.anchor.scale else 0.0
 
 
 def _is_mirrored(orthogonal: Floats) -> bool:
@@ -136,6 +188,9 @@ def align(
     groundtruth: Floats,
     estimate: Floats,
     weights: Floats | None = None,
+    orientations: tuple[Floats, Floats] | None = None,
+    *,
+    align_with: str = "positions",
 ) -> Alignment:
     """Align N estimated positions with the groundtruth's (Alg. 1, or with eq. 18), (N, 3) each.
 
@@ -144,6 +199,9 @@ def align(
         groundtruth: (N, 3), metres. For `planar` the height plays no part in the rotation.
         estimate: (N, 3), metres.
         weights: (N,) positive, per pair, as in `weighted_alignment`; None for all alike.
+        orientations: (N, 4) xyzw of groundtruth and estimate, which say whether positions
+            determine the rotation; None if either side has none.
+        align_with: `positions`, or `poses`, see `solve`; poses need `orientations`.
 
     Raises:
         DegenerateGeometryError: Fewer states than the gauge needs, or no motion at all where a
@@ -168,8 +226,9 @@ def align(
     if gauge.minimum_states > 1:
         _require_motion("groundtruth", groundtruth)
         _require_motion("estimate", estimate)
-    solution = solve(gauge, moments)
-    return Alignment(solution.similarity, count, solution.undetermined)
+    turned = None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
+    solution = solve(gauge, moments, turned, align_with=align_with)
+    return dataclasses.replace(solution, states_used=count)
 
 
 def _require_motion(who: str, positions: Floats) -> None:

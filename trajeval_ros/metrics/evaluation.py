@@ -110,6 +110,11 @@ class Evaluation:
     score: Score | None = None
 
     @property
+    def withheld(self) -> str:
+        """Empty, or why the alignment's rotation and velocity errors mean nothing."""
+        return self.alignment.why_withheld(self.protocol)
+
+    @property
     def drift(self) -> Drift | None:
         """The drift over the longest sub-trajectories in metres; None if there are none."""
         known = [
@@ -250,14 +255,15 @@ def evaluate_pairs(
     alignment = align_pairs(pairs, protocol)
     aligned = alignment.similarity.trajectory(pairs.estimate)
 
-    if protocol.ate_form == "tutorial" and (alignment.undetermined or not _have_rotations(pairs)):
-        why = alignment.undetermined or "one side has positions only"
+    withheld = alignment.why_withheld(protocol)
+    if protocol.ate_form == "tutorial" and (withheld or not _have_rotations(pairs)):
+        why = withheld or "one side has positions only"
         raise InputError(
             f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
             "use ATE form plain"
         )
     absolute = absolute_errors(
-        pairs.groundtruth, aligned, protocol.ate_form, rotation=not alignment.undetermined
+        pairs.groundtruth, aligned, protocol.ate_form, rotation=not withheld
     )
     if protocol.gauge is Gauge.PLANAR:
         absolute = dataclasses.replace(absolute, tilt_deg=None)
@@ -310,11 +316,20 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
             estimate.positions[0],
             None if estimate.quaternions is None else estimate.quaternions[0],
         )
-    first = slice(protocol.align_states)
+    first, way = slice(protocol.align_states), protocol.align_with
     p, q = truth.positions[first], estimate.positions[first]
+    orientations = None
+    if truth.quaternions is not None and estimate.quaternions is not None:
+        orientations = truth.quaternions[first], estimate.quaternions[first]
+    elif way == "poses":
+        raise InputError(
+            "align with poses needs orientations on both sides, and one has positions only; "
+            "align with positions"
+        )
     if protocol.align_weights == "covariance":
-        return align_weighted(protocol.gauge, p, q, _known_covariances(estimate)[first])
-    return align(protocol.gauge, p, q)
+        covariances = _known_covariances(estimate)[first]
+        return align_weighted(protocol.gauge, p, q, covariances, orientations, way)
+    return align(protocol.gauge, p, q, orientations=orientations, align_with=way)
 
 
 def _known_covariances(estimate: Trajectory) -> Floats:

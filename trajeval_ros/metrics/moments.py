@@ -142,6 +142,17 @@ class Moments:
         """sigma^2 of the estimated positions in Alg. 1, square metres."""
         return float(self.scatter[:3, :3].trace()) / self.weight
 
+    def covariance_aligned(self, linear: Floats) -> Floats:
+        """Return the covariance of L q, (3, 3), square metres, for a linear map L (3, 3)."""
+        covariance: Floats = linear @ self.scatter[:3, :3] @ linear.T / self.weight
+        return covariance
+
+    def covariance_error(self, linear: Floats) -> Floats:
+        """Return the covariance of p - L q, (3, 3), square metres, for a linear map L (3, 3)."""
+        turn = np.concatenate([self.anchor.linear - linear, _IDENTITY], axis=1)
+        covariance: Floats = turn @ self.scatter @ turn.T / self.weight
+        return covariance
+
     def mean_difference(self, linear: Floats) -> Floats:
         """Return the mean of p - L q, (3,), metres, for a linear map L (3, 3)."""
         # p - L q = (A - L) q + r + t, with small A - L and small r: nothing cancels.

@@ -16,6 +16,9 @@ from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengt
 ATE_FORMS = ("plain", "tutorial")
 RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices")
 ALIGN_WEIGHTS = ("none", "covariance")
+ALIGN_WITH = ("positions", "poses")
+# Protocols that give what a program prints, whatever we think of it.
+_OF_PROGRAMS = ("rpg", "evo", "kitti")
 
 
 def metres(*values: float) -> tuple[Length, ...]:
@@ -55,6 +58,8 @@ class Protocol:
             `se3`.
         modality: The sensor set that chooses the gauge (tutorial, Table I); None for none.
         align_states: Align by the first so many matched states; None for all.
+        align_with: `positions`, or `poses` to let orientations help with the rotation: see
+            `alignment.solve`.
         align_weights: `none`, or `covariance` to weigh states by their own position covariances.
         association: How pairs are made: a rule, or the name of a method.
         in_order: Sort states by stamp and drop repeated stamps first.
@@ -84,6 +89,7 @@ class Protocol:
     gauge: Gauge
     modality: str | None
     align_states: int | None
+    align_with: str
     align_weights: str
     association: AssociationRule
     in_order: bool
@@ -100,6 +106,7 @@ class Protocol:
         gauge: Gauge | str | None = None,
         modality: str | None = None,
         align_states: int | None = None,
+        align_with: str = "positions",
         align_weights: str = "none",
         association: AssociationRule | str = "linear",
         in_order: bool = True,
@@ -113,6 +120,7 @@ class Protocol:
         for value, known, what in (
             (ate_form, ATE_FORMS, "ATE form"),
             (re_form, RE_FORMS, "RE form"),
+            (align_with, ALIGN_WITH, "alignment"),
             (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
         ):
             require_one_of(value, known, what)
@@ -121,6 +129,7 @@ class Protocol:
             "gauge": gauge_for(gauge, modality, Gauge.SE3),
             "modality": modality,
             "align_states": align_states,
+            "align_with": align_with,
             "align_weights": align_weights,
             "association": AssociationRule(association)
             if isinstance(association, str)
@@ -137,11 +146,23 @@ class Protocol:
             object.__setattr__(self, attribute, setting)
         self._require_sense()
 
+    @property
+    def is_of_a_program(self) -> bool:
+        """Whether it gives the numbers of another program, misleading ones included."""
+        return self.name in _OF_PROGRAMS
+
     def _require_sense(self) -> None:
         """Refuse settings that mean nothing, or nothing together."""
         states: object = self.align_states
         if states is not None and not (isinstance(states, (int, np.integer)) and states >= 1):
             raise SettingsError(f"align states must be all (None) or at least 1, not {states!r}")
+        if self.align_with == "poses" and (states == 1 or self.gauge.minimum_states == 1):
+            why = (
+                "the first state is aligned by its pose anyway"
+                if states == 1
+                else f"gauge {self.gauge.value} has no rotation for them to decide"
+            )
+            raise SettingsError(f"align with poses weighs orientations, but {why}; leave it out")
         if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
             raise SettingsError(
                 "RE form fitted aligns by yaw and position, and gauge "

@@ -31,6 +31,7 @@ def protocol_from(
     gauge: str | None = None,
     modality: str | None = None,
     align_states: str | None = None,
+    align_with: str | None = None,
     association: str | None = None,
     max_time_difference: float | None = None,
     max_gap: float | None = None,
@@ -48,6 +49,7 @@ def protocol_from(
         gauge: What alignment may change, by name.
         modality: The sensors, which choose the gauge.
         align_states: `all`, or a number.
+        align_with: `positions` or `poses`.
         association: How poses are paired.
         max_time_difference: Seconds.
         max_gap: Seconds.
@@ -96,9 +98,12 @@ def protocol_from(
         ate_form=ate_form,
         re_form=re_form,
     )
-    if align_states is None:
-        return protocol
-    return dataclasses.replace(protocol, align_states=parse_states(align_states))
+    # Together, since one may make sense of the other.
+    return dataclasses.replace(
+        protocol,
+        align_states=protocol.align_states if align_states is None else parse_states(align_states),
+        align_with=align_with or protocol.align_with,
+    )
 
 
 def parse_states(text: str) -> int | None:

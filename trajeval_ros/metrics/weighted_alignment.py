@@ -34,7 +34,12 @@ def position_weights(covariances: Floats, error_m: float) -> Floats:
 
 
 def align_weighted(
-    gauge: Gauge, groundtruth: Floats, estimate: Floats, covariances: Floats
+    gauge: Gauge,
+    groundtruth: Floats,
+    estimate: Floats,
+    covariances: Floats,
+    orientations: tuple[Floats, Floats] | None,
+    align_with: str,
 ) -> Alignment:
     """Align by the estimate's covariances, from an alignment that weighs all pairs alike.
 
@@ -43,17 +48,23 @@ def align_weighted(
         groundtruth: (N, 3), metres.
         estimate: (N, 3), in units of its own.
         covariances: (N, 3, 3) or (N, 6, 6) of the estimate, in its own units.
+        orientations: As for `align`.
+        align_with: As for `align`.
 
     Raises:
         DegenerateGeometryError: As for `align`.
     """
-    alignment = align(gauge, groundtruth, estimate)
+    alignment = align(
+        gauge, groundtruth, estimate, orientations=orientations, align_with=align_with
+    )
     for _ in range(_ROUNDS):
         moved = alignment.similarity.positions(estimate)
         error = float(np.sqrt(np.mean(np.sum(np.square(groundtruth - moved), axis=1))))
         in_metres = alignment.similarity.scale**2 * covariances
         weights = position_weights(in_metres, error)
-        alignment = align(gauge, groundtruth, estimate, weights)
+        alignment = align(
+            gauge, groundtruth, estimate, weights, orientations, align_with=align_with
+        )
     return alignment
 
 

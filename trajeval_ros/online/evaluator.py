@@ -19,6 +19,7 @@ from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.coverage import coverage_of
 from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.orientation_sum import OrientationSum
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import (
@@ -35,8 +36,8 @@ from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.window import PairStore
 
-# A frozen alignment is taken once a turn of one degree would cost as much as the errors do.
-FREEZE_AT_RAD = float(np.radians(1.0))
+# A frozen alignment is taken once its rotation is known to so much, as a standard deviation.
+FREEZE_AT_DEG = 1.0
 
 
 class OnlineEvaluator:
@@ -77,6 +78,7 @@ class OnlineEvaluator:
         self._relative = RelativeTracker(self.settings.protocol)
         self._origin: tuple[Floats, Floats] | None = None
         self._whole = self._first = Moments.empty(Similarity.identity())
+        self._whole_turned = self._first_turned = OrientationSum.empty()
         self._anchored_at = 1
         self._alignment: Alignment | None = None
         self._kept = False
@@ -225,6 +227,7 @@ class OnlineEvaluator:
                 pairs.estimate[0, POSITION].copy(),
             )
         self._whole += self._moments(pairs.groundtruth, pairs.estimate, self._whole.anchor)
+        self._whole_turned += _orientation_sum(pairs.groundtruth, pairs.estimate)
         if self._alignment is not None and self._count >= 2 * self._anchored_at:
             anchor = self._shifted(self._alignment.similarity)
             self._whole = self._whole.with_anchor(anchor)
@@ -255,32 +258,41 @@ class OnlineEvaluator:
             else:
                 self._why_not, self._kept = "", True
             return
-        moments = self._whole
+        moments, turned = self._whole, self._whole_turned
         if protocol.align_states is not None:
             wanted = protocol.align_states - int(self._first.weight)
-            self._first += self._moments(
-                pairs.groundtruth[:wanted], pairs.estimate[:wanted], self._first.anchor
-            )
-            moments = self._first
+            first = pairs.groundtruth[:wanted], pairs.estimate[:wanted]
+            self._first += self._moments(*first, self._first.anchor)
+            self._first_turned += _orientation_sum(*first)
+            moments, turned = self._first, self._first_turned
             self._kept = int(moments.weight) >= protocol.align_states
         if moments.weight < gauge.minimum_states:
             self._why_not = f"{int(moments.weight)} of {gauge.minimum_states} states to align by"
             return
-        solution = solve(gauge, moments)
-        self._why_not = solution.undetermined
+        oriented = turned.weight == moments.weight
+        if protocol.align_with == "poses" and not oriented:
+            self._why_not = "align with poses needs orientations on both sides"
+            return
+        found = solve(gauge, moments, turned if oriented else None, align_with=protocol.align_with)
+        self._why_not = found.undetermined
         if self.settings.freeze and not self._why_not:
-            turn = float(np.degrees(solution.rotation_uncertainty))
-            if solution.rotation_uncertainty < FREEZE_AT_RAD:
+            open_deg = 0.0 if found.freedom is None else found.freedom.std_deg
+            if open_deg < FREEZE_AT_DEG:
                 self._kept = True
             else:
                 self._why_not = (
-                    f"the alignment is still open by {turn:.1f} deg; it is frozen at "
-                    f"{np.degrees(FREEZE_AT_RAD):.0f} deg"
+                    f"the alignment is still open by {open_deg:.1f} deg; it is frozen at "
+                    f"{FREEZE_AT_DEG:.0f} deg"
                 )
-        similarity = solution.similarity
         if gauge.has_translation:
-            similarity = self._unshifted(similarity)
-        self._alignment = Alignment(similarity, int(moments.weight), solution.undetermined)
+            found = dataclasses.replace(
+                found,
+                similarity=self._unshifted(found.similarity),
+                by_positions=None
+                if found.by_positions is None
+                else self._unshifted(found.by_positions),
+            )
+        self._alignment = found
 
     def _unshifted(self, similarity: Similarity) -> Similarity:
         """Return an alignment of coordinates from the origin as one of the frames' own."""
@@ -313,7 +325,7 @@ class OnlineEvaluator:
         return absolute_errors(
             trajectory(stamps, groundtruth),
             aligned,
-            rotation=not self._alignment.undetermined,
+            rotation=not self._alignment.why_withheld(self.settings.protocol),
         )
 
     def _newest_errors(self, pairs: Pairs) -> tuple[float | None, float | None]:
@@ -324,7 +336,8 @@ class OnlineEvaluator:
         truth, estimate = pairs.groundtruth[-1].tolist(), pairs.estimate[-1].tolist()
         aligned = similarity.positions(pairs.estimate[-1, POSITION])
         position_m = math.dist(truth[POSITION], aligned.tolist())
-        if self._alignment.undetermined or math.isnan(truth[3] + estimate[3]):
+        withheld = self._alignment.why_withheld(self.settings.protocol)
+        if withheld or math.isnan(truth[3] + estimate[3]):
             return position_m, None
         x, y, z, w = lie.hamilton(similarity.rotation_xyzw.tolist(), estimate[QUATERNION])
         x, y, z, w = lie.hamilton(truth[QUATERNION], (-x, -y, -z, w))
@@ -381,6 +394,14 @@ def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
         quaternions=lie.normalized(quaternions) if measured else None,
         velocities=np.array(velocities) if moving else None,
     )
+
+
+def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:
+    """Return the sum over pairs of rows (N, 10); the empty one where orientations lack."""
+    truth, other = groundtruth[:, QUATERNION], estimate[:, QUATERNION]
+    if np.isnan(truth[:, 0] + other[:, 0]).any():
+        return OrientationSum.empty()
+    return OrientationSum.of_pairs(lie.normalized(truth), lie.normalized(other))
 
 
 def _quaternion(row: Floats) -> Floats | None:

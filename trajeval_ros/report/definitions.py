@@ -23,7 +23,8 @@ def alignment_of(evaluations: Sequence[Evaluation]) -> str:
     else:
         states = "all matched states"
     weighted = ", weighted" if protocol.align_weights != "none" else ""
-    return f"aligned by {protocol.gauge.description}, {states}{weighted}"
+    poses = " with orientations" if protocol.align_with == "poses" else ""
+    return f"aligned by {protocol.gauge.description}, {states}{poses}{weighted}"
 
 
 def absolute_form_of(evaluations: Sequence[Evaluation]) -> str:
@@ -50,9 +51,7 @@ def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
 
 def why_no_rotation(evaluation: Evaluation) -> str:
     """Say why rotation errors are withheld."""
-    if evaluation.alignment.undetermined:
-        return evaluation.alignment.undetermined
-    return positions_only(evaluation)
+    return evaluation.withheld or positions_only(evaluation)
 
 
 def positions_only(evaluation: Evaluation) -> str:

@@ -69,6 +69,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
     if protocol.align_states is None:
         how = f"all {states} states"
     modality = f" for {protocol.modality}" if protocol.modality else ""
+    poses = " with orientations" if protocol.align_with == "poses" else ""
     weights = ", weighted by covariance" if protocol.align_weights == "covariance" else ""
     scale = (
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
@@ -76,7 +77,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
     return [
         f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})",
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
-        f"{how}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
+        f"{how}{poses}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
         f"  {len(pairs)} pairs cover {percent(pairs.estimate_coverage)} of the estimate's "
         f"poses and {percent(pairs.groundtruth_coverage)} of the groundtruth's time "
         f"({pairs.groundtruth.path_length_m:.1f} m)" + _dropped(evaluation),

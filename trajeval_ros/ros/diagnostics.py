@@ -109,6 +109,9 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> list
             )
     if snapshot.warming_up:
         complaints.append((OK, f"warming up: {snapshot.warming_up}"))
+    elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
+        misleading = snapshot.alignment.freedom.misleading
+        complaints += [(WARN, misleading)] if misleading else []
     if estimate.jumps.count:
         complaints.append((WARN, f"{estimate.jumps.count} jumps: restarted with a new origin?"))
     lost = run.groundtruth.lost + estimate.side.lost

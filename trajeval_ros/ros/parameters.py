@@ -70,6 +70,12 @@ PARAMETERS = (
         "alignment well, and then no more.",
     ),
     NodeParameter(
+        "align_with",
+        "positions",
+        "What decides the alignment's rotation: positions, or poses to let orientations help, for "
+        "paths that are nearly straight.",
+    ),
+    NodeParameter(
         "window",
         "30s",
         "What the published ATE is about: the newest 30s, 50m or 500 (pairs); 0 is the whole run. "
@@ -226,6 +232,7 @@ def words_of(values: dict[str, Any]) -> dict[str, Any]:
         "gauge": values["gauge"] or None,
         "modality": values["modality"] or None,
         "align_states": "all" if states == FROZEN else states,
+        "align_with": values["align_with"],
         "association": values["association"],
         "max_time_difference": None,
         "max_gap": values["max_gap"],

@@ -41,12 +41,15 @@ class _EvaluatedEstimate:
     run: RunOutcome
 
 
-def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
+def evaluate_folder(
+    folder: Path, request: Request | None = None, align_with: str | None = None
+) -> Outcome:
     """Evaluate all estimates of a live run, whether it still goes on or has ended.
 
     Args:
         folder: The live evaluator's output folder.
         request: What to calibrate and to judge; its protocol is replaced by that of the live run.
+        align_with: See `Protocol`; None for what the live run did.
 
     Raises:
         InputError: There is no pair file, or none can be evaluated.
@@ -63,7 +66,7 @@ def evaluate_folder(folder: Path, request: Request | None = None) -> Outcome:
     failed: list[FailedRun] = []
     for path in paths:
         try:
-            estimate = _evaluate(path, request)
+            estimate = _evaluate(path, request, align_with)
         except SettingsError:
             raise
         except TrajevalError as error:
@@ -84,24 +87,25 @@ def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Fl
         np.savez(file, stamps=stamps, positions=positions, quaternions=quaternions)
 
 
-def _evaluate(path: Path, request: Request) -> _EvaluatedEstimate:
+def _evaluate(path: Path, request: Request, align_with: str | None) -> _EvaluatedEstimate:
     """Evaluate one estimate."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
     if not len(recorded.stamps):
         raise InputError(f"{name}: no pair of estimate and groundtruth was made")
     try:
-        return _evaluate_pairs(path, name, recorded, request)
+        return _evaluate_pairs(path, name, recorded, request, align_with)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
 def _evaluate_pairs(
-    path: Path, name: str, recorded: RecordedPairs, request: Request
+    path: Path, name: str, recorded: RecordedPairs, request: Request, align_with: str | None
 ) -> _EvaluatedEstimate:
     description, state = recorded.description, recorded.state
     truth, estimate = state["groundtruth"], state["estimate"]
     protocol = protocol_from("default", **state["settings"])
+    protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
     request = dataclasses.replace(request, protocol=protocol)

@@ -22,6 +22,7 @@ WORDS: dict[str, type] = {
     "gauge": str,
     "modality": str,
     "align_states": str,
+    "align_with": str,
     "association": str,
     "max_time_difference": float,
     "max_gap": float,

@@ -46,6 +46,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "version": __version__,
             "protocol": protocol.name,
             "settings": {
+                "align_with": protocol.align_with,
                 "align_weights": protocol.align_weights,
                 "in_order": protocol.in_order,
                 "lengths": [str(length) for length in protocol.lengths],

@@ -1,0 +1,200 @@
+"""How far the states leave the alignment's rotation open, and what orientations say of it.
+
+A nearly straight path hardly determines the rotation about itself: the alignment then turns the
+whole estimate by what drift happens to prefer, and the rotation error contains that turn. All
+here follows from sums over pairs, so that a live run is told the same at a constant cost.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.orientation_sum import OrientationSum
+
+UNDETERMINED_DEG = 30.0
+# A rotation error is misleading from so many times the error by orientations alone, if so large.
+_TIMES = 3.8
+_LEAST_DEG = 2.0
+# One constant turn of so much isn't printed as an error.
+_LARGE_TURN_DEG = 10.0
+# Beyond so many standard deviations, drift doesn't explain the turn. Axes that positions hold fast
+# are known to so much at best, rad: attitude drifts by as much apart from positions.
+_DRIFT = 5.0
+_LEAST_SPREAD = math.radians(_LEAST_DEG) / _DRIFT
+# Of squared lengths: what is less is rounding, not motion.
+_ROUNDING = 1e-12
+_IDENTITY = np.eye(3)
+
+
+@dataclass(frozen=True)
+class OrientationEvidence:
+    """What the orientations of the aligned states say of the alignment's rotation.
+
+    Attributes:
+        error_deg: Their rotation error under the alignment (`OrientationSum.error`).
+        least_deg: The same under the alignment by orientations alone.
+        turn_deg: Angle between the two alignments.
+        turn_in_stds: That turn in standard deviations, of drift in positions and orientations;
+            0 where an axis is exactly free.
+    """
+
+    error_deg: float
+    least_deg: float
+    turn_deg: float
+    turn_in_stds: float
+
+
+@dataclass(frozen=True)
+class RotationFreedom:
+    """How far the states leave an alignment's rotation open.
+
+    Attributes:
+        about_gravity: Whether the alignment turns about gravity only.
+        std_deg: Standard deviation of the rotation about its freest axis; infinite where nothing
+            determines it.
+        orientations: What orientations say; None without orientations on both sides.
+    """
+
+    about_gravity: bool
+    std_deg: float
+    orientations: OrientationEvidence | None
+
+    @property
+    def is_misleading(self) -> bool:
+        """Whether the rotation error is mostly one constant turn of the alignment."""
+        seen = self.orientations
+        return (
+            seen is not None
+            and seen.error_deg >= _LEAST_DEG
+            and seen.error_deg >= _TIMES * seen.least_deg
+        )
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether that turn is more than drift explains: another body, or other axes."""
+        seen = self.orientations
+        return self.is_misleading and seen is not None and seen.turn_in_stds > _DRIFT
+
+    @property
+    def undetermined(self) -> str:
+        """Empty, or why the rotation is not determined; rotation errors mean nothing then."""
+        if self.std_deg <= UNDETERMINED_DEG:
+            return ""
+        how = f"its standard deviation is {self.std_deg:.0f} deg"
+        if self.std_deg == math.inf:
+            how = "nothing resists a turn"
+        sentence = (
+            f"the positions don't determine the alignment's rotation about {self._axis}: {how} "
+            "(a straight line, no motion, or an estimate unlike the groundtruth)"
+        )
+        seen = self.orientations
+        if seen is None:
+            return sentence
+        return (
+            f"{sentence}; an alignment by orientations alone differs by {seen.turn_deg:.3g} deg "
+            f"and leaves a rotation error of {seen.least_deg:.2g} deg"
+        )
+
+    @property
+    def misleading(self) -> str:
+        """Empty, or the sentence on a rotation error that is mostly one constant turn."""
+        seen = self.orientations
+        if seen is None or not self.is_misleading:
+            return ""
+        alone = f"aligned by orientations alone, the rotation error is {seen.least_deg:.2g} deg"
+        if self.disagrees:
+            return (
+                "positions and orientations disagree by one constant turn of "
+                f"{seen.turn_deg:.3g} deg (more than {_DRIFT:.0f} standard deviations); {alone}"
+            )
+        return (
+            f"of the rotation error of {seen.error_deg:.3g} deg, {seen.turn_deg:.3g} deg are one "
+            "constant turn of the alignment, which the positions hardly determine (standard "
+            f"deviation {self.std_deg:.2g} deg about {self._axis}); {alone}"
+        )
+
+    @property
+    def untrustworthy(self) -> str:
+        """Empty, or why rotation errors are not to be printed."""
+        seen = self.orientations
+        if self.undetermined or seen is None or seen.turn_deg < _LARGE_TURN_DEG:
+            return self.undetermined
+        return self.misleading
+
+    @property
+    def _axis(self) -> str:
+        return "gravity" if self.about_gravity else "the direction of travel"
+
+
+def rotation_freedom(
+    gauge: Gauge,
+    moments: Moments,
+    orientations: OrientationSum | None,
+    similarity: Similarity,
+    by_orientations: Floats | None,
+    arm_m: float,
+    best_scale: float,
+    *,
+    is_free: bool,
+) -> RotationFreedom:
+    """Return how far an alignment's rotation is open.
+
+    The covariance is the sandwich H^-1 G H^-1 of the alignment's cost. With a the aligned
+    estimate's and e the errors' positions about their means, H = tr(C_aa) I - C_aa is the cost's
+    curvature and G = E[(a x e) (a x e)^T], for errors that are independent of where they happen,
+    but for a wrong scale. Drift is correlated over the whole run, so all pairs together count as
+    one sample.
+
+    Args:
+        gauge: One that turns.
+        moments: Of the states' positions.
+        orientations: Of the same states; None if either side has none.
+        similarity: The alignment.
+        by_orientations: (3, 3) the gauge's rotation that fits `orientations` best, or None.
+        arm_m: What orientations weigh in the alignment, see `alignment.solve`; metres.
+        best_scale: The scale that fits best with the alignment's rotation, whatever the gauge.
+        is_free: Whether some turn changes the cost by rounding alone.
+    """
+    rotation, linear = similarity.rotation, similarity.linear
+    error = 0.0 if orientations is None else orientations.error(rotation)
+    axes = slice(2, 3) if gauge.turns_about_gravity_only else slice(0, 3)
+    aligned = moments.covariance_aligned(linear)
+    size = float(aligned.trace())
+    curvature = ((size + arm_m**2) * _IDENTITY - aligned)[axes, axes]
+    curvatures, directions = np.linalg.eigh(curvature)
+    variances, principal = np.array([np.inf]), np.zeros((len(curvature), 1))
+    if not is_free and curvatures[0] > _ROUNDING * size:
+        # A wrong scale is an error along the lever arm, which turns nothing.
+        gradient = _of_cross_products(aligned, moments.covariance_error(best_scale * rotation))
+        # Errors of orientations, weighed by the arm, are one sample too.
+        gradient += arm_m**4 * error**2 / 3.0 * _IDENTITY
+        inverse = directions / curvatures @ directions.T
+        variances, principal = np.linalg.eigh(inverse @ gradient[axes, axes] @ inverse)
+    seen = None
+    if orientations is not None and by_orientations is not None:
+        turn = lie.rotation_vector(lie.from_matrix(by_orientations @ rotation.T))
+        least = orientations.error(by_orientations)
+        spread = np.maximum(variances, 0.0) + least**2 / 3.0 + _LEAST_SPREAD**2
+        seen = OrientationEvidence(
+            error_deg=math.degrees(error),
+            least_deg=math.degrees(least),
+            turn_deg=math.degrees(math.hypot(*turn.tolist())),
+            turn_in_stds=math.sqrt(float(np.square(turn[axes] @ principal) @ (1.0 / spread))),
+        )
+    std_deg = math.degrees(math.sqrt(max(float(variances[-1]), 0.0)))
+    return RotationFreedom(gauge.turns_about_gravity_only, std_deg, seen)
+
+
+def _of_cross_products(a: Floats, e: Floats) -> Floats:
+    """Return E[(a x e)(a x e)^T] of independent vectors with covariances A and E, (3, 3) each."""
+    trace_a, trace_e, product = float(a.trace()), float(e.trace()), a @ e
+    crossed: Floats = product + product.T - trace_a * e - trace_e * a
+    return crossed + (trace_a * trace_e - float(product.trace())) * _IDENTITY
