@@ -17,6 +17,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
 from trajeval_ros.metrics.association import bracket_stamps, mix
 from trajeval_ros.metrics.coverage import time_without_gaps
+from trajeval_ros.online.waypoint_stream import WaypointStream
 
 # Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
@@ -148,6 +149,7 @@ class PairingBuffer:
             `too_late`: its neighbours had been forgotten, as when a bag is played anew;
             `after_use`: a state that arrived after its neighbours had been used without it.
         groundtruth_count: Number of groundtruth states so far.
+        waypoints: Of the groundtruth, up to the newest pair at least.
     """
 
     def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
@@ -166,6 +168,8 @@ class PairingBuffer:
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = _NEVER
         self._forgotten_time, self._forgotten_path_m = 0, 0.0
+        self._max_gap_ns = round(max_gap_s * NANOSECONDS)
+        self.waypoints = WaypointStream(self._max_gap_ns)
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
@@ -247,6 +251,8 @@ class PairingBuffer:
                 quaternions = truth[:, QUATERNION]
                 between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
             self._paired_until = max(self._paired_until, int(stamps[-1]))
+            passed = int(truth_stamps.searchsorted(self._paired_until, side="right"))
+            self.waypoints.pass_by(truth_stamps, truth, passed)
         self._forget()
         return Pairs(stamps, between, rows)
 
@@ -258,7 +264,7 @@ class PairingBuffer:
     @property
     def groundtruth_time(self) -> int:
         """Sum of the groundtruth's steps that are no gaps, nanoseconds."""
-        return self._forgotten_time + time_without_gaps(self._truth.held[0], self.max_gap_s)
+        return self._forgotten_time + time_without_gaps(self._truth.held[0], self._max_gap_ns)
 
     @property
     def groundtruth_path_m(self) -> float:
@@ -298,8 +304,9 @@ class PairingBuffer:
         old = int(stamps.searchsorted(keep_from, side="right")) - 1
         old = max(old, len(stamps) - self.limits.groundtruth_states, 0)
         if old:
+            self.waypoints.pass_by(stamps, rows, old)
             self._forgotten_until = int(stamps[old - 1])
-            self._forgotten_time += time_without_gaps(stamps[: old + 1], self.max_gap_s)
+            self._forgotten_time += time_without_gaps(stamps[: old + 1], self._max_gap_ns)
             self._forgotten_path_m += _path_m(rows[: old + 1])
             self._truth.drop(old)
 

@@ -15,6 +15,7 @@ from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, deco
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
@@ -202,8 +203,11 @@ class LiveEstimate:
             lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
         )
 
-    def _record(self, pairs: Pairs) -> None:
-        """Have new pairs on disk before anything else."""
+    def _record(self, pairs: Pairs, waypoints: StampedPoses) -> None:
+        """Have what is new on disk before anything else."""
+        self.writer.append_waypoints(waypoints)
+        if not len(pairs.stamps):
+            return
         self.writer.append(*pairs)
         self._undigested.append(pairs)
         if self.watch is not None:
