@@ -54,7 +54,7 @@ def main(
     truth, estimate = flight_at(np.array([float(each) for each in place.split(",")]), seconds)
     truth_rows, estimate_rows = rows(truth), rows(estimate)
     evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda pairs, _: new.append(pairs)
+        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda pairs: new.append(pairs)
     )
     new: list = []
     streams = []

@@ -188,7 +188,8 @@ def naive_steps(truth: Trajectory, pairs: Trajectory, max_gap_ns: int) -> PairSt
         quaternions = np.vstack([truth.quaternions[inside], pairs.quaternions[k + 1]])
         turned = lie.multiply(lie.conjugate(pairs.quaternions[k]), quaternions)
         reach = np.linalg.norm(positions - pairs.positions[k], axis=1).max()
-        found.append((end - begin - lost, reach, np.max(lie.angle(turned))))
+        seen = float(end - begin > SECOND // 20)
+        found.append((end - begin - lost, seen * reach, seen * np.max(lie.angle(turned))))
     time_ns, reach_m, turn_rad = zip(*found, strict=True)
     return PairSteps(np.array(time_ns), np.array(reach_m), np.array(turn_rad))
 

@@ -219,7 +219,7 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     record: list[Pairs] = []
     evaluator = OnlineEvaluator(
         OnlineSettings(Protocol(gauge=gauge), Window.parse(window)),
-        lambda pairs, _: record.append(pairs),
+        record.append,
     )
     feed(evaluator, groundtruth, estimate)
     snapshot = evaluator.snapshot()

@@ -37,7 +37,7 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
     protocol = Protocol(gauge=gauge, lengths=())
     evaluation = evaluate(pair.groundtruth, pair.estimate, protocol)
     record: list[Pairs] = []
-    evaluator = OnlineEvaluator(record=lambda pairs, _: record.append(pairs))
+    evaluator = OnlineEvaluator(record=record.append)
     rows = states(pair.groundtruth.positions, pair.groundtruth.quaternions)
     evaluator.add_groundtruth(pair.groundtruth.stamps, rows)
     path = RevisedPath(gauge)

@@ -86,7 +86,7 @@ class Coverage:
             return ""
         return (
             f"{100.0 * self.span:.1f} % from the first to the last pair, "
-            f"the longest gap is {self.longest_gap}"
+            f"the longest gap {self.longest_gap}"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,11 +29,18 @@ class StampedPoses(NamedTuple):
     @classmethod
     def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
         """Return these rows of a trajectory, which are in order of their stamps."""
-        poses = np.full((len(rows), POSE.stop), np.nan)
+        turned = trajectory.quaternions
+        poses = np.empty((len(rows), POSE.stop))
         poses[:, :3] = trajectory.positions[rows]
-        if trajectory.quaternions is not None:
-            poses[:, 3:] = trajectory.quaternions[rows]
+        poses[:, 3:] = np.nan if turned is None else turned[rows]
         return cls(trajectory.stamps[rows], poses)
+
+    @classmethod
+    def joined(cls, parts: Sequence[StampedPoses]) -> StampedPoses:
+        """Return parts that follow each other as one; none for none."""
+        if not parts:
+            return cls(np.empty(0, dtype=np.int64), np.empty((0, POSE.stop)))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 class PairSteps(NamedTuple):
@@ -40,8 +48,9 @@ class PairSteps(NamedTuple):
 
     Attributes:
         time_ns: (N,) what they take, the groundtruth's gaps left out, nanoseconds.
-        reach_m: (N,) the farthest that the groundtruth got from where the step began.
-        turn_rad: (N,) the farthest that it turned; NaN where orientations are not known.
+        reach_m: (N,) the farthest that the groundtruth got from where the step began; 0 of steps
+            of up to a 20th of a second.
+        turn_rad: (N,) the farthest that it turned, likewise; NaN where orientations are not known.
     """
 
     time_ns: Indices
@@ -79,7 +88,7 @@ class StepMeter:
         self._max_gap_ns = max_gap_ns
         self._last: tuple[int, int] | None = None  # waypoint's stamp, time without gaps to there
         self._begin: Floats | None = None  # pose of the newest pair
-        self._begin_ns = 0  # time without gaps to there
+        self._stamp = self._begin_ns = 0  # of it, and the time without gaps to there
         self._reach_m = self._turn_rad = 0.0  # since then
 
     def measure(self, truth: StampedPoses, pairs: StampedPoses) -> PairSteps:
@@ -100,19 +109,19 @@ class StepMeter:
         ends_at = pairs.stamps.searchsorted(truth.stamps)
         reach, turn = np.zeros(count + 1), np.zeros(count + 1)
         reach[0], turn[0] = self._reach_m, self._turn_rad
-        for each, begin_at, ends in (
-            (pairs.poses, begins[:-1], np.arange(count)),
-            (truth.poses, begins[ends_at], ends_at),
-        ):
-            distance, angle = _apart(begin_at, each)
-            np.maximum.at(reach, ends, distance)
+        is_long = np.append(np.diff(pairs.stamps, prepend=self._stamp) > _CELL_NS, True)
+        for poses, ends in ((pairs.poses, np.arange(count)), (truth.poses, ends_at)):
+            rows = np.flatnonzero(is_long[ends])
+            distance, angle = _apart(begins[ends[rows]], poses[rows])
+            np.maximum.at(reach, ends[rows], distance)
             with np.errstate(invalid="ignore"):  # unknown angles
-                np.maximum.at(turn, ends, angle)
+                np.maximum.at(turn, ends[rows], angle)
+        reach[~is_long] = turn[~is_long] = 0.0
         # No step ends at the first pair of all.
         first = int(self._begin is None)
         time_ns = np.diff(times, prepend=self._begin_ns)[first:]
         if count:
-            self._begin_ns = int(times[-1])
+            self._begin_ns, self._stamp = int(times[-1]), int(pairs.stamps[-1])
         self._begin = begins[-1:]
         self._reach_m, self._turn_rad = float(reach[-1]), float(turn[-1])
         return PairSteps(time_ns, reach[first:-1], turn[first:-1])

@@ -16,11 +16,12 @@ from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.coverage import Coverage, CoverageSums
+from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.moments import Moments
-from trajeval_ros.metrics.pair_steps import POSE, StampedPoses, StepMeter
+from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import (
     POSITION,
@@ -60,14 +61,15 @@ class OnlineEvaluator:
     def __init__(
         self,
         settings: OnlineSettings | None = None,
-        record: Callable[[Pairs, StampedPoses], object] | None = None,
+        record: Callable[[Pairs], object] | None = None,
+        record_waypoints: Callable[[StampedPoses], object] | None = None,
     ) -> None:
         """Begin.
 
         Args:
             settings: What to do.
-            record: Is given all new pairs, and the groundtruth's waypoints since the last ones,
-                to keep them beyond this process.
+            record: Is given all new pairs, to keep them beyond this process.
+            record_waypoints: Is given the groundtruth's waypoints between them, for the same.
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
@@ -76,8 +78,7 @@ class OnlineEvaluator:
         self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
         self.store = PairStore()
         self._record = record
-        self._steps = StepMeter(round(rule.max_gap_s * NANOSECONDS))
-        self._coverage = CoverageSums(rule.max_gap_s)
+        self._coverage = LiveCoverage(self.buffer, record_waypoints)
         self._relative = RelativeTracker(self.settings.protocol)
         self._origin: tuple[Floats, Floats] | None = None
         self._whole = self._first = Moments.empty(Similarity.identity())
@@ -111,15 +112,12 @@ class OnlineEvaluator:
             at_end: No more groundtruth will come.
         """
         pairs = self.buffer.take(at_end=at_end)
-        passed = self.buffer.waypoints.take()
-        if not len(pairs.stamps) and not len(passed.stamps):
-            return Update()
-        if self._record is not None:
-            self._record(pairs, passed)
-        self._count += len(pairs.stamps)
-        pairs = self._in_order(pairs)
-        paired = StampedPoses(pairs.stamps, pairs.groundtruth[:, POSE])
-        self._coverage.add(self._steps.measure(passed, paired))
+        if len(pairs.stamps):
+            if self._record is not None:
+                self._record(pairs)
+            self._count += len(pairs.stamps)
+            pairs = self._in_order(pairs)
+        self._coverage.add(pairs, at_end=at_end)
         if not len(pairs.stamps):
             return Update()
         self.store.append(pairs)
@@ -147,7 +145,7 @@ class OnlineEvaluator:
             window_pairs=self.store.end - begin,
             relative=self._relative.running,
             estimate_coverage=self._estimate_coverage(),
-            coverage=self._covered(),
+            coverage=self._coverage.coverage(),
             dropped=add_counts(self.buffer.dropped, {"out_of_order": self._late}),
             waiting=self.buffer.waiting,
         )
@@ -208,15 +206,13 @@ class OnlineEvaluator:
             groundtruth=trajectory(stamps, self.store.groundtruth()),
             estimate=trajectory(stamps, self.store.estimate()),
             estimate_coverage=self._estimate_coverage() or 0.0,
-            coverage=self._covered() or Coverage(0.0, 0.0),
+            coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
             dropped=dropped,
         )
 
     def _in_order(self, pairs: Pairs) -> Pairs:
         """Leave out pairs older than the newest one; the record has them."""
-        if not (len(self.store) and len(pairs.stamps)):
-            return pairs
-        if pairs.stamps[0] > self.store.stamps()[-1]:
+        if not len(self.store) or pairs.stamps[0] > self.store.stamps()[-1]:
             return pairs
         new = pairs.stamps > self.store.stamps()[-1]
         self._late += int(np.count_nonzero(~new))
@@ -353,12 +349,6 @@ class OnlineEvaluator:
         dropped = self.buffer.dropped.items()
         states = self._count + sum(count for reason, count in dropped if reason not in NO_STATE)
         return self._count / states if states else None
-
-    def _covered(self) -> Coverage | None:
-        """Return what the pairs of the whole run cover, whatever the window; None without any."""
-        if not self._count:
-            return None
-        return self._coverage.coverage(self.buffer.groundtruth_time, self.buffer.groundtruth_count)
 
 
 def _all_columns(rows: Floats) -> Floats:

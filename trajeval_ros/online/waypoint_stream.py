@@ -18,15 +18,20 @@ class WaypointStream:
             max_gap_ns: A longer step of the groundtruth is a gap.
         """
         self._max_gap_ns = max_gap_ns
-        self._newest: Stamps = np.empty(0, dtype=np.int64)  # of the states that have passed
+        self._newest: Stamps = np.empty(0, dtype=np.int64)
         self._picked: list[StampedPoses] = []
+
+    @property
+    def newest(self) -> int:
+        """Stamp of the newest state that has passed; the earliest of all times before that."""
+        return int(self._newest[0]) if len(self._newest) else int(np.iinfo(np.int64).min)
 
     def pass_by(self, stamps: Stamps, rows: Floats, end: int) -> None:
         """Take the states before row `end`, of those held (N,), (N, k), that haven't passed yet.
 
         The newest one waits for the next, which tells whether it is needed.
         """
-        begin = int(stamps.searchsorted(self._newest[0], side="right")) if len(self._newest) else 0
+        begin = int(stamps.searchsorted(self.newest, side="right"))
         end = min(end, len(stamps) - 1)
         if end <= begin:
             return
@@ -40,8 +45,4 @@ class WaypointStream:
     def take(self) -> StampedPoses:
         """Return the waypoints that were picked since the last call."""
         picked, self._picked = self._picked, []
-        if not picked:
-            return StampedPoses(np.empty(0, np.int64), np.empty((0, POSE.stop)))
-        if len(picked) == 1:
-            return picked[0]
-        return StampedPoses(*map(np.concatenate, zip(*picked, strict=True)))
+        return StampedPoses.joined(picked)

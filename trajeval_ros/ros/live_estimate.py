@@ -15,7 +15,6 @@ from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, deco
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
@@ -71,7 +70,11 @@ class LiveEstimate:
             InputError: The file can't be made.
         """
         self.side, self.name, self.stream = side, side.name, side.stream
-        self.evaluator = OnlineEvaluator(settings, record=self._record)
+        self.evaluator = OnlineEvaluator(
+            settings,
+            record=self._record,
+            record_waypoints=lambda waypoints: self.writer.append_waypoints(waypoints),
+        )
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
@@ -203,11 +206,8 @@ class LiveEstimate:
             lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
         )
 
-    def _record(self, pairs: Pairs, waypoints: StampedPoses) -> None:
-        """Have what is new on disk before anything else."""
-        self.writer.append_waypoints(waypoints)
-        if not len(pairs.stamps):
-            return
+    def _record(self, pairs: Pairs) -> None:
+        """Have new pairs on disk before anything else."""
         self.writer.append(*pairs)
         self._undigested.append(pairs)
         if self.watch is not None:

@@ -89,8 +89,6 @@ class PairWriter:
 
     def append_waypoints(self, waypoints: StampedPoses) -> None:
         """Add the groundtruth's waypoints; they are written with what comes next."""
-        if not len(waypoints.stamps):
-            return
         rows = np.empty(len(waypoints.stamps), dtype=_WAYPOINT)
         rows["stamp"], rows["pose"] = waypoints
         self._append(_WAYPOINTS, rows)
