@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import seeds
 
-from trajeval_ros import AssociationRule, OnlineEvaluator, Trajectory, simulate
+from trajeval_ros import AssociationRule, OnlineEvaluator, Trajectory, evaluate, simulate
+from trajeval_ros import run as evaluate_all
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.log_histogram import LogHistogram
@@ -24,6 +26,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import states
 from trajeval_ros.online.waypoint_stream import WaypointStream
 from trajeval_ros.online.window import Window
+from trajeval_ros.report.tables import verdict
 
 SECOND = NANOSECONDS
 EUROC = ("MH_01", "MH_05", "V2_03")
@@ -447,3 +450,45 @@ def test_losses_of_a_full_rate_run_are_seen(
     assert cut.longest_gap is not None
     assert cut.longest_gap.duration_s == pytest.approx(10.0, abs=0.2)
     assert whole.covered - cut.covered == pytest.approx(10.0 / truth.duration_s, abs=2e-3)
+
+
+# What is said.
+
+
+def test_span_and_longest_gap_are_told_where_they_differ() -> None:
+    flight = simulate(seed=1, duration_s=120.0, gap_s=0.0)
+    start_s = flight.groundtruth.stamps[0] / 1e9
+    whole = keyframes(flight.groundtruth, flight.estimate, 0.5, 15.0)
+    cut = without(whole, start_s + 40.0, start_s + 60.0)
+    for run, is_whole in ((whole, True), (cut, False)):
+        evaluation = evaluate(flight.groundtruth, run)
+        coverage = evaluation.association.coverage
+        [_, _, said] = verdict(evaluation)
+        assert f"{len(run)} keyframe pairs cover 100.0 % of the estimate's poses" in said
+        assert f"and {100 * coverage.covered:.1f} % of the groundtruth's time" in said
+        told = f", {100 * coverage.span:.1f} % from the first to the last pair, the longest gap "
+        assert (told in said) != is_whole
+        warned = [each for each in evaluation.warnings if "keyframe pairs cover" in each]
+        assert len(warned) == (not is_whole)
+        if not is_whole:
+            gap = coverage.longest_gap
+            assert gap is not None
+            assert gap.turn_deg is not None
+            words = f"{gap.duration_s:.1f} s ({gap.reach_m:.2f} m, {gap.turn_deg:.0f} deg)"
+            assert words in said
+            assert words in warned[0]
+    full = evaluate(flight.groundtruth, flight.estimate)
+    assert " pairs cover" in verdict(full)[2]
+    assert "keyframe" not in verdict(full)[2]
+
+
+def test_results_have_what_is_covered_beside_the_span_and_the_gap() -> None:
+    flight = simulate(seed=1, duration_s=60.0, gap_s=5.0)
+    outcome = evaluate_all(flight.groundtruth, [flight.estimate])
+    coverage = outcome.runs[0].evaluation.association.coverage
+    assert coverage.longest_gap is not None
+    told = result_of(outcome)["runs"][0]["association"]
+    assert told["groundtruth_coverage"] == coverage.covered
+    assert told["groundtruth_span"] == coverage.span > coverage.covered
+    assert told["keyframes"] is False
+    assert told["longest_gap"] == dataclasses.asdict(coverage.longest_gap)
