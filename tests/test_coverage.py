@@ -329,6 +329,12 @@ def test_a_full_rate_is_judged_by_time_alone() -> None:
     assert found.longest_gap.duration_s == pytest.approx(10.05)
     assert found.span == pytest.approx(1.0, abs=0.001)
     assert found.covered == pytest.approx((59.95 - 10.05) / 59.99)
+    # Frames are dropped now and then, which makes no keyframes of the others.
+    uneven = np.cumsum(np.tile([50, 50, 150], 239))
+    found = coverage_by(truth, at_ms(uneven[(uneven < 20_000) | (uneven >= 30_000)]))
+    assert not found.keyframes
+    assert found.longest_gap is not None
+    assert found.longest_gap.duration_s == pytest.approx(10.1, abs=0.1)
     # Steps of two seconds are usual, of four twice that, and of six too long.
     truth = at_ms(np.arange(0, 120_001, 10), metres_per_s=0.0)
     even = np.arange(0, 120_001, 2000)
