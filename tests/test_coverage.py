@@ -77,6 +77,19 @@ def keyframes(
     return run[np.array(kept)]
 
 
+@dataclasses.dataclass(frozen=True)
+class Flight:
+    """Groundtruth at 200 Hz, and an estimate at 20 Hz that is never lost."""
+
+    groundtruth: Trajectory
+    estimate: Trajectory
+
+
+def flown(seed: int, duration_s: float) -> Flight:
+    truth = simulate(seed=seed, duration_s=duration_s).groundtruth
+    return Flight(truth, truth[3::10])
+
+
 def without(run: Trajectory, begin_s: float, end_s: float) -> Trajectory:
     seconds = run.stamps / 1e9
     return run[(seconds < begin_s) | (seconds > end_s)]
@@ -237,7 +250,7 @@ def test_steps_are_those_of_all_groundtruth_states(seed: int, pieces: int) -> No
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("metres", "degrees"), [(0.5, 15.0), (1.0, 20.0)])
 def test_keyframes_over_the_whole_run_cover_it(seed: int, metres: float, degrees: float) -> None:
-    flight = simulate(seed=seed, duration_s=120.0, gap_s=0.0)
+    flight = flown(seed, 120.0)
     truth = at_rest(flight.groundtruth, 30.0, 55.0)  # hovers for 25 s
     kept = keyframes(truth, flight.estimate, metres, degrees, seed)
     found = coverage_by(truth, kept)
@@ -255,7 +268,7 @@ def test_keyframes_over_the_whole_run_cover_it(seed: int, metres: float, degrees
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("begin_s", [20.0, 50.0, 80.0])
 def test_a_loss_with_motion_is_seen_among_keyframes(seed: int, begin_s: float) -> None:
-    flight = simulate(seed=seed, duration_s=120.0, gap_s=0.0)
+    flight = flown(seed, 120.0)
     truth, start_s = flight.groundtruth, flight.groundtruth.stamps[0] / 1e9
     whole = keyframes(truth, flight.estimate, 0.5, 15.0, seed)
     kept = without(whole, start_s + begin_s, start_s + begin_s + 10.0)
@@ -356,7 +369,7 @@ def test_few_steps_are_no_keyframes() -> None:
 
 
 def test_gaps_of_the_groundtruth_within_a_step_are_no_loss() -> None:
-    flight = simulate(seed=3, duration_s=120.0, gap_s=0.0)
+    flight = flown(3, 120.0)
     start_s = flight.groundtruth.stamps[0] / 1e9
     truth = without(flight.groundtruth, start_s + 40.0, start_s + 60.0)
     kept = keyframes(flight.groundtruth, flight.estimate, 0.5, 15.0)
@@ -372,7 +385,7 @@ def test_gaps_of_the_groundtruth_within_a_step_are_no_loss() -> None:
 
 
 def test_a_longer_gap_may_be_allowed() -> None:
-    flight = simulate(seed=3, duration_s=120.0, gap_s=0.0)
+    flight = flown(3, 120.0)
     start_s = flight.groundtruth.stamps[0] / 1e9
     kept = without(
         keyframes(flight.groundtruth, flight.estimate, 0.5, 15.0), start_s + 40.0, start_s + 50.0
@@ -396,7 +409,7 @@ def test_a_longer_gap_may_be_allowed() -> None:
 def test_live_is_offline(
     seed: int, lost_s: float, window: str, cuts: list[int], oriented: bool, thin: float
 ) -> None:
-    flight = simulate(seed=seed % 100, duration_s=60.0, gap_s=0.0)
+    flight = flown(seed % 100, 60.0)
     start_s = flight.groundtruth.stamps[0] / 1e9
     truth = without(flight.groundtruth[::4], start_s + 45.0, start_s + 47.0)
     truth = dataclasses.replace(truth, velocities=None)
@@ -462,7 +475,7 @@ def test_losses_of_a_full_rate_run_are_seen(
 
 
 def test_span_and_longest_gap_are_told_where_they_differ() -> None:
-    flight = simulate(seed=1, duration_s=120.0, gap_s=0.0)
+    flight = flown(1, 120.0)
     start_s = flight.groundtruth.stamps[0] / 1e9
     whole = keyframes(flight.groundtruth, flight.estimate, 0.5, 15.0)
     cut = without(whole, start_s + 40.0, start_s + 60.0)
@@ -489,7 +502,7 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
 
 
 def test_results_have_what_is_covered_beside_the_span_and_the_gap() -> None:
-    flight = simulate(seed=1, duration_s=60.0, gap_s=5.0)
+    flight = simulate(seed=1, duration_s=60.0)
     outcome = evaluate_all(flight.groundtruth, [flight.estimate])
     coverage = outcome.runs[0].evaluation.association.coverage
     assert coverage.longest_gap is not None
