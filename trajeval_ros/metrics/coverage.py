@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import percent
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.log_histogram import LogHistogram
@@ -85,7 +86,7 @@ class Coverage:
         if self.longest_gap is None:
             return ""
         return (
-            f"{100.0 * self.span:.1f} % from the first to the last pair, "
+            f"{percent(self.span)} from the first to the last pair, "
             f"the longest gap {self.longest_gap}"
         )
 
