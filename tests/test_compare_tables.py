@@ -92,8 +92,8 @@ def test_no_name_breaks_a_latex_table(name: str) -> None:
 
 
 def test_all_that_means_something_to_latex_is_escaped() -> None:
-    assert latex_text(r"a_b%&#${}~^\–†") == (
-        r"a\_b\%\&\#\$\{\}\textasciitilde{}\textasciicircum{}\textbackslash{}--$^\dagger$"
+    assert latex_text(r"a_b%&#${}~^\–†‡") == (
+        r"a\_b\%\&\#\$\{\}\textasciitilde{}\textasciicircum{}\textbackslash{}--$^\dagger$$^\ddagger$"
     )
 
 

@@ -139,7 +139,7 @@ def test_another_format_is_named(tmp_path: Path) -> None:
     path = tmp_path / "later.pairs"
     text = json.dumps({"format": "trajeval-pairs/9"}).encode()
     path.write_bytes(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
-    with pytest.raises(InputError, match="trajeval-pairs/1"):
+    with pytest.raises(InputError, match="trajeval-pairs/2"):
         read_pairs(path)
 
 

@@ -20,6 +20,7 @@ from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 from waiting import until
 
+from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.live import pair_file
@@ -331,3 +332,37 @@ def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     assert live.finish("--require", "ate.position_m.rmse<1e-9") == 1
     assert live.finish("--output", str(tmp_path / "out")) == 0
     assert {"result.json", "errors.npz"} <= {each.name for each in (tmp_path / "out").iterdir()}
+
+
+@pytest.mark.parametrize("kind", [ODOM, PATH])
+def test_keyframes_cover_what_they_cover_in_a_bag(tmp_path: Path, kind: str) -> None:
+    flown = simulate(seed=4, duration_s=60.0).groundtruth
+    truth, start = flown[::5], int(flown.stamps[0])
+    steps = np.tile([6, 6, 6, 24], 60)  # twentieths of a second
+    frames = flown[3::10]
+    kept = frames[np.cumsum(steps)[np.cumsum(steps) < len(frames)]]
+    after_s = (kept.stamps - start) / 1e9
+    kept = kept[(after_s < 20.0) | (after_s > 32.0)]
+    if kind == ODOM:
+        drawn = messages_of(kept, ESTIMATE, kind)
+    else:
+        # The last version has fewer keyframes than were ever published.
+        culled = kept[np.arange(len(kept)) % 5 != 2]
+        drawn = [*path_messages(kept, 7)[:-1], path_messages(culled, len(culled))[0]]
+        drawn[-1] = (*drawn[-1][:2], int(kept.stamps[-1]), drawn[-1][3])
+    feed = sorted([*messages_of(truth, TRUTH, POSE), *drawn], key=lambda each: each[2])
+    write_messages(tmp_path / "bag", feed)
+    # A path with several new poses comes after a loss that is longer than groundtruth is held.
+    live = Live(tmp_path / "live", kind, limits=Limits(groundtruth_s=60.0))
+    for batch in batches(feed, range(0, len(feed), 50)):
+        live.feed(batch)
+    live.end()
+    options = ("--gauge", "yaw", "--lengths", "2,4")
+    expected = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *options)
+    [run], [recorded] = live.result["runs"], expected["runs"]
+    assert recorded["association"]["keyframes"]
+    assert recorded["association"]["longest_gap"]["duration_s"] > 12.0
+    assert recorded["association"]["longest_gap"]["reach_m"] > 1.0
+    names = ("groundtruth_coverage", "groundtruth_span", "keyframes", "longest_gap")
+    for name in names:
+        assert_same(run["association"][name], recorded["association"][name])

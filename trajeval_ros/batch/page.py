@@ -18,6 +18,7 @@ from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, Re
 from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, matrices
 from trajeval_ros.formatting.numbers import percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import write_text
+from trajeval_ros.metrics.coverage import Gap
 from trajeval_ros.report.comparison_figures import run_errors, run_path
 from trajeval_ros.report.comparison_page import Plot, RunPage, render
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
@@ -117,6 +118,7 @@ def _runs(
     names = ("key", "kind", "metric", "length", "count", *STATISTICS)
     more = (
         "groundtruth", "estimate", "pairs", "estimate_coverage", "span_s", "scale",
+        "groundtruth_span", "longest_gap_s", "longest_gap_m", "longest_gap_deg",
         "estimate_sha256", "groundtruth_sha256",
     )  # fmt: skip
     for row in ResultsTable(folder / RUNS).select((*names, *more), status=OK):
@@ -172,6 +174,15 @@ def _facts(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         ("groundtruth", row["groundtruth"]),
         ("pairs", f"{row['pairs']} over {row['span_s']:.1f} s, "
                   f"{percent(row['estimate_coverage'])} of the poses"),
+        *_gap(row),
         ("scale", f"{row['scale']:.5g}"),
         ("sha256", f"{row['estimate_sha256'][:16]}… and {row['groundtruth_sha256'][:16]}…"),
     )  # fmt: skip
+
+
+def _gap(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    if row["longest_gap_s"] is None:
+        return ()
+    gap = Gap(row["longest_gap_s"], row["longest_gap_m"], row["longest_gap_deg"])
+    first_to_last = f"{percent(row['groundtruth_span'])} of the groundtruth's time"
+    return (("first to last pair", first_to_last), ("longest gap", str(gap)))

@@ -35,6 +35,8 @@ _COLUMNS = {
     "pairs": "int64",
     **dict.fromkeys(("estimate_coverage", "groundtruth_coverage", "scale"), "float64"),
     **dict.fromkeys(("own_groundtruth_coverage", "span_s"), "float64"),
+    **dict.fromkeys(("groundtruth_span", "longest_gap_s"), "float64"),
+    **dict.fromkeys(("longest_gap_m", "longest_gap_deg"), "float64"),
     "states_used": "int64",
     "poses": "int64",
     **dict.fromkeys(
@@ -95,6 +97,7 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
     """
     evaluated = record.run
     association, alignment = evaluated["association"], evaluated["alignment"]
+    gap = association["longest_gap"] or {}
     inputs = record.result["provenance"]["inputs"]
     truth, estimate = (
         inputs[record.result["groundtruth"]["source"]],
@@ -108,6 +111,10 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
         "groundtruth_coverage": association["groundtruth_coverage"],
         "own_groundtruth_coverage": own_coverage,
         "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
+        "groundtruth_span": association["groundtruth_span"],
+        "longest_gap_s": gap.get("duration_s"),
+        "longest_gap_m": gap.get("reach_m"),
+        "longest_gap_deg": gap.get("turn_deg"),
         "scale": alignment["scale"],
         "states_used": alignment["states_used"],
         "poses": evaluated["estimate"]["poses"],

@@ -25,10 +25,11 @@ from trajeval_ros.batch.results_table import (
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.enough_pairs import enough_pairs
 from trajeval_ros.report.matrix import Cell, Matrix
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
-_PARTIAL = "†"
+_PARTIAL, _FEW = "†", "‡"
 _NAMES = ("algorithm", "sequence", "trial")
 
 
@@ -40,7 +41,8 @@ class Trial:
         algorithm, sequence, trial: Which.
         status: `ok`, `failed` or `missing`.
         reason: Why there are no numbers.
-        coverage: Share of the groundtruth's time that its pairs span, 0.0 of a failed run.
+        coverage: Share of the groundtruth's time that its pairs cover, 0.0 of a failed run.
+        pairs: Their number, 0 of a failed run.
         key: Of its record.
         rmse: Of the absolute errors, by metric.
         values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
@@ -53,6 +55,7 @@ class Trial:
     status: str
     reason: str
     coverage: float
+    pairs: int
     key: str
     rmse: dict[str, float]
     values: dict[str, float]
@@ -105,7 +108,9 @@ def summary_of(folder: Path) -> ComparisonSummary:
         InputError: Its table can't be read.
     """
     rows = ResultsTable(folder / RUNS)
-    names = (*_NAMES, "status", "reason", "own_groundtruth_coverage", "key", "warnings")
+    names = (
+        *_NAMES, "status", "reason", "own_groundtruth_coverage", "pairs", "key", "warnings"
+    )  # fmt: skip
     each: dict[tuple[str, ...], dict[str, Any]] = {}
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
@@ -124,6 +129,7 @@ def summary_of(folder: Path) -> ComparisonSummary:
             status=row["status"],
             reason=row["reason"] or "",
             coverage=row["own_groundtruth_coverage"] or 0.0,
+            pairs=row["pairs"] or 0,
             key=row["key"] or "",
             rmse=rmse[run],
             values=values[run],
@@ -226,15 +232,18 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
 
 
 def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
-    rows = []
-    partial = False
-    for algorithm in summary.algorithms:
-        cells = []
-        for sequence in summary.sequences:
-            trials = summary.of(algorithm, sequence)
-            cells.append(_cell(trials, metric))
-            partial |= _PARTIAL in cells[-1].note
-        rows.append((algorithm, tuple(cells)))
+    states = summary.settings["align_states"]
+    gauge = Gauge(summary.settings["gauge"])
+    enough = enough_pairs(gauge, None if states == "all" else states)
+    rows = [
+        (
+            algorithm,
+            tuple(
+                _cell(summary.of(algorithm, each), metric, enough) for each in summary.sequences
+            ),
+        )
+        for algorithm in summary.algorithms
+    ]
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
@@ -243,14 +252,20 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
         f"Absolute trajectory error, {summary.settings['ate_form']} form, rmse"
         f"{over if several else ''}. {definition(summary.settings)}"
     )
-    if partial:
+    notes = "".join(cell.note for _, cells in rows for cell in cells)
+    if _PARTIAL in notes:
         least = whole_percent(LOW_COVERAGE)
         caption += f" {_PARTIAL} covers less than {least} of the groundtruth's time."
+    if _FEW in notes:
+        caption += f" {_FEW} from fewer than {enough} pairs, too few for an ATE, and not ranked."
     return _matrix(summary, f"ate_{metric}", f"ATE, {ABSOLUTE[metric]}", caption, rows)
 
 
-def _cell(trials: Sequence[Trial], metric: str) -> Cell:
-    """Return the median over trials, of which a failed one is worse than any other."""
+def _cell(trials: Sequence[Trial], metric: str, enough: int) -> Cell:
+    """Return the median over trials, of which a failed one is worse than any other.
+
+    What is from fewer pairs than enough is not ranked.
+    """
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
     if not trials or (evaluated and not known):
@@ -263,7 +278,10 @@ def _cell(trials: Sequence[Trial], metric: str) -> Cell:
         notes.append(f"{len(known)}/{len(trials)}")
     if evaluated and median(trial.coverage for trial in evaluated) < LOW_COVERAGE:
         notes.append(_PARTIAL)
-    return Cell(value, " ".join(notes))
+    has_few = any(trial.pairs < enough for trial in evaluated)
+    if has_few:
+        notes.append(_FEW)
+    return Cell(value, " ".join(notes), is_ranked=not has_few)
 
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:

@@ -104,7 +104,8 @@ MaxGapOption = Annotated[
     float | None,
     typer.Option(
         metavar="S",
-        help="Never interpolate across a longer groundtruth gap, seconds (0.5).",
+        help="Never interpolate across a longer groundtruth gap, seconds (0.5). Steps between "
+        "pairs up to it are always covered, longer ones by docs/definitions.md.",
         rich_help_panel=PAIR,
     ),
 ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.diagnosis.few_pairs import about_few_pairs
 from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.diagnosis.rotation_hints import about_bodies, about_freedom, about_poses
 from trajeval_ros.geometry import lie
@@ -45,6 +46,7 @@ def reasons(dropped: Mapping[str, int]) -> str:
 def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
     """Return the warnings about a finished evaluation, the gravest first."""
     return (
+        *about_few_pairs(evaluation),
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
         *evaluation.groundtruth.conflicts,
         *evaluation.estimate.conflicts,
@@ -151,11 +153,12 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
         missing = evaluation.score.missing
         return [f"{missing} points have no estimate, and are worth nothing"] if missing else []
     if min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
-        why = reasons(pairs.dropped)
+        why, coverage = reasons(pairs.dropped), pairs.coverage
         warnings.append(
-            f"the pairs cover {100 * pairs.groundtruth_coverage:.0f} % of the groundtruth's time "
-            f"and {100 * pairs.estimate_coverage:.0f} % of the estimate's poses"
+            f"the {coverage.of_what} cover {100 * coverage.covered:.0f} % of the groundtruth's "
+            f"time and {100 * pairs.estimate_coverage:.0f} % of the estimate's poses"
             + (f" (dropped: {why})" if why else "")
+            + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
             + ": errors over a part compare only with errors over the same part"
         )
     return warnings

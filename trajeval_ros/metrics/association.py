@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
-from trajeval_ros.metrics.coverage import coverage_of, time_without_gaps
+from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.evo_association import match
 from trajeval_ros.metrics.frame_association import match_rows
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
@@ -84,8 +84,8 @@ class Association:
         groundtruth: N groundtruth states at the pairs' stamps.
         estimate: N estimated states, in their own frame.
         estimate_coverage: Share of the estimate's usable states that are in a pair.
-        groundtruth_coverage: Share of the groundtruth's time that pairs span; its gaps are left
-            out, except of method `continuous`, which pairs in them too.
+        coverage: How much of the groundtruth's time pairs cover; its gaps are left out, except
+            of method `continuous`, which pairs in them too.
         dropped: Number of estimated states that are in no pair, by reason.
         continuous: The groundtruth's model, of method `continuous`.
         groundtruth_rows: (N,) which groundtruth state is in each pair; None where it is none of
@@ -96,7 +96,7 @@ class Association:
     groundtruth: Trajectory
     estimate: Trajectory
     estimate_coverage: float
-    groundtruth_coverage: float
+    coverage: Coverage
     dropped: dict[str, int]
     continuous: ContinuousTrajectory | None = None
     groundtruth_rows: Indices | None = None
@@ -104,6 +104,11 @@ class Association:
     def __len__(self) -> int:
         """Return the number of pairs."""
         return len(self.estimate)
+
+    @property
+    def groundtruth_coverage(self) -> float:
+        """Share of the groundtruth's time in which the estimate was tracked."""
+        return self.coverage.covered
 
 
 def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
@@ -140,12 +145,17 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     pairs = shifted[rows]
     # A row of a file without stamps happened when its groundtruth did.
     stamps = truth.stamps if by_row and groundtruth.stamped else pairs.stamps
+    truth = dataclasses.replace(truth, stamps=stamps)
+    # A state that several pairs share is covered once.
+    once = truth if truth_rows is None else truth[np.unique(truth_rows, return_index=True)[1]]
     return Association(
         rule=rule,
-        groundtruth=dataclasses.replace(truth, stamps=stamps),
+        groundtruth=truth,
         estimate=dataclasses.replace(pairs, stamps=stamps),
         estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
-        groundtruth_coverage=_groundtruth_coverage(groundtruth, stamps, truth_rows, rule),
+        coverage=coverage_of(
+            groundtruth, once, rule.max_gap_s, in_gaps=rule.method == "continuous"
+        ),
         dropped=add_counts(estimate.dropped, dropped),
         continuous=continuous,
         groundtruth_rows=truth_rows,
@@ -355,18 +365,3 @@ def _distinct(rows: Indices, count: int) -> int:
     named = np.zeros(count, dtype=bool)
     named[rows] = True
     return int(np.count_nonzero(named))
-
-
-def _groundtruth_coverage(
-    groundtruth: Trajectory, stamps: Indices, truth_rows: Indices | None, rule: AssociationRule
-) -> float:
-    """Return what pairs at stamps (N,), of these groundtruth rows (N,) if of any, cover."""
-    times = np.sort(groundtruth.stamps)
-    if rule.method == "continuous":
-        time = int(times[-1] - times[0])
-    else:
-        time = time_without_gaps(times, rule.max_gap_s)
-    if truth_rows is not None:
-        # A state that several pairs share is covered once.
-        stamps = stamps[np.unique(truth_rows, return_index=True)[1]]
-    return coverage_of(stamps, time, len(groundtruth), rule.max_gap_s)

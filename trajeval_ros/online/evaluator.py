@@ -16,11 +16,13 @@ from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.coverage import coverage_of
+from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import (
     POSITION,
@@ -61,12 +63,14 @@ class OnlineEvaluator:
         self,
         settings: OnlineSettings | None = None,
         record: Callable[[Pairs], object] | None = None,
+        record_waypoints: Callable[[StampedPoses], object] | None = None,
     ) -> None:
         """Begin.
 
         Args:
             settings: What to do.
             record: Is given all new pairs, to keep them beyond this process.
+            record_waypoints: Is given the groundtruth's waypoints between them, for the same.
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
@@ -75,6 +79,7 @@ class OnlineEvaluator:
         self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
         self.store = PairStore()
         self._record = record
+        self._coverage = LiveCoverage(self.buffer, record_waypoints)
         self._relative = RelativeTracker(self.settings.protocol)
         self._origin: tuple[Floats, Floats] | None = None
         self._whole = self._first = Moments.empty(Similarity.identity())
@@ -109,14 +114,14 @@ class OnlineEvaluator:
             at_end: No more groundtruth will come.
         """
         pairs = self.buffer.take(at_end=at_end)
+        if len(pairs.stamps):
+            if self._record is not None:
+                self._record(pairs)
+            self._count += len(pairs.stamps)
+            pairs = self._in_order(pairs)
+        self._coverage.add(pairs, at_end=at_end)
         if not len(pairs.stamps):
             return Update()
-        if self._record is not None:
-            self._record(pairs)
-        self._count += len(pairs.stamps)
-        pairs = self._in_order(pairs)
-        if not len(pairs.stamps):
-            return Update(0)
         self.store.append(pairs)
         self._sum(pairs)
         self._align(pairs)
@@ -142,7 +147,7 @@ class OnlineEvaluator:
             window_pairs=self.store.end - begin,
             relative=self._relative.running,
             estimate_coverage=self._estimate_coverage(),
-            groundtruth_coverage=self._groundtruth_coverage(),
+            coverage=self._coverage.coverage(),
             dropped=add_counts(self.buffer.dropped, {"out_of_order": self._late}),
             waiting=self.buffer.waiting,
         )
@@ -203,7 +208,7 @@ class OnlineEvaluator:
             groundtruth=trajectory(stamps, self.store.groundtruth()),
             estimate=trajectory(stamps, self.store.estimate()),
             estimate_coverage=self._estimate_coverage() or 0.0,
-            groundtruth_coverage=self._groundtruth_coverage() or 0.0,
+            coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
             dropped=dropped,
         )
 
@@ -357,18 +362,6 @@ class OnlineEvaluator:
         dropped = self.buffer.dropped.items()
         states = self._count + sum(count for reason, count in dropped if reason not in NO_STATE)
         return self._count / states if states else None
-
-    def _groundtruth_coverage(self) -> float | None:
-        """Return it if the store has all pairs; of the newest ones it would fall all the time."""
-        is_whole = self.settings.window.is_whole_run and not self.store.begin
-        if not is_whole or not self.buffer.groundtruth_count:
-            return None
-        return coverage_of(
-            self.store.stamps(),
-            self.buffer.groundtruth_time,
-            self.buffer.groundtruth_count,
-            self.buffer.max_gap_s,
-        )
 
 
 def _all_columns(rows: Floats) -> Floats:

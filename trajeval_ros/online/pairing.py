@@ -17,6 +17,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
 from trajeval_ros.metrics.association import bracket_stamps, mix
 from trajeval_ros.metrics.coverage import time_without_gaps
+from trajeval_ros.metrics.pair_steps import StampedPoses
+from trajeval_ros.online.waypoint_stream import WaypointStream
 
 # Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
@@ -166,6 +168,8 @@ class PairingBuffer:
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = _NEVER
         self._forgotten_time, self._forgotten_path_m = 0, 0.0
+        self._max_gap_ns = round(max_gap_s * NANOSECONDS)
+        self._waypoints = WaypointStream(self._max_gap_ns)
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
@@ -250,6 +254,14 @@ class PairingBuffer:
         self._forget()
         return Pairs(stamps, between, rows)
 
+    def take_waypoints(self) -> StampedPoses:
+        """Return the groundtruth's waypoints since the last call, up to the newest pair at least.
+
+        They tell how far the groundtruth got between pairs, also after it has been forgotten.
+        """
+        self._pass_by(0)
+        return self._waypoints.take()
+
     @property
     def waiting(self) -> int:
         """Number of estimated states that wait for groundtruth."""
@@ -258,7 +270,7 @@ class PairingBuffer:
     @property
     def groundtruth_time(self) -> int:
         """Sum of the groundtruth's steps that are no gaps, nanoseconds."""
-        return self._forgotten_time + time_without_gaps(self._truth.held[0], self.max_gap_s)
+        return self._forgotten_time + time_without_gaps(self._truth.held[0], self._max_gap_ns)
 
     @property
     def groundtruth_path_m(self) -> float:
@@ -286,6 +298,12 @@ class PairingBuffer:
         self._count(counts, "zero_quaternion", int(np.count_nonzero(finite & no_length)))
         return stamps[keep], rows[keep]
 
+    def _pass_by(self, end: int) -> None:
+        """Take the waypoints up to the newest pair, and among the states before a row."""
+        stamps, rows = self._truth.held
+        paired = int(stamps.searchsorted(self._paired_until, side="right"))
+        self._waypoints.pass_by(stamps, rows, max(end, paired))
+
     def _forget(self) -> None:
         stamps, rows = self._truth.held
         if not len(stamps):
@@ -298,8 +316,10 @@ class PairingBuffer:
         old = int(stamps.searchsorted(keep_from, side="right")) - 1
         old = max(old, len(stamps) - self.limits.groundtruth_states, 0)
         if old:
+            if int(stamps[old - 1]) > self._waypoints.newest:
+                self._pass_by(old)
             self._forgotten_until = int(stamps[old - 1])
-            self._forgotten_time += time_without_gaps(stamps[: old + 1], self.max_gap_s)
+            self._forgotten_time += time_without_gaps(stamps[: old + 1], self._max_gap_ns)
             self._forgotten_path_m += _path_m(rows[: old + 1])
             self._truth.drop(old)
 

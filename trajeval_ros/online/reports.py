@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.online.relative_errors import RelativeEnd, RunningErrors
 
@@ -50,8 +51,8 @@ class Snapshot:
         window_pairs: Number of pairs in the window.
         relative: Errors of sub-trajectories so far, by length.
         estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
-        groundtruth_coverage: Share of the groundtruth's time that pairs span; None unless the
-            window is the whole run, and has been so from the beginning.
+        coverage: How much of the groundtruth's time the pairs of the whole run cover; None while
+            there is no pair.
         dropped: Estimated states in no pair, by reason.
         waiting: Estimated states that wait for groundtruth.
     """
@@ -65,6 +66,6 @@ class Snapshot:
     window_pairs: int
     relative: dict[str, RunningErrors]
     estimate_coverage: float | None
-    groundtruth_coverage: float | None
+    coverage: Coverage | None
     dropped: dict[str, int]
     waiting: int

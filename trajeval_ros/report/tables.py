@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from trajeval_ros.diagnosis.few_pairs import few_pairs
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.formatting.numbers import NOTHING, four_digits, percent
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
@@ -64,7 +65,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
     name = evaluation.estimate.name or "estimate"
     turned = "rotation withheld" if rotation is None else f"{rotation.rmse:.4g} deg rotation"
     protocol, pairs = evaluation.protocol, evaluation.association
-    states = evaluation.alignment.states_used
+    coverage, states = pairs.coverage, evaluation.alignment.states_used
     how = "first state" if states == 1 else f"first {states} states"
     if protocol.align_states is None:
         how = f"all {states} states"
@@ -75,12 +76,15 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
     return [
-        f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})",
+        f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})"
+        + (f"; {few}" if (few := few_pairs(evaluation)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
-        f"  {len(pairs)} pairs cover {percent(pairs.estimate_coverage)} of the estimate's "
-        f"poses and {percent(pairs.groundtruth_coverage)} of the groundtruth's time "
-        f"({pairs.groundtruth.path_length_m:.1f} m)" + _dropped(evaluation),
+        f"  {len(pairs)} {coverage.of_what} cover {percent(pairs.estimate_coverage)} of the "
+        f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time "
+        f"({pairs.groundtruth.path_length_m:.1f} m)"
+        + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
+        + _dropped(evaluation),
         *_score(evaluation),
     ]
 

@@ -128,6 +128,7 @@ def _values(
 ) -> dict[str, Any]:
     """Return what stands in the status, by name; None is left out."""
     alignment, rotation = snapshot.alignment, snapshot.ate.get("rotation_deg")
+    coverage = snapshot.coverage
     return {
         "groundtruth": run.groundtruth.source,
         "estimate": estimate.side.source,
@@ -146,7 +147,11 @@ def _values(
         "alignment": None if alignment is None else f"{alignment.states_used} states",
         "scale": None if alignment is None else alignment.similarity.scale,
         "estimate coverage": snapshot.estimate_coverage,
-        "groundtruth coverage": snapshot.groundtruth_coverage,
+        "groundtruth coverage": None if coverage is None else coverage.covered,
+        "groundtruth from first to last pair": None if coverage is None else coverage.span,
+        "longest gap": None
+        if coverage is None or coverage.longest_gap is None
+        else str(coverage.longest_gap),
         "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(run.groundtruth_dropped(estimate)) or None,
         "waiting for groundtruth": snapshot.waiting,

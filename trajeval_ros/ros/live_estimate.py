@@ -70,7 +70,11 @@ class LiveEstimate:
             InputError: The file can't be made.
         """
         self.side, self.name, self.stream = side, side.name, side.stream
-        self.evaluator = OnlineEvaluator(settings, record=self._record)
+        self.evaluator = OnlineEvaluator(
+            settings,
+            record=self._record,
+            record_waypoints=lambda waypoints: self.writer.append_waypoints(waypoints),
+        )
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None

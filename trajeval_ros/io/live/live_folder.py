@@ -23,8 +23,9 @@ from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import Association, AssociationRule
-from trajeval_ros.metrics.coverage import coverage_of
+from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
 from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
+from trajeval_ros.metrics.pair_steps import StampedPoses, StepMeter
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.pipeline import FailedRun, Outcome, Request, RunOutcome, run_pairs
@@ -121,7 +122,7 @@ def _evaluate_pairs(
     if revised.exists():
         causal = _run(pairs, request, truth, estimate, name).evaluation
         live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
-        pairs, estimate = _revised(pairs, truth, estimate, revised)
+        pairs, estimate = _revised(pairs, recorded, revised)
     run = _run(pairs, request, truth, estimate, name)
     evaluation = dataclasses.replace(
         run.evaluation, warnings=(*run.evaluation.warnings, *warnings)
@@ -155,7 +156,6 @@ def _association(
     stamps, order = np.unique(recorded.stamps, return_index=True)
     again = len(recorded.stamps) - len(stamps)
     later = len(recorded.stamps) - recorded.pairs_at_state
-    truth = recorded.state["groundtruth"]
     groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
     rule = protocol.association
@@ -164,16 +164,22 @@ def _association(
         groundtruth=groundtruth,
         estimate=estimate,
         estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
-        groundtruth_coverage=_groundtruth_coverage(stamps, truth, rule),
+        coverage=_coverage(groundtruth, recorded, rule),
         dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
     )
     return pairs, truth_notes, notes
 
 
-def _groundtruth_coverage(stamps: Stamps, truth: dict[str, Any], rule: AssociationRule) -> float:
-    return coverage_of(
-        stamps, truth["time_without_gaps_ns"], max(truth["states"], 1), rule.max_gap_s
-    )
+def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule) -> Coverage:
+    """Return what pairs cover, whose groundtruth's states these are."""
+    max_gap_ns = round(rule.max_gap_s * NANOSECONDS)
+    pairs = StampedPoses.of(groundtruth, np.arange(len(groundtruth)))
+    sums = CoverageSums(rule.max_gap_s)
+    sums.add(StepMeter(max_gap_ns).measure(recorded.waypoints, pairs))
+    truth = recorded.state["groundtruth"]
+    # Of a run that was killed, the newest counts are older than the newest pairs.
+    passed_ns = time_without_gaps(recorded.waypoints.stamps, max_gap_ns)
+    return sums.coverage(max(truth["time_without_gaps_ns"], passed_ns), max(truth["states"], 1))
 
 
 def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
@@ -189,7 +195,7 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
 
 
 def _revised(
-    causal: Association, truth: dict[str, Any], counts: dict[str, Any], path: Path
+    causal: Association, recorded: RecordedPairs, path: Path
 ) -> tuple[Association, dict[str, Any]]:
     """Return the pairs with the estimator's last word, and the counts of its poses."""
     try:
@@ -200,7 +206,7 @@ def _revised(
         raise InputError(f"{path} can't be read: {error}") from error
     stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
-    estimate = revised[places]
+    groundtruth, estimate = causal.groundtruth[rows], revised[places]
     unpaired = len(stamps) - len(rows)
     dropped = causal.dropped
     if sum(count for reason, count in dropped.items() if reason not in NO_STATE) != unpaired:
@@ -210,14 +216,14 @@ def _revised(
         )
     pairs = dataclasses.replace(
         causal,
-        groundtruth=causal.groundtruth[rows],
+        groundtruth=groundtruth,
         estimate=estimate,
         estimate_coverage=len(rows) / len(stamps),
-        groundtruth_coverage=_groundtruth_coverage(estimate.stamps, truth, causal.rule),
+        coverage=_coverage(groundtruth, recorded, causal.rule),
         dropped=dropped,
     )
     return pairs, {
-        **counts,
+        **recorded.state["estimate"],
         "poses": len(stamps),
         "duration_s": float(stamps.max() - stamps.min()) / NANOSECONDS,
     }

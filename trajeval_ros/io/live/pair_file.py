@@ -5,7 +5,9 @@ little-endian. The head holds a magic number, the number of rows, the length of 
 CRC-32 of what follows. The first text describes the run, later ones what can't be told from pairs
 (the newest counts); most are empty. A row is a stamp, int64 nanoseconds, and the states of
 groundtruth and estimate, ten float64 each: position, quaternion xyzw, velocity, NaN where there is
-none. What a kill or a full disk left behind of a last chunk is passed over.
+none. Chunks with a magic number of their own hold the groundtruth's waypoints between pairs: a
+stamp and seven float64 each, position and quaternion. What a kill or a full disk left behind of a
+last chunk is passed over.
 """
 
 from __future__ import annotations
@@ -24,13 +26,16 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.io.json_file import json_text, mapping_in
+from trajeval_ros.metrics.pair_steps import StampedPoses
 
-FORMAT = "trajeval-pairs/1"
+FORMAT = "trajeval-pairs/2"
 SUFFIX = ".pairs"
 
 _HEAD = struct.Struct("<4sIII")
-_MAGIC = b"TEPC"
 _ROW = np.dtype([("stamp", "<i8"), ("groundtruth", "<f8", 10), ("estimate", "<f8", 10)])
+_WAYPOINT = np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)])
+_KINDS = {b"TEPC": _ROW, b"TEWC": _WAYPOINT}  # of chunks, by their magic numbers
+_PAIRS, _WAYPOINTS = _KINDS
 # What waits for a disk that takes no more; beyond it, pairs are lost to the file.
 _MOST_WAITING = 64 * 1024 * 1024
 
@@ -77,13 +82,24 @@ class PairWriter:
         rows = np.empty(len(stamps), dtype=_ROW)
         rows["stamp"], rows["groundtruth"], rows["estimate"] = stamps, groundtruth, estimate
         text = b"" if state is None else json_text(state).encode()
-        body = text + rows.tobytes()
-        if len(self._waiting) + len(body) > _MOST_WAITING:
+        if not self._append(_PAIRS, rows, text):
             self.lost += len(stamps)
             self.why_lost = self.trouble
-        else:
-            self._waiting += _HEAD.pack(_MAGIC, len(rows), len(text), zlib.crc32(body)) + body
         self.write()
+
+    def append_waypoints(self, waypoints: StampedPoses) -> None:
+        """Add the groundtruth's waypoints; they are written with what comes next."""
+        rows = np.empty(len(waypoints.stamps), dtype=_WAYPOINT)
+        rows["stamp"], rows["pose"] = waypoints
+        self._append(_WAYPOINTS, rows)
+
+    def _append(self, magic: bytes, rows: NDArray[Any], text: bytes = b"") -> bool:
+        """Let a chunk wait for the disk; returns whether there was room."""
+        body = text + rows.tobytes()
+        if len(self._waiting) + len(body) > _MOST_WAITING:
+            return False
+        self._waiting += _HEAD.pack(magic, len(rows), len(text), zlib.crc32(body)) + body
+        return True
 
     def close(self) -> None:
         """Have everything on disk, and end.
@@ -128,6 +144,7 @@ class RecordedPairs:
         stamps: (N,) nanoseconds, in order of arrival.
         groundtruth: (N, 10) states.
         estimate: (N, 10) states, in the estimate's own frame.
+        waypoints: (M,) of the groundtruth between pairs, in order of their stamps.
         torn: Number of bytes at the end that are no whole chunk.
     """
 
@@ -137,6 +154,7 @@ class RecordedPairs:
     stamps: Stamps
     groundtruth: Floats
     estimate: Floats
+    waypoints: StampedPoses
     torn: int
 
 
@@ -152,9 +170,13 @@ def read_pairs(path: Path) -> RecordedPairs:
         raise InputError(f"{path} can't be read: {_reason(error)}") from error
     texts: list[dict[str, Any]] = []
     rows: list[NDArray[Any]] = []
+    waypoints = [np.empty(0, _WAYPOINT)]
     place = count = pairs_at_state = 0
     while (chunk := _chunk(content, place)) is not None:
         text, found, place = chunk
+        if found.dtype == _WAYPOINT:
+            waypoints.append(found)
+            continue
         rows.append(found)
         count += len(found)
         if text:
@@ -162,7 +184,8 @@ def read_pairs(path: Path) -> RecordedPairs:
             pairs_at_state = count
     if not texts or texts[0].get("format") != FORMAT:
         raise InputError(f"{path} is no pair file of a live run ({FORMAT})")
-    pairs = np.concatenate(rows)
+    pairs, passed = np.concatenate(rows), np.concatenate(waypoints)
+    passed_stamps, passed_poses = (passed[name].copy() for name in ("stamp", "pose"))
     return RecordedPairs(
         description=texts[0],
         state=texts[-1] if len(texts) > 1 else {},
@@ -170,6 +193,7 @@ def read_pairs(path: Path) -> RecordedPairs:
         stamps=pairs["stamp"].astype(np.int64),
         groundtruth=pairs["groundtruth"].astype(np.float64),
         estimate=pairs["estimate"].astype(np.float64),
+        waypoints=StampedPoses(passed_stamps, passed_poses),
         torn=len(content) - place,
     )
 
@@ -180,13 +204,15 @@ def _chunk(content: bytes, place: int) -> tuple[dict[str, Any], NDArray[Any], in
         return None
     magic, count, length, checksum = _HEAD.unpack_from(content, place)
     begin = place + _HEAD.size
-    end = begin + length + count * _ROW.itemsize
-    if magic != _MAGIC or end > len(content) or zlib.crc32(content[begin:end]) != checksum:
+    if (kind := _KINDS.get(magic)) is None:
+        return None
+    end = begin + length + count * kind.itemsize
+    if end > len(content) or zlib.crc32(content[begin:end]) != checksum:
         return None
     text = mapping_in(content[begin : begin + length]) if length else {}
     if text is None:
         return None
-    return text, np.frombuffer(content, _ROW, count, begin + length), end
+    return text, np.frombuffer(content, kind, count, begin + length), end
 
 
 def _reason(error: OSError) -> str:

@@ -61,7 +61,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
 def _run(run: RunOutcome) -> dict[str, Any]:
     evaluation, estimate = run.evaluation, run.estimate
     protocol, pairs = evaluation.protocol, evaluation.association
-    similarity = evaluation.alignment.similarity
+    similarity, coverage = evaluation.alignment.similarity, pairs.coverage
     return {
         "estimate": {
             "source": estimate.source,
@@ -80,7 +80,10 @@ def _run(run: RunOutcome) -> dict[str, Any]:
             "time_offset_s": pairs.rule.time_offset_s,
             "pairs": len(pairs),
             "estimate_coverage": pairs.estimate_coverage,
-            "groundtruth_coverage": pairs.groundtruth_coverage,
+            "groundtruth_coverage": coverage.covered,
+            "groundtruth_span": coverage.span,
+            "keyframes": coverage.keyframes,
+            "longest_gap": coverage.longest_gap and dataclasses.asdict(coverage.longest_gap),
             "dropped": pairs.dropped,
         },
         "alignment": {
