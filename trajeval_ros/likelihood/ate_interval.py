@@ -38,7 +38,9 @@ def ate_interval(
     sample_sigma_m: float,
     sample_step_s: float,
 ) -> tuple[float, float] | None:
-    """Return an interval that covers the ATE of all N poses at least 95 times out of 100.
+    """Return an interval for the ATE of all N poses, on the safe side of 95 %.
+
+    docs/probabilistic.md has how often it held, and `benchmarks/intervals.py` measures it.
 
     Args:
         times: (N,), seconds, in order.
