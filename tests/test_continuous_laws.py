@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from dense_joint import dense_covariance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -343,7 +344,7 @@ def test_joint_posterior_agrees_with_single_poses() -> None:
     process = MarkovPoses.fit(samples, 2).positions.process
     asked = np.linspace(1.03, 6.07, 15)
     joint = JointPosterior.of(process, asked)
-    dense = joint.covariance()
+    dense = dense_covariance(joint)
     single = process.interpolator().at(asked)[1]
     for place in range(len(asked)):
         block = dense[3 * place : 3 * place + 3, 3 * place : 3 * place + 3]
@@ -419,8 +420,9 @@ def test_few_samples(model: str, count: int) -> None:
     fitted = fit_trajectory(motion, model)
     assert any(f"{count} groundtruth samples say little" in each for each in fitted.statements)
     stamps = motion.stamps[:-1] + 100_000_000
-    joint = JointPosterior.of(fitted.position_process, fitted.samples.seconds(stamps))
-    assert (np.linalg.eigvalsh(joint.marginals()) > 0.0).all()
+    positions = fitted.markov.positions.process
+    joint = JointPosterior.of(positions, fitted.samples.seconds(stamps))
+    assert (np.linalg.eigvalsh(dense_covariance(joint)) > 0.0).all()
     belief = fitted.at(stamps)
     assert np.isfinite(belief.poses).all()
     assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()

@@ -10,7 +10,6 @@ from flights import DRIFTS_M, Flight, fly, plain_ate_m
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses, fit_trajectory
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
@@ -24,7 +23,6 @@ from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte, uncertain_ate
 
 Array = NDArray[np.float64]
-_NOISE = Noise()
 
 
 @cache
@@ -35,8 +33,7 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
     fitted = fit_trajectory(flight.groundtruth)
     belief = fitted.at(stamps)
     covariances = world_from_body_twists(belief.covariances, belief.poses[:, :3, :3])[:, :3, :3]
-    process = MarkovPoses.fit(fitted.samples, 2).positions.process
-    joint = JointPosterior.of(process, fitted.samples.seconds(stamps))
+    times = fitted.samples.seconds(stamps)
     nearest = fit_trajectory(flight.groundtruth, "nearest").at(stamps).poses[:, :3, 3]
     estimates = [each.positions for each in flight.estimates]
     return (
@@ -44,7 +41,7 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
         np.array([plain_ate_m(nearest, each) for each in estimates]),
         [
             uncertain_ate(
-                belief.poses[:, :3, 3], covariances, each, Gauge.SE3, _NOISE.position_m, joint
+                times, belief.poses[:, :3, 3], covariances, each, Gauge.SE3, fitted.samples
             )
             for each in estimates
         ],

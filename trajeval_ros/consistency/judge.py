@@ -47,6 +47,12 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
         >>> consistency.exactness, consistency.nees.shape == (len(found.association),)
         ('bound', True)
     """
+    as_published = evaluation.protocol.nees_form == "as_published"
+    if as_published and request.joint is not None:
+        raise SettingsError(
+            "NEES form as_published, as of protocol ov_eval, is by the covariances of single "
+            "poses: use --covariance message, or another protocol with a joint covariance"
+        )
     aligned = _aligned(evaluation, request)
     if request.joint is not None:
         try:
@@ -54,7 +60,7 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
         except InputError as error:
             raise InputError(f"{request.name}: {error}") from error
     at_start = bool(aligned.estimate.stamps[0] == evaluation.estimate.stamps[0])
-    return judge_marginals(aligned, from_the_start=at_start)
+    return judge_marginals(aligned, from_the_start=at_start, as_published=as_published)
 
 
 def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:

@@ -24,6 +24,7 @@ from trajeval_ros.consistency.nees import (
     pose_nees,
 )
 from trajeval_ros.consistency.result import (
+    AS_PUBLISHED_STATEMENT,
     BOUND_STATEMENT,
     COMMON_FRAME_STATEMENT,
     JOINT_STATEMENT,
@@ -32,6 +33,7 @@ from trajeval_ros.consistency.result import (
     STRIPPED_STATEMENT,
     Consistency,
     Joint,
+    PoseNees,
     sigmas_of,
     summary_of,
     verdict_of,
@@ -160,7 +162,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         verdict=verdict_of(joint),
         joint=joint,
         per_pose=per_pose,
-        nees=nees,
+        pose_nees=nees,
         errors=errors,
         covariances=blocks,
     )
@@ -182,12 +184,15 @@ def _blocks_of_banded(
     return transformation.blocks(turn @ own @ turn.T, np.swapaxes(solved, 1, 2) @ turn.T)
 
 
-def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
+def judge_marginals(
+    aligned: Aligned, *, from_the_start: bool, as_published: bool = False
+) -> Consistency:
     """Judge a run by the covariances of single poses, as ROS messages carry them.
 
     Args:
         aligned: The run; its estimate has covariances about the world's axes.
         from_the_start: Whether the first pair's estimate is the first that was published.
+        as_published: Don't bring them into the gauge of the alignment, as ov_eval doesn't.
 
     Raises:
         InputError: The covariances say nothing.
@@ -205,20 +210,23 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
     if why:
         raise InputError(f"the covariances of {name} can't be used: {why}; use --covariance none")
     blocks = carried(covariances, aligned.similarity, POSE_DOF)
-    statement = BOUND_STATEMENT
+    statement, exactness = BOUND_STATEMENT, "exact"
     if aligned.gauge is Gauge.NONE:
         statement = COMMON_FRAME_STATEMENT
+    elif as_published:
+        statement, exactness = AS_PUBLISHED_STATEMENT, "as published"
     elif aligned.gauge is Gauge.YAW and aligned.states == 1 and from_the_start:
         statement, blocks = _in_own_gauge(blocks, transformation)
-    exactness = "bound" if statement == BOUND_STATEMENT else "exact"
-    if exactness == "bound":
-        blocks = upper_bounds(blocks, transformation)
+    if statement == BOUND_STATEMENT:
+        exactness, blocks = "bound", upper_bounds(blocks, transformation)
+    in_gauge = exactness != "as published"
     if aligned.variances is not None:
-        blocks = blocks + independent_noise(transformation, aligned.variances)
-    first = max(aligned.first_with_nees, 0 if (sigmas_of(blocks[:1]) > 0.0).all() else 1)
-    nees = _nees_by_pose(errors, blocks, first)
-    per_pose = summary_of(nees)
-    over = per_pose.max > per_pose.limit_95
+        own = independent_noise(transformation, aligned.variances)
+        blocks = blocks + (own if in_gauge else np.diag(aligned.variances))
+    known = 0 if (sigmas_of(blocks[:1]) > 0.0).all() else 1
+    nees = _nees_by_pose(errors, blocks, max(aligned.first_with_nees * in_gauge, known))
+    per_pose = summary_of(nees, in_gauge=in_gauge)
+    over = per_pose.limit_95 is not None and per_pose.max > per_pose.limit_95
     return Consistency(
         gauge=aligned.gauge,
         covariance_source="message",
@@ -227,7 +235,7 @@ def judge_marginals(aligned: Aligned, *, from_the_start: bool) -> Consistency:
         verdict="over-confident" if over else "undecided",
         joint=None,
         per_pose=per_pose,
-        nees=nees,
+        pose_nees=nees,
         errors=errors,
         covariances=blocks,
     )
@@ -255,10 +263,13 @@ def _in_own_gauge(blocks: Floats, transformation: STransformation) -> tuple[str,
         return BOUND_STATEMENT, blocks
 
 
-def _nees_by_pose(errors: Floats, blocks: Floats, first: int) -> Floats:
-    nees = np.full(len(errors), np.nan)
+def _nees_by_pose(errors: Floats, blocks: Floats, first: int) -> PoseNees:
+    parts = (slice(0, 6), slice(0, 3), slice(3, 6))
+    columns = np.full((len(parts), len(errors)), np.nan)
     try:
-        nees[first:] = pose_nees(errors[first:], blocks[first:]) / POSE_DOF
+        for column, part in zip(columns, parts, strict=True):
+            dof = part.stop - part.start
+            column[first:] = pose_nees(errors[first:, part], blocks[first:, part, part]) / dof
     except np.linalg.LinAlgError:
         raise InputError("a pose's own covariance is singular, so it has no NEES") from None
-    return nees
+    return PoseNees(*columns)

@@ -21,6 +21,10 @@ STRIPPED_STATEMENT = (
     "is a prior of position and yaw, as it looks; it was taken off all poses"
 )
 COMMON_FRAME_STATEMENT = "per-pose NEES exact: nothing was aligned, the frames are the same"
+AS_PUBLISHED_STATEMENT = (
+    "covariances as published, in whatever gauge the estimator has, errors in that of the "
+    "alignment: NEES as ov_eval computes it, which need not be 1 for an honest estimator"
+)
 BOUND_STATEMENT = (
     "bound only (cross-covariances not in the message); can show over-confidence, cannot confirm "
     "consistency"
@@ -42,6 +46,34 @@ class Joint:
     band_95: tuple[float, float]
 
 
+@dataclass(frozen=True, eq=False)
+class PoseNees:
+    """NEES of N poses by their degrees of freedom, NaN where a pose has none.
+
+    Attributes:
+        pose: (N,), NEES / 6.
+        position: (N,), NEES / 3.
+        rotation: (N,), NEES / 3.
+    """
+
+    pose: Floats
+    position: Floats
+    rotation: Floats
+
+
+@dataclass(frozen=True)
+class PartNees:
+    """NEES of single poses by their positions or rotations alone, divided by three.
+
+    Attributes:
+        mean: Over the poses.
+        max: Over the poses.
+    """
+
+    mean: float
+    max: float
+
+
 @dataclass(frozen=True)
 class PerPose:
     """NEES of single poses, divided by their six degrees of freedom.
@@ -50,7 +82,10 @@ class PerPose:
         poses: How many have one; an alignment by the first pose leaves that one none.
         mean: Over the poses.
         max: Over the poses.
-        limit_95: Which the largest stays under in 95 % of honest runs, however poses correlate.
+        limit_95: Which the largest stays under in 95 % of honest runs, however poses correlate;
+            None where covariances are in another gauge than the errors.
+        position: Of positions, by their own block of the covariance.
+        rotation: Of rotations, likewise.
         effective_dof: Of the mean, out of 6 times the poses; None where it can't be known.
         band_95: In which the mean falls for 95 % of honest runs; None where it can't be known.
     """
@@ -58,7 +93,9 @@ class PerPose:
     poses: int
     mean: float
     max: float
-    limit_95: float
+    limit_95: float | None
+    position: PartNees
+    rotation: PartNees
     effective_dof: float | None = None
     band_95: tuple[float, float] | None = None
 
@@ -70,12 +107,13 @@ class Consistency:
     Attributes:
         gauge: Of the alignment, and so of errors and covariances.
         covariance_source: `message`, or the joint covariance's file.
-        exactness: `exact`, or `bound` where correlations are unknown.
+        exactness: `exact`, `bound` where correlations are unknown, or `as published` where
+            covariances were not brought into the gauge.
         statement: What may be claimed, in a sentence.
         verdict: `consistent`, `over-confident`, `under-confident` or `undecided`.
         joint: NEES of all poses together; None without a joint covariance.
         per_pose: NEES of single poses; None where a run is long and its information not banded.
-        nees: (N,) NEES / 6 of each pair; NaN where it has none; None as `per_pose`.
+        pose_nees: Of each pair; None as `per_pose`.
         errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
         covariances: (N, 6, 6), of the errors of each pose; None as `per_pose`.
 
@@ -101,9 +139,14 @@ class Consistency:
     verdict: str
     joint: Joint | None
     per_pose: PerPose | None
-    nees: Floats | None
+    pose_nees: PoseNees | None
     errors: Floats
     covariances: Floats | None
+
+    @property
+    def nees(self) -> Floats | None:
+        """NEES / 6 of each pair (N,), NaN where it has none; None as `per_pose`."""
+        return None if self.pose_nees is None else self.pose_nees.pose
 
     @property
     def sigmas(self) -> Floats | None:
@@ -116,16 +159,28 @@ def sigmas_of(blocks: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
 
 
-def summary_of(nees: Floats, dof: float | None = None) -> PerPose:
-    """Summarise the NEES / 6 of poses (N,), NaN where there is none; `dof` of their mean."""
-    known = nees[np.isfinite(nees)]
+def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True) -> PerPose:
+    """Summarise the NEES of poses.
+
+    Args:
+        nees: Of all poses.
+        dof: Of the mean of NEES / 6, where it is known.
+        in_gauge: Whether covariances and errors are in one gauge.
+    """
+    count = int(np.count_nonzero(np.isfinite(nees.pose)))
     # Bonferroni: holds whatever the correlations are, and for a bound as well.
-    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / len(known), POSE_DOF)) / POSE_DOF
+    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, POSE_DOF)) / POSE_DOF
+    position, rotation = (
+        PartNees(float(np.nanmean(each)), float(np.nanmax(each)))
+        for each in (nees.position, nees.rotation)
+    )
     return PerPose(
-        poses=len(known),
-        mean=float(known.mean()),
-        max=float(known.max()),
-        limit_95=limit,
+        poses=count,
+        mean=float(np.nanmean(nees.pose)),
+        max=float(np.nanmax(nees.pose)),
+        limit_95=limit if in_gauge else None,
+        position=position,
+        rotation=rotation,
         effective_dof=dof,
         band_95=None if dof is None else chi_square_band(dof),
     )

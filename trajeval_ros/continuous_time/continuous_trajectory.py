@@ -54,11 +54,8 @@ class MarkovPoses:
     @classmethod
     def fit(cls, samples: Samples, order: int) -> MarkovPoses:
         """Fit both processes; `order` is 2 for white noise on acceleration, 3 on jerk."""
-        return cls.with_rotations(_positions(samples, order), samples, order)
-
-    @classmethod
-    def with_rotations(cls, positions: Process, samples: Samples, order: int) -> MarkovPoses:
-        """Add rotations to positions that are fitted already."""
+        measured, noise = samples.poses[:, :3, 3], samples.noise.position_m
+        positions = Process.fit(Positions(), order, samples.times, measured, noise)
         rotations = None
         if samples.oriented:
             measured, noise = samples.poses[:, :3, :3], samples.noise.rotation_rad
@@ -75,11 +72,6 @@ class MarkovPoses:
             rotations, covariances[:, 3:, 3:] = self.rotations.at(times)
         covariances[:, :3, :3] = body_from_world_positions(spread, rotations)
         return Belief(se3.poses(rotations, positions), covariances)
-
-
-def _positions(samples: Samples, order: int) -> Process:
-    measured, noise = samples.poses[:, :3, 3], samples.noise.position_m
-    return Process.fit(Positions(), order, samples.times, measured, noise)
 
 
 _FITS: dict[str, Callable[[Samples], PoseModel]] = {
@@ -138,18 +130,11 @@ class ContinuousTrajectory:
         return self.poses.at(self.samples.seconds(stamps))
 
     @cached_property
-    def position_process(self) -> Process:
-        """Positions with all correlations: the model's own, or white noise on acceleration."""
-        if isinstance(self.poses, MarkovPoses):
-            return self.poses.positions.process
-        return _positions(self.samples, _ORDER)
-
-    @cached_property
     def markov(self) -> MarkovPoses:
-        """Poses with all their correlations, likewise."""
+        """Poses with all correlations: the model's own, or white noise on acceleration."""
         if isinstance(self.poses, MarkovPoses):
             return self.poses
-        return MarkovPoses.with_rotations(self.position_process, self.samples, _ORDER)
+        return MarkovPoses.fit(self.samples, _ORDER)
 
 
 @lru_cache(maxsize=1)

@@ -65,24 +65,6 @@ class JointPosterior:
         blocks, lower, _, _ = dense._normal_equations()
         return cls(process.dimension, blocks, lower, Factor.of(blocks, lower), rows)
 
-    def covariance(self) -> Floats:
-        """Return the covariance (d Q, d Q) of all queries: dense, for a few."""
-        count, dimension = len(self.rows), self.dimension
-        size = count * dimension
-        units = np.eye(size).reshape(count, dimension, size)
-        return self.times(units).reshape(size, size)
-
-    def marginals(self) -> Floats:
-        """Return the covariances (Q, d, d) of single queries."""
-        return self.factor.inverse_blocks()[0][self.rows, : self.dimension, : self.dimension]
-
-    def times(self, vectors: Floats) -> Floats:
-        """Return P v for v (Q, d, k), in O(Q) and without P."""
-        spread = np.zeros((*self.factor.scale.shape, vectors.shape[-1]))
-        np.add.at(spread[:, : self.dimension], self.rows, vectors)
-        product: Floats = self.factor.solve(spread)[self.rows, : self.dimension]
-        return product
-
     def observed(self, tolerance: Floats) -> ObservedPosterior:
         """Add errors that are independent of each other, of covariances R (Q, d, d)."""
         inverse = np.asarray(np.linalg.inv(tolerance))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
-from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
 from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
@@ -108,16 +107,15 @@ def assess(evaluation: Evaluation) -> Assessment:
         steps = relative_density.transports(belief.poses)
         missed = residuals.at(error.mode.element)
         edges = relative_density.decomposed(belief, relative_density.stepwise(steps, missed))
-    joint = JointPosterior.of(continuous.position_process, continuous.samples.seconds(stamps))
     ate = uncertain_ate(
+        continuous.samples.seconds(stamps),
         known.poses[:, :3, 3],
         world_from_body_twists(known.covariances, known.poses[:, :3, :3])[:, :3, :3],
         pairs.estimate.positions
         if protocol.align_states is None
         else evaluation.aligned.positions,
         protocol.gauge if protocol.align_states is None else None,
-        continuous.samples.noise.position_m,
-        joint,
+        continuous.samples,
     )
     assessment = Assessment(
         continuous, stamps, belief, error, edges, _gauge_scores_of(residuals), ate, {}, ()
@@ -218,7 +216,12 @@ def _statements(assessment: Assessment) -> tuple[str, ...]:
             "nowhere is the groundtruth known well enough for errors as small as these: no ATE "
             "of supported poses can be had"
         )
-    elif not ate.supported.all():
+    elif ate.interval_m is None:
+        statements.append(
+            "the ATE of supported poses has no interval: too few of them are a groundtruth step "
+            "apart, so the estimate's errors can't be told from the groundtruth's"
+        )
+    if ate.supported_m is not None and not ate.supported.all():
         statements.append(
             f"at {100.0 * (1.0 - ate.supported_share):.1f} % of the poses the groundtruth is too "
             "uncertain for errors as small as these; the plain ATE counts it there as the "

@@ -15,10 +15,11 @@ from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengt
 
 ATE_FORMS = ("plain", "tutorial")
 RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices")
+NEES_FORMS = ("gauge", "as_published")
 ALIGN_WEIGHTS = ("none", "covariance")
 ALIGN_WITH = ("positions", "poses")
 # Protocols that give what a program prints, whatever we think of it.
-_OF_PROGRAMS = ("rpg", "evo", "kitti")
+_OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
 
 def metres(*values: float) -> tuple[Length, ...]:
@@ -65,6 +66,7 @@ class Protocol:
         in_order: Sort states by stamp and drop repeated stamps first.
         ate_form: `plain`, or `tutorial` for eq. (23) to the letter.
         re_form: See `errors.relative_errors`.
+        nees_form: `gauge`, by covariances in the gauge of the alignment, or `as_published`.
         lengths: Of sub-trajectories: metres as numbers, texts such as "1s" or "10%", or
             `Length`; empty for no relative error.
         selection: How a sub-trajectory's end is chosen.
@@ -95,6 +97,7 @@ class Protocol:
     in_order: bool
     ate_form: str
     re_form: str
+    nees_form: str
     lengths: tuple[Length, ...]
     selection: Selection
     lever_m: tuple[float, float, float] | None
@@ -112,6 +115,7 @@ class Protocol:
         in_order: bool = True,
         ate_form: str = "plain",
         re_form: str = "gauge",
+        nees_form: str = "gauge",
         lengths: Iterable[Length | float | str] | str = DEFAULT_LENGTHS,
         selection: Selection | str = "nearest",
         lever_m: Sequence[float] | None = None,
@@ -121,6 +125,7 @@ class Protocol:
             (ate_form, ATE_FORMS, "ATE form"),
             (re_form, RE_FORMS, "RE form"),
             (align_with, ALIGN_WITH, "alignment"),
+            (nees_form, NEES_FORMS, "NEES form"),
             (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
         ):
             require_one_of(value, known, what)
@@ -137,6 +142,7 @@ class Protocol:
             "in_order": in_order,
             "ate_form": ate_form,
             "re_form": re_form,
+            "nees_form": nees_form,
             "lengths": _lengths(lengths),
             "selection": Selection(selection) if isinstance(selection, str) else selection,
             "lever_m": None if lever_m is None else _vector(lever_m),
@@ -202,6 +208,14 @@ PROTOCOLS: dict[str, Protocol] = {
         in_order=False,
         re_form="se3",
         lengths=(),
+    ),
+    # rpng/open_vins, ov_eval: error_singlerun with alignment posyaw.
+    "ov_eval": Protocol(
+        name="ov_eval",
+        gauge=Gauge.YAW,
+        association="nearest",
+        re_form="se3",
+        nees_form="as_published",
     ),
     # The KITTI odometry devkit: frames pair by number, nothing is aligned.
     "kitti": Protocol(

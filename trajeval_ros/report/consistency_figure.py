@@ -79,17 +79,28 @@ def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str)
 
 def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -> None:
     truth = evaluation.association.groundtruth
-    assert consistency.nees is not None
-    assert consistency.per_pose is not None
-    columns = np.stack([truth.seconds - truth.seconds[0], consistency.nees], axis=1)
-    lowest.plot(
-        *canvas.thinned(columns, truth.stamps, evaluation.protocol.association.max_gap_s).T,
-        color=canvas.COLOURS[0],
-    )
-    limit = consistency.per_pose.limit_95
+    nees, per_pose = consistency.pose_nees, consistency.per_pose
+    assert nees is not None
+    assert per_pose is not None
+    gap_s = evaluation.protocol.association.max_gap_s
+    for values, label, colour in (
+        (nees.rotation, "orientation / 3", canvas.COLOURS[2]),
+        (nees.position, "position / 3", canvas.COLOURS[3]),
+        (nees.pose, "pose / 6", canvas.COLOURS[0]),
+    ):
+        columns = np.stack([truth.seconds - truth.seconds[0], values], axis=1)
+        across = canvas.thinned(columns, truth.stamps, gap_s).T
+        lowest.plot(*across, color=colour, label=label, linewidth=0.9)
+    lowest.legend(loc="upper right", fontsize=7, ncols=3)
+    highest = float(max(np.nanmax(each) for each in (nees.pose, nees.position, nees.rotation)))
+    limit = per_pose.limit_95
+    lowest.set_ylim(0.0, 1.25 * max(limit or 0.0, highest))
+    lowest.set_ylabel("NEES / dof")
+    if limit is None:
+        return
     lowest.axhline(limit, color=canvas.COLOURS[1], linestyle="--", linewidth=0.9)
     lowest.annotate(
-        "95 % of honest runs stay below",
+        "NEES / 6: 95 % of honest runs stay below",
         (0.01, limit),
         xycoords=("axes fraction", "data"),
         xytext=(0, 2),
@@ -97,9 +108,6 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
         fontsize=7,
         color="0.35",
     )
-    highest = float(np.nanmax(consistency.nees))
-    lowest.set_ylim(0.0, 1.25 * max(limit, highest))
-    lowest.set_ylabel("NEES / 6")
 
 
 def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:

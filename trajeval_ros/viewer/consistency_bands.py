@@ -54,10 +54,11 @@ def send_consistency(
         numbers.send(recording, entities.metric(quantity), stamps[some], np.full(len(some), 3))
     known = np.flatnonzero(np.isfinite(consistency.nees))
     some = known[peaks(consistency.nees[known], _MOST_ROWS)]
-    for quantity, at, values in (
-        (scene_entities.NEES, some, consistency.nees[some]),
-        (scene_entities.NEES_LIMIT, known[[0, -1]], np.full(2, consistency.per_pose.limit_95)),
-    ):
+    drawn = [(scene_entities.NEES, some, consistency.nees[some])]
+    limit = consistency.per_pose.limit_95
+    if limit is not None:
+        drawn.append((scene_entities.NEES_LIMIT, known[[0, -1]], np.full(2, limit)))
+    for quantity, at, values in drawn:
         entity_data.numbers(values).send(recording, entities.metric(quantity), stamps[at])
     assert consistency.covariances is not None
     positions = consistency.covariances[:, :3, :3]

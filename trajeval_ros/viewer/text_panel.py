@@ -139,7 +139,8 @@ def _nees(consistency: Consistency | None) -> str:
         share = consistency.joint.nees / consistency.joint.dof
         return f"{share:.3g} (honest: {low:.2f} to {high:.2f})"
     worst = consistency.per_pose
-    return f"{worst.max:.3g} at most (honest: under {worst.limit_95:.2f})"
+    limit = "" if worst.limit_95 is None else f" (honest: under {worst.limit_95:.2f})"
+    return f"{worst.max:.3g} at most{limit}"
 
 
 def _drift_so_far(snapshot: Snapshot) -> str:

@@ -6,6 +6,7 @@
     align_with: positions              # or poses
     association: {method: linear, max_time_difference_s: 0.02, max_gap_s: 0.5, time_offset_s: 0.0}
     re_form: fitted
+    nees_form: gauge
     lengths: [40, 60, 80]              # metres; or [1s, 5s], [10%], none
     selection: {rule: nearest, every: 1}
     lever_m: [0.059, -0.00855, 0.1964]
@@ -31,7 +32,7 @@ from trajeval_ros.metrics.settings import parse_states, protocol_named
 from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
-_WORDS = ("align_with", "align_weights", "ate_form", "re_form")
+_WORDS = ("align_with", "align_weights", "ate_form", "re_form", "nees_form")
 _KNOWN = (
     *("base", "gauge", "modality", "align_states", "association", "in_order", "lengths"),
     *_WORDS,

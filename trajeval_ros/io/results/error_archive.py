@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
 from trajeval_ros.pipeline import RunOutcome
 
@@ -18,8 +19,9 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
 
     Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
     `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
-    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees` (N,);
-    where groundtruth was continuous, `NAME.probabilistic.residuals` and others.
+    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees`,
+    `.position_nees` and `.rotation_nees` (N,); where groundtruth was continuous,
+    `NAME.probabilistic.residuals` and others.
     """
     arrays: dict[str, Any] = {}
     for run in runs:
@@ -29,8 +31,7 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
         if run.consistency is not None:
             arrays |= {
                 f"{name}.consistency.{column}": values
-                for column in ("errors", "sigmas", "nees")
-                if (values := getattr(run.consistency, column)) is not None
+                for column, values in _consistency_columns(run.consistency).items()
             }
         if run.likelihood is not None:
             arrays |= {
@@ -41,6 +42,18 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
             arrays |= _columns(f"{name}.{segment.length}", segment.errors)
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
+    columns: dict[str, Any] = {"errors": consistency.errors}
+    if consistency.pose_nees is not None:
+        columns |= {
+            "sigmas": consistency.sigmas,
+            "nees": consistency.pose_nees.pose,
+            "position_nees": consistency.pose_nees.position,
+            "rotation_nees": consistency.pose_nees.rotation,
+        }
+    return columns
 
 
 def _columns(prefix: str, errors: Any) -> dict[str, Any]:

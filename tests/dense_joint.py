@@ -1,0 +1,17 @@
+"""The joint covariance of a groundtruth at a few times, dense."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
+
+
+def dense_covariance(joint: JointPosterior) -> NDArray[np.float64]:
+    """Return the covariance (d Q, d Q) of all queries."""
+    knots, width = joint.factor.scale.shape
+    units = np.eye(knots * width).reshape(knots, width, -1)
+    everything = joint.factor.solve(units).reshape(knots * width, -1)
+    asked = (joint.rows[:, None] * width + np.arange(joint.dimension)).ravel()
+    return everything[np.ix_(asked, asked)]
