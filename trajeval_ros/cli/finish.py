@@ -19,6 +19,7 @@ def finish(
         Path, typer.Argument(metavar="FOLDER", help="The live evaluator's output folder.")
     ],
     hand_eye: options.HandEyeOption = None,
+    up: options.UpOption = None,
     json: options.JsonOption = None,
     output: Annotated[
         Path | None,
@@ -42,7 +43,7 @@ def finish(
 
         trajeval finish trajeval_2026_03_01-10_00_00 --hand-eye marker.yaml
     """
-    request = request_from({"hand_eye": hand_eye})
+    request = request_from({"hand_eye": hand_eye, "up": up})
     requirements = [Requirement.parse(text) for text in require or []]
     deliver(
         evaluate_folder(folder, request),

@@ -137,6 +137,14 @@ class Protocol:
             object.__setattr__(self, attribute, setting)
         self._require_sense()
 
+    @property
+    def is_upright(self) -> bool:
+        """Whether trajectories are to be in worlds whose z axis is up before anything is measured.
+
+        For alignments about gravity, and for likelihoods, which tell the tilt of any alignment.
+        """
+        return self.gauge.turns_about_gravity_only or self.association.method == "continuous"
+
     def _require_sense(self) -> None:
         """Refuse settings that mean nothing, or nothing together."""
         states: object = self.align_states

@@ -109,6 +109,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> list
             )
     if snapshot.warming_up:
         complaints.append((OK, f"warming up: {snapshot.warming_up}"))
+    if estimate.doubt:
+        complaints.append((WARN, estimate.doubt.replace("--up=", "up:=")))
     if estimate.jumps.count:
         complaints.append((WARN, f"{estimate.jumps.count} jumps: restarted with a new origin?"))
     lost = run.groundtruth.lost + estimate.side.lost
