@@ -536,6 +536,12 @@ def test_recordings_of_a_car_are_right_as_cameras_and_doubted_as_maps(
     assert "--up=-y or --up=y" in doubt_of(dataclasses.replace(truth, up=Z_UP))
 
 
+def test_a_recording_in_camera_axes_that_nobody_declared_is_doubted(shared_data: Path) -> None:
+    truth = read_trajectory(f"{shared_data}/bags/ROS_example.bag:groundtruth")
+    assert truth.up == Z_UP
+    assert "the y axis: give --up=-y or --up=y," in doubt_of(truth)
+
+
 RIGHT = (
     "euroc/groundtruth/MH_01.txt", "euroc/groundtruth/MH_05.txt",
     "euroc/groundtruth/V1_02_asl.csv", "euroc/groundtruth/V2_03.txt",
