@@ -521,7 +521,7 @@ def test_rerun_stands_upright(tmp_path: Path) -> None:
     for axis, place, way in (("z", 2, 1), ("-y", 1, 2), ("x", 0, 1)):
         truth, estimate = standing(car(1), axis), standing(erring(car(1)), axis)
         found = evaluate(truth, estimate, Protocol(lengths=()))
-        write_recording(tmp_path / "run.rrd", [found], names=["vio"])
+        write_recording(tmp_path / "run.rrd", [found])
         _, [view] = Rrd(tmp_path / "run.rrd").rows("world", "ViewCoordinates:xyz")
         assert np.ravel(view)[place] == way
 
