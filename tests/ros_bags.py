@@ -101,7 +101,7 @@ def _header(stamp: int, frame: str) -> Any:
     return types["std_msgs/msg/Header"](time, frame)
 
 
-def messages_of(source: Trajectory, topic: str, kind: str) -> list[Message]:
+def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world") -> list[Message]:
     """Return a trajectory as messages, logged at their stamps."""
     assert source.quaternions is not None
     columns = source.stamps.tolist(), source.positions, source.quaternions
@@ -112,7 +112,7 @@ def messages_of(source: Trajectory, topic: str, kind: str) -> list[Message]:
         ]
     if kind == POSE:
         return [
-            (topic, kind, stamp, pose_message(stamp, place, turn))
+            (topic, kind, stamp, pose_message(stamp, place, turn, frame))
             for stamp, place, turn in zip(*columns, strict=True)
         ]
     velocities = np.zeros((len(source), 3))

@@ -14,6 +14,7 @@ from strategies import gauges, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros import Evaluation, Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.errors import absolute_errors
 from trajeval_ros.metrics.evaluation import evaluate_pairs
@@ -97,26 +98,28 @@ def assert_live_is_offline(
 
 
 RECORDINGS = [
-    ("euroc/groundtruth/MH_01.txt", "euroc/vio_mono/MH_01.txt", Gauge.YAW),
-    ("euroc/groundtruth/V1_02_asl.csv", "euroc/V1_02_estimate.txt", Gauge.SE3),
-    ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt", Gauge.SIM3),
-    ("bags/ROS_example.bag:groundtruth", "bags/ROS_example.bag:ORB-SLAM", Gauge.SE3),
+    ("euroc/groundtruth/MH_01.txt", "euroc/vio_mono/MH_01.txt", Gauge.YAW, "z"),
+    ("euroc/groundtruth/V1_02_asl.csv", "euroc/V1_02_estimate.txt", Gauge.SE3, "z"),
+    ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt", Gauge.SIM3, "z"),
+    ("bags/ROS_example.bag:groundtruth", "bags/ROS_example.bag:ORB-SLAM", Gauge.SE3, "-y"),
 ]
 
 
-@pytest.mark.parametrize(("truth", "estimate", "gauge"), RECORDINGS)
+@pytest.mark.parametrize(("truth", "estimate", "gauge", "axis"), RECORDINGS)
 @pytest.mark.parametrize("delay_s", [0.0, 0.3])
 def test_live_is_offline_on_recordings(
     recording: Callable[[str], Trajectory],
     truth: str,
     estimate: str,
     gauge: Gauge,
+    axis: str,
     delay_s: float,
 ) -> None:
     protocol = Protocol(gauge=gauge)
-    evaluator = OnlineEvaluator(OnlineSettings(protocol))
-    feed(evaluator, recording(truth), recording(estimate), delay_s=delay_s, drain_s=0.25)
-    offline = evaluate(recording(truth), recording(estimate), protocol)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, up=(axis, axis)))
+    sides = [dataclasses.replace(recording(each), up=UpAxis(axis)) for each in (truth, estimate)]
+    feed(evaluator, *sides, delay_s=delay_s, drain_s=0.25)
+    offline = evaluate(*sides, protocol)
     assert_live_is_offline(evaluator, offline)
     # All sub-trajectories but those whose ends only the end of the run decides are seen live.
     for segment in offline.segments or ():

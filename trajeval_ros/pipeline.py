@@ -22,10 +22,13 @@ from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.clock_hint import clock_hint
 from trajeval_ros.diagnosis.rotation_hints import require_same_body
+from trajeval_ros.diagnosis.vertical import require_vertical, without_vertical
 from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.text_tables import html_table
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.upright import upright
 from trajeval_ros.metrics import evaluation as measuring
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
@@ -53,6 +56,8 @@ class Request:
             evaluate; None for all.
         lengths_of_groundtruth: Whether lengths in percent are shares of the whole groundtruth's
             path, the same for all estimates, instead of the matched path.
+        up: The axes that point up in the groundtruth's frame and in the estimates', such as "z"
+            or "-y"; None for those that the trajectories have.
 
     Example:
         >>> from trajeval_ros import CalibrationRequest, Protocol, Request
@@ -66,13 +71,16 @@ class Request:
     covariances: CovarianceRequest = field(default_factory=CovarianceRequest)
     span_ns: tuple[int, int] | None = None
     lengths_of_groundtruth: bool = False
+    up: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse parts that contradict each other.
+        """Refuse parts that contradict each other, and an axis that is none.
 
         Raises:
             SettingsError: They do.
         """
+        for axis in self.up or ():
+            UpAxis(axis)
         if self.is_continuous and self.covariances.source != "none":
             raise SettingsError(
                 "--covariance compares with samples of the groundtruth, and association "
@@ -237,6 +245,8 @@ def run(
     request = request or Request()
     if not estimates:
         raise InputError("there is no estimate to evaluate; give at least one")
+    if request.up is not None:
+        groundtruth, *estimates = _with_up(request.up, groundtruth, *estimates)
     runs: list[RunOutcome] = []
     for estimate in estimates:
         with _named(estimate):
@@ -272,6 +282,10 @@ def run_pairs(
             "likelihoods and time spans need the whole groundtruth, and a live run keeps pairs "
             "alone; evaluate a bag"
         )
+    if request.up is not None:
+        groundtruth, estimate = _with_up(request.up, groundtruth, estimate)
+        sides = _with_up(request.up, pairs.groundtruth, pairs.estimate)
+        pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
     return _run(groundtruth, estimate, request, None, pairs)
 
 
@@ -284,13 +298,15 @@ def evaluate(
     (24), relative errors (27) over sub-trajectories (25).
 
     Args:
-        groundtruth: M states, in a frame whose z is up.
-        estimate: N states in a frame of their own; z is up for gauges yaw and planar.
+        groundtruth: M states; its `up` axis is what yaw and tilt are about.
+        estimate: N states in a frame of their own, whose `up` axis gauges yaw and planar bring to
+            the groundtruth's.
         protocol: How poses are paired, aligned and measured; None for gauge se3 and lengths of 8
             to 40 m.
 
     Returns:
-        Errors in metres and degrees, pair by pair and as statistics, in the groundtruth's frame.
+        Errors in metres and degrees, pair by pair and as statistics, in the groundtruth's frame;
+        for gauges yaw and planar, and association continuous, in that frame with z up.
 
     Raises:
         InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
@@ -304,16 +320,21 @@ def evaluate(
         >>> 0.0 < found.ate["position_m"].rmse < 1.0
         True
     """
+    protocol = protocol or Protocol()
+    require_vertical(groundtruth, protocol.gauge)
+    if protocol.is_upright:
+        groundtruth, estimate = upright(groundtruth), upright(estimate)
     return with_warnings(measuring.evaluate(groundtruth, estimate, protocol))
 
 
 def with_warnings(evaluation: Evaluation) -> Evaluation:
-    """Return an evaluation with what a reader of its numbers must know.
+    """Return an evaluation with what a reader must know, without what has no meaning.
 
     Raises:
         InputError: It is aligned by the orientations of another body.
     """
     require_same_body(evaluation)
+    evaluation = without_vertical(evaluation)
     hints = clock_hint(evaluation.association, evaluation.aligned)
     return dataclasses.replace(
         evaluation, warnings=(*hints, *warnings_of(evaluation), *evaluation.warnings)
@@ -333,6 +354,13 @@ def _run(
         used = _cut(estimate, request.span_ns, protocol)
     if request.lengths_of_groundtruth:
         protocol = _with_lengths_of(groundtruth, protocol)
+    require_vertical(groundtruth, protocol.gauge)
+    if protocol.is_upright:
+        groundtruth, used = upright(groundtruth), upright(used)
+        if pairs is not None:
+            pairs = dataclasses.replace(
+                pairs, groundtruth=upright(pairs.groundtruth), estimate=upright(pairs.estimate)
+            )
 
     calibrated = None
     if request.calibration.anything:
@@ -364,6 +392,17 @@ def _run(
         consistency,
         likelihood,
     )
+
+
+def _with_up(
+    up: tuple[str, str], groundtruth: Trajectory, *estimates: Trajectory
+) -> list[Trajectory]:
+    """Return trajectories with the axes that were given."""
+    axes = [UpAxis(up[0]), *[UpAxis(up[1])] * len(estimates)]
+    return [
+        dataclasses.replace(each, up=axis)
+        for each, axis in zip((groundtruth, *estimates), axes, strict=True)
+    ]
 
 
 def _with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:

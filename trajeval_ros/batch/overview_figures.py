@@ -12,6 +12,7 @@ from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.results_table import RE
 from trajeval_ros.batch.summary_tables import ComparisonSummary, Trial
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
@@ -103,6 +104,7 @@ def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
     plots = []
     for sequence in summary.sequences[:MOST_SEQUENCES]:
         truth: Floats | None = None
+        up = Z_UP
         paths: list[tuple[str, Floats] | None] = []
         for algorithm in summary.algorithms:
             trial = _median_trial(summary.of(algorithm, sequence))
@@ -110,7 +112,8 @@ def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
             if trial is None or record is None:
                 paths.append(None)
                 continue
-            truth = record.columns["truth"] if truth is None else truth
+            if truth is None:
+                truth, up = record.columns["truth"], record.groundtruth_up
             name = f"{algorithm} {trial.trial}".strip()
             paths.append((name, record.columns["path"]))
         if truth is not None:
@@ -120,7 +123,7 @@ def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
             caption = "From above, aligned."
             if several:
                 caption += " Of several trials, that with the median position ATE."
-            draw = partial(overlay, f"overlay-{sequence}", truth, paths)
+            draw = partial(overlay, f"overlay-{sequence}", up, truth, paths)
             plots.append(FigureDraft(f"Trajectories on {sequence}", caption, draw))
     return plots
 

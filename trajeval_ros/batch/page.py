@@ -153,7 +153,8 @@ def _run_path(folder: Path, key: str, place: int) -> str:
     record = read_record(folder / RECORDS, key)
     if record is None:
         return ""
-    return run_path(key, place, record.columns["truth"], record.columns["path"])
+    columns = record.columns
+    return run_path(key, place, record.groundtruth_up, columns["truth"], columns["path"])
 
 
 def _run_errors(folder: Path, key: str, place: int) -> str:

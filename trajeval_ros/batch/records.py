@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.writing import write_whole
 
@@ -30,8 +31,8 @@ class Record:
         lengths: Of sub-trajectories, as asked for: "8m", "10%".
         span_ns: Stamps of the first and the last pair, in the groundtruth's clock.
         columns: `LENGTH.position_m`, `LENGTH.rotation_deg` of all sub-trajectories; `truth`
-            (M, 3) and `path` (M, 3), positions to draw; `errors` (M, 3): time since the first
-            pair (s), position error (m), rotation error (deg, NaN where withheld).
+            (M, 3) and `path` (M, 3), positions to draw, height last; `errors` (M, 3): time since
+            the first pair (s), position error (m), rotation error (deg, NaN where withheld).
     """
 
     key: str
@@ -45,6 +46,11 @@ class Record:
         """The run in the result."""
         run: dict[str, Any] = self.result["runs"][0]
         return run
+
+    @property
+    def groundtruth_up(self) -> UpAxis:
+        """Which axis of the groundtruth's frame points up."""
+        return UpAxis(**self.result["groundtruth"]["up"])
 
 
 def encode(record: Record) -> bytes:

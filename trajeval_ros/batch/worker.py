@@ -23,7 +23,7 @@ from trajeval_ros.pipeline import Request
 from trajeval_ros.pipeline import run as run_pipeline
 from trajeval_ros.report.canvas import thinned
 
-_FORMAT = 2  # of records: what is older is evaluated again
+_FORMAT = 3  # of records: what is older is evaluated again
 _POINTS = 900  # of a line in a report
 
 
@@ -102,6 +102,7 @@ def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floa
     stamps = pairs.groundtruth.stamps
     errors = np.stack([pairs.groundtruth.seconds, position, rotation], axis=1)
     columns["errors"] = thinned(errors, stamps, max_gap_s, _POINTS)
-    columns["path"] = thinned(evaluation.aligned.positions, stamps, max_gap_s, _POINTS)
-    columns["truth"] = thinned(truth.positions, truth.stamps, max_gap_s, _POINTS)
+    path, whole = truth.up.turned(evaluation.aligned.positions), truth.up.turned(truth.positions)
+    columns["path"] = thinned(path, stamps, max_gap_s, _POINTS)
+    columns["truth"] = thinned(whole, truth.stamps, max_gap_s, _POINTS)
     return columns

@@ -34,6 +34,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.upright import upright
 
 # What an interval of 95 % must lie within to be of use: s, s/s, rad, m.
 WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
@@ -138,6 +139,8 @@ def calibrate(
         ('significant', -0.1)
     """
     gauge = Gauge.of(gauge)
+    if gauge.turns_about_gravity_only:
+        groundtruth, estimate = upright(groundtruth), upright(estimate)
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.stamped:
             raise InputError(

@@ -54,6 +54,7 @@ def compare(
     ] = None,
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
+    up: options.UpOption = None,
     common_time_span: Annotated[
         bool | None,
         typer.Option(
@@ -138,6 +139,7 @@ def compare(
         "lengths": lengths,
         "covariance": covariance,
         "rotation_covariance_frame": rotation_covariance_frame,
+        "up": up,
     }
     plan = plan_of(target, said, common_time_span=common_time_span)
     # Read before anything is written: it may be the table of the same folder.

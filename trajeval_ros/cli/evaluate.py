@@ -43,6 +43,7 @@ def evaluate(
     re_form: options.ReFormOption = None,
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
+    up: options.UpOption = None,
     json: options.JsonOption = None,
     output: Annotated[
         Path | None,
@@ -115,6 +116,7 @@ def evaluate(
             "re_form": re_form,
             "covariance": covariance,
             "rotation_covariance_frame": rotation_covariance_frame,
+            "up": up,
         }
     )
     requirements = [Requirement.parse(text) for text in require or []]

@@ -20,6 +20,7 @@ def finish(
     ],
     align_with: options.AlignWithOption = None,
     hand_eye: options.HandEyeOption = None,
+    up: options.UpOption = None,
     json: options.JsonOption = None,
     output: Annotated[
         Path | None,
@@ -43,7 +44,7 @@ def finish(
 
         trajeval finish trajeval_2026_03_01-10_00_00 --hand-eye marker.yaml
     """
-    request = request_from({"hand_eye": hand_eye})
+    request = request_from({"hand_eye": hand_eye, "up": up})
     requirements = [Requirement.parse(text) for text in require or []]
     deliver(
         evaluate_folder(folder, request, align_with),

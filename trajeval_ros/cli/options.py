@@ -187,6 +187,16 @@ RotationCovarianceFrameOption = Annotated[
         rich_help_panel=CONSISTENCY,
     ),
 ]
+UpOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AXIS[,AXIS]",
+        help="The axis that points up (x, y, z, -x, -y, -z) in all frames, or in the "
+        "groundtruth's and in the estimates', as in --up=-y,z. By default -y for KITTI's "
+        "matrices and optical frames, else z. Gauges yaw and planar, yaw and tilt are about it.",
+        rich_help_panel=INPUT,
+    ),
+]
 StrictOption = Annotated[
     bool,
     typer.Option(

@@ -12,6 +12,7 @@ from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.diagnosis.rotation_hints import about_bodies, about_freedom, about_poses
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.up_axis import ASSUMED
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -71,6 +72,13 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
         warnings.append(
             "the tutorial's form of the ATE, eq. (23), depends on where the world's origin is; "
             "it compares only with numbers of the same form and origin"
+        )
+    truth_up, estimate_up = evaluation.groundtruth.up, evaluation.estimate.up
+    known = ASSUMED not in (truth_up.origin, estimate_up.origin)
+    if known and truth_up.name != estimate_up.name and protocol.gauge.minimum_states == 1:
+        warnings.append(
+            f"{truth_up} is up in the groundtruth's frame, {estimate_up} in the estimate's, and "
+            f"gauge {protocol.gauge.value} doesn't turn one to the other"
         )
     if protocol.align_states == 1:
         warnings += _about_first_state(evaluation)
@@ -140,8 +148,8 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
         if typical > LARGE_TILT_DEG:
             warnings.append(
                 f"the vertical axes of estimate and groundtruth differ by {typical:.0f} deg "
-                "(median), which a yaw alignment can't mend: is z up in both, and are both of "
-                "the same body?"
+                "(median), which a yaw alignment can't mend: are their up axes right (--up), and "
+                "are both of the same body?"
             )
     return warnings
 

@@ -84,7 +84,7 @@ _DESCRIPTIONS = {
     Gauge.NONE: "no alignment, the frames are taken to be the same",
     Gauge.TRANSLATION: "translation only",
     Gauge.YAW: "yaw and translation, 4-DoF",
-    Gauge.PLANAR: "SE(2) in the groundtruth's xy plane, 2-D errors",
+    Gauge.PLANAR: "SE(2) in the groundtruth's level plane, 2-D errors",
     Gauge.SE3: "SE(3), rigid body",
     Gauge.SIM3: "Sim(3), similarity with scale",
 }

@@ -14,6 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -60,6 +61,7 @@ class Trajectory:
             few digits are only nearly the rotations of `quaternions`; None where there are none.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
+        up: Which axis of the frame points up, and what says so; z if nothing does (REP-103).
         name: What a table calls it.
         source: What it was read from, as a user names it; "" if from nothing.
         stamped: False if the file had no stamps; then they count the rows, one second apart.
@@ -88,6 +90,7 @@ class Trajectory:
     matrices: Floats | None = None
     frame: str = ""
     child_frame: str = ""
+    up: UpAxis = Z_UP
     name: str = ""
     source: str = ""
     stamped: bool = True

@@ -273,7 +273,7 @@ def align_first(
             if np.hypot(between[2], between[3]) < 1e-9:
                 raise DegenerateGeometryError(
                     "the first state's rotations differ by half a turn about a level axis, which "
-                    "leaves the yaw open; is z up in both trajectories?"
+                    "leaves the yaw open; are the up axes of both trajectories right (--up)?"
                 )
             rotation = lie.about_gravity(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position

@@ -16,6 +16,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.matrix_errors import by_matrices
 from trajeval_ros.metrics.span_alignment import align_spans
 
@@ -27,8 +28,8 @@ class AbsoluteErrors:
     Attributes:
         position_m: (N,), length of the position error.
         rotation_deg: (N,), angle of E.
-        yaw_deg: (N,), absolute twist of E about gravity.
-        tilt_deg: (N,), angle between E e_z and e_z: roll and pitch.
+        yaw_deg: (N,), absolute twist of E about gravity, the groundtruth's up axis.
+        tilt_deg: (N,), angle between the up axis and its image under E: roll and pitch.
         velocity_mps: (N,), length of the velocity error.
         gyroscope_bias: (N,), rad/s, length of the difference, in the body.
         accelerometer_bias: (N,), m/s^2, length of the difference, in the body.
@@ -60,7 +61,9 @@ def absolute_errors(
     angle = yaw = tilt = None
     if truth_q is not None and aligned_q is not None and rotation:
         angle, yaw, tilt = lie.by_blocks(
-            lambda true, other: _rotation_errors(_between(true, other)), truth_q, aligned_q
+            lambda true, other: _rotation_errors(_between(true, other), groundtruth.up),
+            truth_q,
+            aligned_q,
         )
         if form == "tutorial":
             between = _between(truth_q, aligned_q)
@@ -84,12 +87,13 @@ def _between(truth_q: Floats, aligned_q: Floats) -> Floats:
     return lie.multiply(truth_q, lie.conjugate(aligned_q))
 
 
-def _rotation_errors(between: Floats) -> tuple[Floats, Floats, Floats]:
+def _rotation_errors(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
     """Return angle, absolute yaw and tilt of E, degrees."""
+    level = up.turned(between)
     return (
         np.degrees(lie.angle(between)),
-        np.degrees(np.abs(lie.yaw(between))),
-        np.degrees(lie.tilt(between)),
+        np.degrees(np.abs(lie.yaw(level))),
+        np.degrees(lie.tilt(level)),
     )
 
 
@@ -102,8 +106,8 @@ class RelativeErrors:
         ends: (K,) index of the pair that it ends with.
         position_m: (K,), length of the position error at the end.
         rotation_deg: (K,), angle of E at the end.
-        yaw_deg: (K,), absolute twist about gravity.
-        tilt_deg: (K,), roll and pitch; None where the plane leaves none.
+        yaw_deg: (K,), absolute twist about gravity; None where it isn't known which way is up.
+        tilt_deg: (K,), roll and pitch; likewise, and where a plane leaves none.
         velocity_mps: (K,), length of the velocity error at the end, or None.
     """
 
@@ -111,7 +115,7 @@ class RelativeErrors:
     ends: Indices
     position_m: Floats
     rotation_deg: Floats
-    yaw_deg: Floats
+    yaw_deg: Floats | None
     tilt_deg: Floats | None
     velocity_mps: Floats | None = None
 
@@ -155,7 +159,7 @@ def relative_errors(
             difference, between, first = differences_at_ends(
                 truth.at(rows), other.at(rows), gauge, scale, form
             )
-        angle, yaw, tilt = _rotation_errors(between)
+        angle, yaw, tilt = _rotation_errors(between, groundtruth.up)
         if form == "euler":
             yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
         position = lengths(difference)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class InputSummary:
         path_length_m: Of the path through the poses that were used.
         frame: The frame that poses are in.
         child_frame: The body that they are of.
+        up: Which axis of the frame points up.
         notes: What the reader recognised or repaired.
         fingerprint: sha256 of the pose columns.
     """
@@ -33,6 +35,7 @@ class InputSummary:
     path_length_m: float
     frame: str
     child_frame: str
+    up: UpAxis
     notes: tuple[str, ...]
     fingerprint: str
 
@@ -47,6 +50,7 @@ class InputSummary:
             path_length_m=used.path_length_m,
             frame=read.frame,
             child_frame=read.child_frame,
+            up=read.up,
             notes=used.notes,
             fingerprint=fingerprint(read),
         )

@@ -157,6 +157,14 @@ class Protocol:
         """Whether it gives the numbers of another program, misleading ones included."""
         return self.name in _OF_PROGRAMS
 
+    @property
+    def is_upright(self) -> bool:
+        """Whether trajectories are to be in worlds whose z axis is up before anything is measured.
+
+        For alignments about gravity, and for likelihoods, which tell the tilt of any alignment.
+        """
+        return self.gauge.turns_about_gravity_only or self.association.method == "continuous"
+
     def _require_sense(self) -> None:
         """Refuse settings that mean nothing, or nothing together."""
         states: object = self.align_states

@@ -14,6 +14,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
+from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.coverage import Coverage
@@ -33,6 +35,7 @@ from trajeval_ros.online.pairing import (
     Pairs,
     on_plane,
     states,
+    upright_rows,
 )
 from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
@@ -47,6 +50,11 @@ class OnlineEvaluator:
 
     It pairs, aligns and measures as `evaluate` does with association `linear`: counts are equal,
     statistics agree to 1e-9.
+
+    Attributes:
+        groundtruth_up: Which axis points up in the groundtruth's frame. To be set, if at all,
+            before its first states, as well as the estimate's.
+        estimate_up: Which one does in the estimate's.
 
     Example:
         >>> import numpy as np
@@ -76,6 +84,10 @@ class OnlineEvaluator:
         rule = self.settings.protocol.association
         self._offset = round(rule.time_offset_s * NANOSECONDS)
         self._is_planar = self.settings.protocol.gauge is Gauge.PLANAR
+        self._is_upright = self.settings.protocol.gauge.turns_about_gravity_only
+        self.groundtruth_up = self.estimate_up = Z_UP
+        if self.settings.up is not None:
+            self.groundtruth_up, self.estimate_up = map(UpAxis, self.settings.up)
         self.buffer = PairingBuffer(rule.max_gap_s, self.settings.limits)
         self.store = PairStore()
         self._record = record
@@ -99,12 +111,13 @@ class OnlineEvaluator:
                 `pairing.states`, with velocities.
         """
         rows = _all_columns(rows)
-        self.buffer.add_groundtruth(stamps, on_plane(rows) if self._is_planar else rows)
+        rows = on_plane(rows, self.groundtruth_up) if self._is_planar else rows
+        self.buffer.add_groundtruth(stamps, rows)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
         """Take estimated states that have arrived, as `add_groundtruth` does."""
         rows = _all_columns(rows)
-        rows = on_plane(rows) if self._is_planar else rows
+        rows = on_plane(rows, self.estimate_up) if self._is_planar else rows
         self.buffer.add_estimate(stamps + self._offset, rows)
 
     def update(self, *, at_end: bool = False) -> Update:
@@ -122,6 +135,12 @@ class OnlineEvaluator:
         self._coverage.add(pairs, at_end=at_end)
         if not len(pairs.stamps):
             return Update()
+        if self._is_upright:
+            pairs = Pairs(
+                pairs.stamps,
+                upright_rows(pairs.groundtruth, self.groundtruth_up),
+                upright_rows(pairs.estimate, self.estimate_up),
+            )
         self.store.append(pairs)
         self._sum(pairs)
         self._align(pairs)
@@ -140,7 +159,7 @@ class OnlineEvaluator:
         return Snapshot(
             pairs=self._count,
             warming_up=self._why_not,
-            alignment=self._alignment,
+            alignment=self.alignment,
             position_rmse_m=self._rmse(self._whole),
             window_position_rmse_m=self._rmse(self._window_moments(begin)),
             ate=self._window_statistics(begin),
@@ -164,8 +183,12 @@ class OnlineEvaluator:
 
     @property
     def alignment(self) -> Alignment | None:
-        """The present alignment; None while there is none."""
-        return self._alignment
+        """The present alignment, between the frames' own axes; None while there is none."""
+        if self._alignment is None or not self._is_upright:
+            return self._alignment
+        axes = self.groundtruth_up, self.estimate_up
+        similarity = between_own_axes(self._alignment.similarity, *axes)
+        return dataclasses.replace(self._alignment, similarity=similarity)
 
     @property
     def frozen_at(self) -> int | None:
@@ -196,6 +219,8 @@ class OnlineEvaluator:
     def association(self) -> Association:
         """Return all pairs, to be evaluated offline; only of a window that is the whole run.
 
+        Those of gauges yaw and planar are in worlds whose z axis is up.
+
         Raises:
             SettingsError: The window is shorter, so that pairs have been forgotten.
         """
@@ -205,12 +230,17 @@ class OnlineEvaluator:
         dropped = add_counts(self.buffer.dropped, {"out_of_order": self._late})
         return Association(
             rule=self.settings.protocol.association,
-            groundtruth=trajectory(stamps, self.store.groundtruth()),
+            groundtruth=trajectory(stamps, self.store.groundtruth(), self._vertical),
             estimate=trajectory(stamps, self.store.estimate()),
             estimate_coverage=self._estimate_coverage() or 0.0,
             coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
             dropped=dropped,
         )
+
+    @property
+    def _vertical(self) -> UpAxis:
+        """The up axis of the groundtruth as it is in the store."""
+        return Z_UP if self._is_upright else self.groundtruth_up
 
     def _in_order(self, pairs: Pairs) -> Pairs:
         """Leave out pairs older than the newest one; the record has them."""
@@ -328,7 +358,7 @@ class OnlineEvaluator:
         assert self._alignment is not None
         aligned = self._alignment.similarity.trajectory(trajectory(stamps, estimate))
         return absolute_errors(
-            trajectory(stamps, groundtruth),
+            trajectory(stamps, groundtruth, self._vertical),
             aligned,
             rotation=not self._alignment.why_withheld(self.settings.protocol),
         )
@@ -376,7 +406,7 @@ def _all_columns(rows: Floats) -> Floats:
     return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
 
 
-def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
+def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
     """Return rows (N, 10) as a trajectory, without the columns that are not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     measured = len(rows) and not np.isnan(quaternions[0, 0])
@@ -386,6 +416,7 @@ def trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
         positions=np.array(rows[:, POSITION]),
         quaternions=lie.normalized(quaternions) if measured else None,
         velocities=np.array(velocities) if moving else None,
+        up=up,
     )
 
 

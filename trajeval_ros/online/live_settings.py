@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.window import Window
@@ -21,9 +22,11 @@ class OnlineSettings:
             "50m" or "500" (pairs).
         freeze: Keep the first alignment that the states determine well.
         limits: Of the memory for states that wait for their groundtruth.
+        up: The axes that point up in the frames of groundtruth and estimate; None for those that
+            the names of the frames tell, or z.
 
     Raises:
-        SettingsError: A window that is none, or a protocol that can't be live.
+        SettingsError: A window or an axis that is none, or a protocol that can't be live.
 
     Example:
         >>> from trajeval_ros import OnlineSettings, Protocol
@@ -36,6 +39,7 @@ class OnlineSettings:
     window: Window
     freeze: bool
     limits: Limits
+    up: tuple[str, str] | None
 
     def __init__(
         self,
@@ -43,12 +47,14 @@ class OnlineSettings:
         window: Window | str = "0",
         freeze: bool = False,
         limits: Limits | None = None,
+        up: tuple[str, str] | None = None,
     ) -> None:
         values = {
             "protocol": protocol or Protocol(),
             "window": Window.parse(window) if isinstance(window, str) else window,
             "freeze": freeze,
             "limits": limits or Limits(),
+            "up": up,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -56,6 +62,8 @@ class OnlineSettings:
 
     def _require_possible(self) -> None:
         """Refuse what can't be done live."""
+        for axis in self.up or ():
+            UpAxis(axis)
         method = self.protocol.association.method
         if method != "linear":
             raise SettingsError(

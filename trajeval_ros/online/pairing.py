@@ -15,6 +15,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import bracket_stamps, mix
 from trajeval_ros.metrics.coverage import time_without_gaps
 from trajeval_ros.metrics.pair_steps import StampedPoses
@@ -61,12 +62,27 @@ def states(
     return rows
 
 
-def on_plane(rows: Floats) -> Floats:
-    """Return states (N, 10) projected on the xy plane, as the planar gauge compares them."""
+def upright_rows(rows: Floats, up: UpAxis) -> Floats:
+    """Return states (N, 10) in a world whose z axis is up, as `geometry.upright` has them."""
+    if up.name == "z":
+        return rows
+    turned: Floats = rows.copy()
+    turned[:, POSITION] = up.turned(rows[:, POSITION])
+    turned[:, VELOCITY] = up.turned(rows[:, VELOCITY])
+    turned[:, QUATERNION] = lie.multiply(lie.from_matrices(up.matrix[None]), rows[:, QUATERNION])
+    return turned
+
+
+def on_plane(rows: Floats, up: UpAxis) -> Floats:
+    """Return states (N, 10) projected on the level plane, as the planar gauge compares them."""
     flat: Floats = rows.copy()
-    flat[:, [POSITION.stop - 1, VELOCITY.stop - 1]] *= 0.0  # what is not finite stays so
+    heights = [POSITION.start + up.index, VELOCITY.start + up.index]
+    flat[:, heights] *= 0.0  # what is not finite stays so
     turned = np.isfinite(rows[:, QUATERNION]).all(axis=1)
-    flat[turned, QUATERNION] = lie.heading(rows[turned, QUATERNION])
+    headings = lie.heading(upright_rows(rows[turned], up)[:, QUATERNION])
+    if up.name != "z":
+        headings = lie.multiply(lie.from_matrices(up.matrix.T[None]), headings)
+    flat[turned, QUATERNION] = headings
     return flat
 
 

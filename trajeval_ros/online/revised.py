@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.online.pairing import POSITION, QUATERNION, WIDTH, Pairs, on_plane
 
@@ -23,11 +24,11 @@ class RevisedPath:
         states: (M, 10) of these, as the gauge compares them.
     """
 
-    def __init__(self, gauge: Gauge) -> None:
-        """Begin without a path."""
+    def __init__(self, gauge: Gauge, up: UpAxis = Z_UP) -> None:
+        """Begin without a path, for one whose frame has this axis up."""
         self.stamps: Stamps = np.empty(0, dtype=np.int64)
         self.states: Floats = np.empty((0, WIDTH))
-        self._gauge = gauge
+        self._gauge, self._up = gauge, up
         self._known: Stamps = np.empty(0, dtype=np.int64)
         self._truth: list[tuple[Stamps, Floats]] = []
 
@@ -36,7 +37,7 @@ class RevisedPath:
         poses = np.isfinite(states[:, : QUATERNION.stop]).all(axis=1)
         self.stamps, self.states = stamps[poses], states[poses]
         if self._gauge is Gauge.PLANAR:
-            self.states = on_plane(self.states)
+            self.states = on_plane(self.states, self._up)
         newest = self._known[-1] if len(self._known) else np.iinfo(np.int64).min
         is_new = stamps > newest
         if not np.array_equal(stamps[~is_new], self._known):  # some came in between, or are gone
@@ -49,7 +50,7 @@ class RevisedPath:
         """Take the groundtruth of poses, with stamps by the estimator's clock."""
         self._truth.append((pairs.stamps, pairs.groundtruth[:, POSITION]))
 
-    def position_rmse_m(self) -> float | None:
+    def position_rmse_m(self, groundtruth_up: UpAxis = Z_UP) -> float | None:
         """Return the position ATE of the newest path; None where it can't be aligned."""
         if not self._truth:
             return None
@@ -57,10 +58,12 @@ class RevisedPath:
         truth = np.concatenate([each[1] for each in self._truth])
         self._truth = [(stamps, truth)]
         _, rows, places = np.intersect1d(stamps, self.stamps, return_indices=True)
-        positions = self.states[places, POSITION]
+        truth, positions = truth[rows], self.states[places, POSITION]
+        if self._gauge.turns_about_gravity_only:
+            truth, positions = groundtruth_up.turned(truth), self._up.turned(positions)
         try:
-            alignment = align(self._gauge, truth[rows], positions)
+            alignment = align(self._gauge, truth, positions)
         except DegenerateGeometryError:
             return None
-        errors = truth[rows] - alignment.similarity.positions(positions)
+        errors = truth - alignment.similarity.positions(positions)
         return float(np.sqrt(np.square(errors).sum(axis=1).mean()))

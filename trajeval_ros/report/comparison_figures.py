@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.report import canvas
 
 if TYPE_CHECKING:
@@ -117,23 +118,26 @@ def _beside(count: int) -> Floats:
     return np.linspace(-0.25, 0.25, count) if count != 1 else np.zeros(1)
 
 
-def overlay(name: str, truth: Floats, paths: Sequence[tuple[str, Floats] | None]) -> str:
+def overlay(
+    name: str, up: UpAxis, truth: Floats, paths: Sequence[tuple[str, Floats] | None]
+) -> str:
     """Draw aligned paths over the groundtruth, from above.
 
     Args:
         name: Of the figure, unlike any other's on the page.
-        truth: (M, 3).
+        up: Which axis of the groundtruth's frame points up.
+        truth: (M, 3), with height last.
         paths: Name and positions (M, 3) by place of the algorithm, which decides the colour.
     """
     with _page_style(name):
         figure = canvas.new_figure(_WIDTH_IN, 3.2)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        _draw_paths(axes, truth, paths)
+        _draw_paths(axes, up, truth, paths)
         canvas.head(axes, _WIDTH_IN)
         return _svg(figure, "trajectories from above")
 
 
-def run_path(name: str, place: int, truth: Floats, path: Floats) -> str:
+def run_path(name: str, place: int, up: UpAxis, truth: Floats, path: Floats) -> str:
     """Draw the path of one run, from above.
 
     There may be hundreds of them, so margins are fixed instead of measured, and ticks few.
@@ -141,13 +145,14 @@ def run_path(name: str, place: int, truth: Floats, path: Floats) -> str:
     Args:
         name: Of the run, unlike any other's on the page.
         place: Of its algorithm.
-        truth: (M, 3).
-        path: (M, 3), aligned.
+        up: Which axis of the groundtruth's frame points up.
+        truth: (M, 3), with height last.
+        path: (M, 3), aligned, likewise.
     """
     with _page_style(name):
         figure = canvas.new_figure(*_RUN_SIZE_IN)
         axes = figure.add_axes((_LEFT, _BOTTOM, 1.0 - _LEFT, _TOP - _BOTTOM))
-        _draw_paths(axes, truth, [None] * place + [("estimate", path)])
+        _draw_paths(axes, up, truth, [None] * place + [("estimate", path)])
         axes.locator_params(nbins=5)
         return _svg(figure, "path from above", tight=False)
 
@@ -179,7 +184,9 @@ def run_errors(name: str, place: int, errors: Floats) -> str:
         return _svg(figure, "errors over time", tight=False)
 
 
-def _draw_paths(axes: Axes, truth: Floats, paths: Sequence[tuple[str, Floats] | None]) -> None:
+def _draw_paths(
+    axes: Axes, up: UpAxis, truth: Floats, paths: Sequence[tuple[str, Floats] | None]
+) -> None:
     axes.plot(truth[:, 0], truth[:, 1], color=_TRUTH, linewidth=1.8, label="groundtruth")
     for place, path in enumerate(paths):
         if path is not None:
@@ -190,8 +197,9 @@ def _draw_paths(axes: Axes, truth: Floats, paths: Sequence[tuple[str, Floats] | 
                 color=colour, linestyle=dashes, linewidth=1.1, label=label,
             )  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    across, onward = ("xyz"[each] for each in up.level)
+    axes.set_xlabel(f"{across} [m]")
+    axes.set_ylabel(f"{onward} [m]")
 
 
 @contextmanager

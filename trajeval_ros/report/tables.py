@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.diagnosis.few_pairs import few_pairs
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.formatting.numbers import NOTHING, four_digits, percent
+from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.report.console import add_rows, new_table
@@ -85,8 +86,16 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f"({pairs.groundtruth.path_length_m:.1f} m)"
         + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
         + _dropped(evaluation),
+        *_up(evaluation.groundtruth.up, evaluation.estimate.up),
         *_score(evaluation),
     ]
+
+
+def _up(groundtruth: UpAxis, estimate: UpAxis) -> list[str]:
+    """Say which axes are up, unless nobody says other than z."""
+    if {groundtruth.origin, estimate.origin} == {ASSUMED}:
+        return []
+    return [f"  up: {groundtruth} of the groundtruth, {estimate} of the estimate"]
 
 
 def _score(evaluation: Evaluation) -> list[str]:

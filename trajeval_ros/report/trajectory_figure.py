@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
@@ -23,23 +24,30 @@ _MARGIN = 0.04
 
 
 def top_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw estimates and groundtruth in the xy plane."""
+    """Draw estimates and groundtruth in the level plane, seen from above."""
     return _view(evaluations, names, (0, 1), "Top view")
 
 
 def side_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
     """Draw estimates and groundtruth with height, over the longer of the level axes."""
-    extent = np.ptp(evaluations[0].groundtruth.positions, axis=0)
+    truth = evaluations[0].groundtruth
+    extent = np.ptp(truth.up.turned(truth.positions), axis=0)
     return _view(evaluations, names, (1 if extent[1] > extent[0] else 0, 2), "Side view")
 
 
 def _view(
     evaluations: Sequence[Evaluation], names: Sequence[str], plane: tuple[int, int], title: str
 ) -> Figure:
+    """Draw two of the groundtruth's level axes and height, which is the third."""
     first = evaluations[0]
+    upward = first.groundtruth.up
+
+    def seen(trajectory: Trajectory) -> Floats:
+        return upward.turned(trajectory.positions)[:, plane]
+
     everything = np.concatenate(
-        [first.groundtruth.positions, *(each.aligned.positions for each in evaluations)]
-    )[:, plane]
+        [seen(first.groundtruth), *(seen(each.aligned) for each in evaluations)]
+    )
     low, high = everything.min(axis=0), everything.max(axis=0)
     extent = np.maximum(high - low, 1e-3)
     # The figure takes the shape of the flight, so that equal axes leave no empty paper.
@@ -49,7 +57,7 @@ def _view(
     max_gap_s = first.protocol.association.max_gap_s
     truth = first.groundtruth
     axes.plot(
-        *canvas.thinned(truth.positions[:, plane], truth.stamps, max_gap_s).T,
+        *canvas.thinned(seen(truth), truth.stamps, max_gap_s).T,
         color=canvas.GROUNDTRUTH_COLOUR,
         linewidth=1.7,
         label="groundtruth",
@@ -58,14 +66,14 @@ def _view(
         colour, dashes = canvas.line_style(place)
         aligned = evaluation.aligned
         axes.plot(
-            *canvas.thinned(aligned.positions[:, plane], aligned.stamps, max_gap_s).T,
+            *canvas.thinned(seen(aligned), aligned.stamps, max_gap_s).T,
             color=colour,
             linestyle=dashes,
             linewidth=1.0,
             label=name,
         )
-    _draw_correspondences(axes, evaluations, plane)
-    start = first.association.groundtruth.positions[0, plane]
+    _draw_correspondences(axes, evaluations, seen)
+    start = seen(first.association.groundtruth)[0]
     axes.plot(
         *start[:, None],
         linestyle="none",
@@ -81,7 +89,8 @@ def _view(
     axes.set_xlim(centre[0] - half[0], centre[0] + half[0])
     axes.set_ylim(centre[1] - half[1], centre[1] + half[1])
     axes.set_aspect("equal")
-    across, up = "xyz"[plane[0]], "xyz"[plane[1]]
+    labels = [*("xyz"[each] for each in upward.level), upward.name]
+    across, up = (labels[each] for each in plane)
     axes.set_xlabel(f"{across} [m]")
     axes.set_ylabel(f"{up} [m]")
     canvas.head(axes, inches[0], f"{title} ({across}{up})\n{alignment_of(evaluations)}")
@@ -89,7 +98,7 @@ def _view(
 
 
 def _draw_correspondences(
-    axes: Axes, evaluations: Sequence[Evaluation], plane: tuple[int, int]
+    axes: Axes, evaluations: Sequence[Evaluation], seen: Callable[[Trajectory], Floats]
 ) -> None:
     """Join a hundred states of each estimate, evenly along the path, with their groundtruth."""
     from matplotlib.collections import LineCollection
@@ -100,8 +109,7 @@ def _draw_correspondences(
         along = truth.travelled
         evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _CORRESPONDENCES))
         rows = np.unique(np.minimum(evenly, len(along) - 1))
-        both = np.stack([truth.positions[rows], aligned.positions[rows]], axis=1)
-        ends.append(both[:, :, plane])
+        ends.append(np.stack([seen(truth)[rows], seen(aligned)[rows]], axis=1))
     axes.add_collection(
         LineCollection(
             list(np.concatenate(ends)),

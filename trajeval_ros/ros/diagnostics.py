@@ -112,6 +112,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> list
     elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
         misleading = snapshot.alignment.freedom.misleading
         complaints += [(WARN, misleading)] if misleading else []
+    if estimate.doubt:
+        complaints.append((WARN, estimate.doubt.replace("--up=", "up:=")))
     if estimate.jumps.count:
         complaints.append((WARN, f"{estimate.jumps.count} jumps: restarted with a new origin?"))
     lost = run.groundtruth.lost + estimate.side.lost

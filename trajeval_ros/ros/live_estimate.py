@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trajeval_ros.consistency.marginal_covariances import unknown_covariances
+from trajeval_ros.diagnosis.vertical import doubt_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
-from trajeval_ros.online.reports import Update, united
+from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.held_messages import HeldMessages
@@ -44,6 +47,8 @@ class LiveEstimate:
         trail: The run in few poses.
         revised: The newest path, if the topic carries paths.
         watch: Is given all new pairs, to draw them.
+        doubt: Why the axis that is taken for up in the groundtruth can't be, as of the newest
+            snapshot; empty if it can.
     """
 
     def __init__(
@@ -80,6 +85,8 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge)
+        self.doubt = ""
+        self._given_up = None if settings.up is None else settings.up[1]
         self._held = HeldMessages() if hold else None
         self._released: list[Update] = []
         self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
@@ -100,6 +107,11 @@ class LiveEstimate:
             self._now_or_later(
                 "groundtruth", stamps, lambda: self.evaluator.add_groundtruth(stamps, rows)
             )
+
+    @property
+    def up(self) -> UpAxis:
+        """Which axis points up in its frame."""
+        return self.stream.up(self._given_up)
 
     @property
     def held_s(self) -> float:
@@ -126,6 +138,16 @@ class LiveEstimate:
         """Evaluate what has arrived and write its pairs; returns what is new."""
         released, self._released = self._released, []
         return united([*released, self.evaluator.update(at_end=at_end)])
+
+    def snapshot(self) -> Snapshot:
+        """Return the state of the evaluation, without yaw and tilt where up is doubtful."""
+        snapshot = self.evaluator.snapshot()
+        stamps, truth, _ = self.trail.columns()
+        if len(stamps):
+            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.groundtruth_up))
+        if not self.doubt:
+            return snapshot
+        return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
 
     def digest(self) -> list[Jump]:
         """Take the pairs since the last call into trail and revision; returns their jumps.
@@ -179,6 +201,7 @@ class LiveEstimate:
                 "duration_s": status.duration_s,
                 "frame": status.frame,
                 "child_frame": status.child_frame,
+                "up": asdict(self.up),
                 "notes": list(status.notes),
             },
             "dropped": add_counts(status.dropped, evaluator.buffer.dropped),
@@ -220,17 +243,19 @@ class LiveEstimate:
             return
         self._newest = message_type, taken.payloads[-1]
         poses = self.stream.poses(message_type, taken.payloads, arrived)
+        self.evaluator.estimate_up = self.up
         received = np.array(taken.received, dtype=np.int64)[poses.rows]
         self.clock.add_estimate(poses.stamps, poses.states)
         self._now_or_later("estimate", poses.stamps, lambda: self._evaluate(poses, received))
 
     def _take_path(self, payload: bytes, arrived_ns: int) -> None:
         """Take a path: evaluate the poses that are new, and remember how it sees the others."""
+        path = self.stream.path(payload)
+        self.evaluator.estimate_up = self.up
         if self.revised is None:
-            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge)
+            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
             reason = "a path is revised as it goes, which hides its clock"
             self.clock.report = ClockReport(status="unobservable", reason=reason)
-        path = self.stream.path(payload)
         rows = self.revised.renew(path.stamps, path.states)
         new = StateColumns(path.stamps[rows], path.states[rows], path.rows[rows])
         self.stream.count_new(new, arrived_ns)

@@ -12,6 +12,7 @@ from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairingBuffer
 from trajeval_ros.online.reports import Update
@@ -62,6 +63,7 @@ class LiveRun:
         """
         self.groundtruth, self.finisher = groundtruth, Finisher(folder)
         self.words = words
+        self._given_up = None if settings.up is None else settings.up[0]
         self.watch: Callable[[Stamps, Floats], object] | None = None
         self.estimates = [
             LiveEstimate(side, settings, folder, groundtruth.source, place, hold=find_offset)
@@ -71,11 +73,17 @@ class LiveRun:
         for each in self.estimates:
             each.write_state(self._state(each))
 
+    @property
+    def groundtruth_up(self) -> UpAxis:
+        """Which axis points up in the groundtruth's frame."""
+        return self.groundtruth.stream.up(self._given_up)
+
     def take(self, now_ns: int | None) -> None:
         """Take what has arrived; `now_ns` is the simulated time."""
         for message_type, taken, arrived in self.groundtruth.take(now_ns):
             poses = self.groundtruth.stream.poses(message_type, taken.payloads, arrived)
             for each in self.estimates:
+                each.evaluator.groundtruth_up = self.groundtruth_up
                 each.add_groundtruth(poses.stamps, poses.states)
             if self.watch is not None:
                 self.watch(poses.stamps, poses.states)
@@ -218,6 +226,7 @@ class LiveRun:
                 "time_without_gaps_ns": buffer.groundtruth_time,
                 "frame": truth.frame,
                 "child_frame": truth.child_frame,
+                "up": asdict(self.groundtruth_up),
                 "dropped": self.groundtruth_dropped(estimate),
                 "notes": list(truth.notes),
             },

@@ -141,13 +141,13 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         if begin < self._snapshot_at:
             return
         for estimate in self._run.estimates:
-            snapshot = estimate.evaluator.snapshot()
+            snapshot = estimate.snapshot()
             self._snapshots[estimate.name] = snapshot
             outputs = self._outputs[estimate.name]
             revised = None
             if estimate.revised is not None:
                 outputs.advertise_revised()
-                revised = estimate.revised.position_rmse_m()
+                revised = estimate.revised.position_rmse_m(self._run.groundtruth_up)
             outputs.publish_snapshot(snapshot, revised)
             self._picture.snapshot(estimate, snapshot, revised)
             if snapshot.alignment is not None:

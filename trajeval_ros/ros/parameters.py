@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+from trajeval_ros.io.requests.request_words import parse_up
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
@@ -105,6 +106,13 @@ PARAMETERS = (
         "0",
         f"Added to the estimates' stamps, seconds; or {AUTO}: estimated from the first minute, "
         "and applied to all of them if it is significant.",
+    ),
+    NodeParameter(
+        "up",
+        "",
+        "The axis that points up in all frames (x, y, z, -x, -y, -z), or in the groundtruth's and "
+        "the estimates', as in -y,z. Empty: -y for frames named *_optical and *_optical_frame, "
+        "else z. YAML needs quotes for 'y'.",
     ),
     NodeParameter(
         "publish_rate",
@@ -267,4 +275,5 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         protocol=protocol_from("default", **words_of(values)),
         window=Window.parse(values["window"]),
         freeze=values["align_states"] == FROZEN,
+        up=parse_up(values["up"]) if values["up"] else None,
     )

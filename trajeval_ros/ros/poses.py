@@ -14,6 +14,7 @@ from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
@@ -103,6 +104,10 @@ class PoseStream:
         self._previous: int | None = None
         self._in_a_row = 0
         self._is_told = False
+
+    def up(self, given: str | None) -> UpAxis:
+        """Return which axis points up: the one given, or what the name of the frame tells."""
+        return UpAxis(given) if given else UpAxis.of_frame(self.status.frame)
 
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps

@@ -95,7 +95,7 @@ class RerunOutput:
     def close(self) -> list[str]:
         """Draw the end and have everything out; returns what has gone wrong."""
         for estimate in self._run.estimates:
-            self.snapshot(estimate, estimate.evaluator.snapshot(), None)
+            self.snapshot(estimate, estimate.snapshot(), None)
         for stream, _ in self._streams:
             stream.end()
         late = [stream.name for stream, _ in self._streams if not stream.close()]
@@ -109,7 +109,8 @@ class RerunOutput:
         return stream
 
     def _groundtruth(self, stamps: Stamps, states: Floats) -> None:
-        self._put(lambda scene: scene.groundtruth(stamps, states))
+        up = self._run.groundtruth_up
+        self._put(lambda scene: scene.groundtruth(stamps, states, up))
 
     def _pairs(self, name: str, pairs: Pairs) -> None:
         self._put(lambda scene: scene.pairs(name, *pairs))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.entity_data import marker
 from trajeval_ros.viewer.scene_entities import (
@@ -33,10 +34,12 @@ from trajeval_ros.viewer.sdk import sdk
 _AXES_M = 0.4
 
 
-def declare(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
-    """Log once how everything looks."""
+def declare(recording: Any, estimates: Sequence[EstimateEntities], up: UpAxis) -> None:
+    """Log once how everything looks, in a world in which this axis is up."""
     rerun, _ = sdk()
-    recording.log(WORLD, rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    way = "DOWN" if up.name.startswith("-") else "UP"
+    view = f"RIGHT_HAND_{up.name[-1].upper()}_{way}"
+    recording.log(WORLD, getattr(rerun.ViewCoordinates, view), static=True)
     _declare_path(recording, GroundtruthEntities.path, colours.GROUNDTRUTH, 1.2)
     _declare_pose(recording, GroundtruthEntities.pose, colours.GROUNDTRUTH)
     for each in estimates:

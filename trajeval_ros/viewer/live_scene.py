@@ -12,6 +12,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
@@ -59,7 +60,7 @@ class LiveScene:
         """Begin, for a run of that title and estimates of these names."""
         self._title = title
         self._recording: Any = None
-        self._gauge = gauge
+        self._gauge, self._up = gauge, Z_UP
         self._estimates = {
             name: LiveEstimatePicture(scene_entities.EstimateEntities(name, place), self._log)
             for place, name in enumerate(names)
@@ -75,7 +76,7 @@ class LiveScene:
         """Draw on a recording from now on, and first what came before it."""
         self._recording = recording
         recording.send_recording_name(self._title)
-        appearance.declare(recording, self._entities)
+        appearance.declare(recording, self._entities, self._up)
         if self._origin is not None:
             self._draw_origin()
         stamps, points = self._truth_memory.columns()
@@ -101,7 +102,7 @@ class LiveScene:
                 self._tell(int(stamps[-1]), is_growing=False)
         self._frame()
 
-    def groundtruth(self, stamps: Stamps, states: Floats) -> None:
+    def groundtruth(self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP) -> None:
         """Take groundtruth: stamps (N,), and rows (N, 10) of position, xyzw and velocity."""
         usable = np.isfinite(states[:, :3]).all(axis=1)
         stamps, states = stamps[usable], states[usable]
@@ -111,6 +112,10 @@ class LiveScene:
             self._origin = origin_for(states[:, :3])
             self._begin = int(stamps[0])
             self._draw_origin()
+            if up != self._up:
+                self._up = up
+                if self._recording is not None:
+                    appearance.declare(self._recording, self._entities, up)
             self._log(
                 self._begin,
                 scene_entities.GroundtruthEntities.start,
@@ -242,7 +247,8 @@ class LiveScene:
         """Move the estimate, and tell of it if that is far."""
         before, each.similarity = each.similarity, similarity
         self._log(stamp, each.entities.frame, entity_data.alignment(similarity))
-        yaw = float(Rotation.from_matrix(similarity.rotation).as_euler("ZYX", degrees=True)[0])
+        level = self._up.matrix @ similarity.rotation @ self._up.matrix.T
+        yaw = float(Rotation.from_matrix(level).as_euler("ZYX", degrees=True)[0])
         self._number(stamp, each, scene_entities.ALIGNMENT_YAW, yaw)
         if self._gauge.has_scale:
             self._number(stamp, each, scene_entities.SCALE, similarity.scale)

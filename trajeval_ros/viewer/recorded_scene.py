@@ -95,7 +95,7 @@ def _draw(
     estimates: Sequence[scene_entities.EstimateEntities],
     origin: Floats,
 ) -> None:
-    appearance.declare(recording, estimates)
+    appearance.declare(recording, estimates, evaluations[0].groundtruth.up)
     full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
     truth = evaluations[0].groundtruth
     rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))

@@ -12,6 +12,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
 from trajeval_ros.io.bags.recorded_topic import Topic
 from trajeval_ros.io.bags.topic_readers import (
@@ -189,6 +190,7 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
         velocities=None if velocities is None else velocities[timed],
         covariances=None if covariances is None else covariances[timed],
         frame=columns.frames[0][1],
+        up=UpAxis.of_frame(columns.frames[0][1]),
         child_frame=columns.frames[0][2],
         name=topic.name.strip("/"),
         dropped={
@@ -215,6 +217,7 @@ def _transform_trajectory(
         positions,
         quaternions,
         frame=parent,
+        up=UpAxis.of_frame(parent),
         child_frame=child,
         name=f"{parent}.{child}",
         dropped={"undecodable": sum(each.undecodable for each in tree)},

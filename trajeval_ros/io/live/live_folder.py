@@ -9,6 +9,7 @@ as it was first published stand beside them.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ import numpy as np
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.results.result_json import statistics_json
@@ -110,7 +113,15 @@ def _evaluate_pairs(
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
     request = dataclasses.replace(request, protocol=protocol)
-    pairs, truth_notes, notes = _association(recorded, protocol)
+    ups = [UpAxis(**truth["up"]), UpAxis(**estimate["up"])]
+    if request.up is not None:
+        if protocol.gauge is Gauge.PLANAR and request.up != tuple(each.name for each in ups):
+            raise SettingsError(
+                f"a live run of gauge planar keeps what lies in the plane across {ups[0].name}, "
+                "and another up axis needs the rest; evaluate a bag"
+            )
+        ups = [UpAxis(each) for each in request.up]
+    pairs, truth_notes, notes = _association(recorded, protocol, ups)
     live, warnings = dict(state["live"]), list(state["warnings"])
     later = len(recorded.stamps) - recorded.pairs_at_state
     if later or recorded.torn:
@@ -136,12 +147,13 @@ def _evaluate_pairs(
             path_length_m=counts.get("path_length_m", 0.0),
             frame=counts["frame"],
             child_frame=counts["child_frame"],
-            notes=(*counts["notes"], *said),
+            up=trajectory.up,
+            notes=(*counts["notes"], *said, *used.notes),
             fingerprint=fingerprint(trajectory),
         )
-        for side, counts, trajectory, said in (
-            ("groundtruth", truth, pairs.groundtruth, truth_notes),
-            ("estimate", estimate, pairs.estimate, notes),
+        for side, counts, trajectory, said, used in (
+            ("groundtruth", truth, pairs.groundtruth, truth_notes, evaluation.groundtruth),
+            ("estimate", estimate, pairs.estimate, notes, evaluation.estimate),
         )
     ]
     run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
@@ -149,7 +161,7 @@ def _evaluate_pairs(
 
 
 def _association(
-    recorded: RecordedPairs, protocol: Protocol
+    recorded: RecordedPairs, protocol: Protocol, ups: Sequence[UpAxis]
 ) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
     """Return the pairs in order of their stamps, with the counts, and notes about either side."""
     # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
@@ -161,8 +173,8 @@ def _association(
     rule = protocol.association
     pairs = Association(
         rule=rule,
-        groundtruth=groundtruth,
-        estimate=estimate,
+        groundtruth=dataclasses.replace(groundtruth, up=ups[0]),
+        estimate=dataclasses.replace(estimate, up=ups[1]),
         estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
         coverage=_coverage(groundtruth, recorded, rule),
         dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
@@ -201,7 +213,8 @@ def _revised(
     try:
         with np.load(path, allow_pickle=False) as file:
             quaternions = lie.normalized(file["quaternions"])
-            revised = Trajectory(file["stamps"], file["positions"], quaternions)
+            up = causal.estimate.up
+            revised = Trajectory(file["stamps"], file["positions"], quaternions, up=up)
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path} can't be read: {error}") from error
     stamps = revised.stamps

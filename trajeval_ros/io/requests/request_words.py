@@ -10,6 +10,7 @@ from typing import Any
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.io.requests.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.pipeline import Request
@@ -35,6 +36,7 @@ WORDS: dict[str, type] = {
     "re_form": str,
     "covariance": str,
     "rotation_covariance_frame": str,
+    "up": str,
 }
 
 
@@ -55,6 +57,7 @@ def request_from(words: Mapping[str, Any]) -> Request:
     noise = None if noise is None else parse_noise(noise)
     covariance = given.pop("covariance", NONE)
     frame = given.pop("rotation_covariance_frame", "world")
+    up = given.pop("up", None)
     name = given.pop("protocol", "default")
     protocol = protocol_from(
         read_protocol(Path(name)) if is_protocol_file(name) else name,
@@ -69,7 +72,7 @@ def request_from(words: Mapping[str, Any]) -> Request:
             "add --covariance message, --covariance FILE.npz or --association continuous"
         )
     covariances = _covariances(covariance, frame, None if continuous else noise)
-    return Request(protocol, calibration, covariances)
+    return Request(protocol, calibration, covariances, up=None if up is None else parse_up(up))
 
 
 def _calibration(time_offset: str | None, hand_eye: str) -> CalibrationRequest:
@@ -102,6 +105,21 @@ def _covariances(source: str, frame: str, noise: tuple[float, float] | None) -> 
     return CovarianceRequest(
         "joint", read_joint_covariance(Path(source)), source, frame, groundtruth_noise=noise
     )
+
+
+def parse_up(text: str) -> tuple[str, str]:
+    """Read "-y", or "-y,z": the up axes of the groundtruth and of the estimates.
+
+    Raises:
+        SettingsError: It is neither.
+    """
+    axes = [each.strip() for each in text.split(",")]
+    if len(axes) > 2:
+        raise SettingsError(
+            f"can't read the up axes {text!r}; write one of {', '.join(UP_AXES)}, or the "
+            "groundtruth's and the estimates', as in --up=-y,z"
+        )
+    return UpAxis(axes[0]).name, UpAxis(axes[-1]).name
 
 
 def parse_noise(text: str) -> tuple[float, float]:

@@ -10,6 +10,8 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros import __version__
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
 from trajeval_ros.metrics.evaluation import SubTrajectoryErrors
@@ -38,9 +40,10 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "path_length_m": groundtruth.path_length_m,
             "frame": groundtruth.frame,
             "child_frame": groundtruth.child_frame,
+            "up": dataclasses.asdict(groundtruth.up),
             "notes": list(groundtruth.notes),
         },
-        "runs": [_run(run) for run in runs],
+        "runs": [_run(run, groundtruth.up) for run in runs],
         "failed": [dataclasses.asdict(each) for each in outcome.failed],
         "provenance": {
             "version": __version__,
@@ -58,10 +61,12 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _run(run: RunOutcome) -> dict[str, Any]:
+def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
     evaluation, estimate = run.evaluation, run.estimate
     protocol, pairs = evaluation.protocol, evaluation.association
     similarity, coverage = evaluation.alignment.similarity, pairs.coverage
+    if protocol.is_upright:  # then it is between these worlds
+        similarity = between_own_axes(similarity, truth_up, estimate.up)
     return {
         "estimate": {
             "source": estimate.source,
@@ -70,6 +75,7 @@ def _run(run: RunOutcome) -> dict[str, Any]:
             "duration_s": estimate.duration_s,
             "frame": estimate.frame,
             "child_frame": estimate.child_frame,
+            "up": dataclasses.asdict(estimate.up),
             "notes": list(estimate.notes),
         },
         "association": {

@@ -14,6 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.text.decimals import ParsedRows, RowError, parse_rows
 from trajeval_ros.io.text.head import COMMENT, TextFormat, read_head, recognise_text
@@ -27,6 +28,7 @@ Advance = Callable[[int, int], None]
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
 _FRAMES = 10**8  # a sequence has fewer
+_CAMERA = UpAxis("-y", "KITTI's camera axes")
 _BLOCK = 1 << 19  # bytes that are parsed at once: their arrays stay in the processor's cache
 
 
@@ -67,6 +69,7 @@ def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
         covariances=covariances,
         frames=frames,
         matrices=groups["matrix"].reshape(-1, 3, 4)[:, :, :3] if "matrix" in groups else None,
+        up=_CAMERA if "matrix" in groups else Z_UP,
         name=path.stem,
         stamped=stamped,
         numbered=layout.indexed,
