@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
@@ -98,6 +98,8 @@ def evos_choice(stamp: int, others: list[int]) -> int:
 
 
 @given(truth=coarse_times, estimate=coarse_times)
+# The very limit: before the first, after and before one between, and after the last.
+@example(truth=[310, 10, 100, 200, 300], estimate=[0, 110, 190, 320])
 @pytest.mark.parametrize("ordered", [True, False])
 def test_evo_takes_the_rows_that_evo_takes(
     ordered: bool, truth: list[int], estimate: list[int]

@@ -111,6 +111,14 @@ def test_another_body_is_noticed(name: str) -> None:
     assert "rotation of 109 deg" in hint
 
 
+@pytest.mark.parametrize(("deg", "hinted"), [(4.0, False), (7.0, True)])
+def test_another_body_is_told_from_five_degrees_on(deg: float, hinted: bool) -> None:
+    turn = np.radians(deg) * np.array([0.0, 0.6, 0.8])
+    found = hints(evaluate(*fly(1, 40.0, fault=Fault(0.0, 0.0, turn), drift=0.1), YAW))
+    assert bool(found) is hinted
+    assert all(BODIES in each and f"rotation of {deg:.0f} deg" in each for each in found)
+
+
 def test_a_world_that_is_turned_is_no_other_body() -> None:
     truth, estimate = fly(1, 40.0)
     assert estimate.rotations is not None

@@ -19,6 +19,8 @@ import pyarrow.parquet
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, run_plan
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.pooling import pooled_rows
+from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.summary_tables import ComparisonSummary, matrices, summary_of
 from trajeval_ros.cli.app import main
@@ -306,3 +308,57 @@ def test_usage_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixt
         assert main(["compare", config, *arguments]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert said in line
+
+
+def record_of(errors: dict[str, np.ndarray], sizes: dict[str, float | None]) -> Record:
+    """Return the record of a run whose sub-trajectories have these errors, m and deg."""
+    segments = [{} if size is None else {"length_m": size} for size in sizes.values()]
+    absolute = dict.fromkeys(("position_m", "rotation_deg", "yaw_deg", "tilt_deg"))
+    result = {"runs": [{"ate": absolute, "re": {"segments": segments}}]}
+    columns = {
+        f"{length}.{metric}": rows
+        for length in sizes
+        for metric, rows in zip(("position_m", "rotation_deg"), errors[length], strict=True)
+    }
+    return Record("", result, tuple(sizes), (0, 1), columns)
+
+
+@pytest.mark.parametrize("sizes", [(8.0, 8.0), (8.0, 10.0)], ids=["metres", "shares"])
+def test_pooled_drift_is_each_error_over_the_length_of_its_own_trial(
+    sizes: tuple[float, float],
+) -> None:
+    random = np.random.default_rng(3)
+    trials = [random.uniform(0.1, 2.0, (2, count)) for count in (5, 7)]
+    records = [
+        record_of({"25%": errors}, {"25%": size})
+        for errors, size in zip(trials, sizes, strict=True)
+    ]
+    rows = {row["metric"]: row for row in pooled_rows("vio", "hall", 3, records)}
+    expected = {
+        "position_m": trials[0][0].tolist() + trials[1][0].tolist(),
+        "rotation_deg": trials[0][1].tolist() + trials[1][1].tolist(),
+        "position_percent": [
+            100.0 * each / size
+            for errors, size in zip(trials, sizes, strict=True)
+            for each in errors[0]
+        ],
+        "rotation_deg_per_m": [
+            each / size for errors, size in zip(trials, sizes, strict=True) for each in errors[1]
+        ],
+    }
+    assert rows.keys() == expected.keys()
+    for metric, errors in expected.items():
+        row = rows[metric]
+        assert (row["count"], row["trials"], row["evaluated"]) == (12, 3, 2)
+        assert row["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
+        assert row["mean"] == pytest.approx(np.mean(errors))
+        assert (row["min"], row["max"]) == pytest.approx((min(errors), max(errors)))
+        for name, share in {"p5": 5, "p25": 25, "median": 50, "p75": 75, "p95": 95}.items():
+            assert row[name] == pytest.approx(np.percentile(errors, share)), name
+
+
+def test_pooled_durations_have_no_drift() -> None:
+    record = record_of({"1s": np.ones((2, 4))}, {"1s": None})
+    rows = list(pooled_rows("vio", "hall", 1, [record]))
+    assert [row["metric"] for row in rows] == ["position_m", "rotation_deg"]
+    assert [row["length_m"] for row in rows] == [None, None]

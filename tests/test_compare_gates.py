@@ -467,3 +467,17 @@ def test_a_run_that_failed_before_is_not_new(today: Path, yesterday: Path) -> No
     )
     assert found["bad", "yard"] == "failed"
     assert found["bad", "hall"] != "worse"
+
+
+@pytest.mark.parametrize(("asked", "verdict"), [(4.7, "worse"), (5.3, "undecided")])
+def test_a_deviation_is_the_median_distance_to_the_baselines_median(
+    asked: float, verdict: str, tmp_path: Path
+) -> None:
+    # Distances are 0 1 1 2 2 3 3 4 4 hundredths, so a deviation is 0.02, without the factor of
+    # 1.48 that would make it the standard deviation of a normal distribution.
+    steps = [each / 100.0 for each in range(-4, 5)]
+    own: list[float | None] = [1.0 + step for step in steps]
+    worse: list[float | None] = [1.05 + 5.0 * 0.02 + step for step in steps]
+    before, now = {"s0": own, "s1": own, "s2": own}, {"s0": own, "s1": worse, "s2": own}
+    judgement = judged(tmp_path, before, now, f"{GATE} + {asked} MAD")
+    assert judgement.gates[0].numbers[1].verdict == verdict

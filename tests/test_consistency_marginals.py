@@ -10,6 +10,7 @@ from consistency_runs import aligned_run, some_covariance, trajectory_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 from strategies import make_groundtruth
 from visual_inertial_scenes import frobenius, scene_of
 
@@ -22,6 +23,7 @@ from trajeval_ros.consistency.marginal_covariances import (
     without_initial_prior,
 )
 from trajeval_ros.consistency.nees import diagonal_blocks
+from trajeval_ros.consistency.result import summary_of
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
@@ -151,3 +153,10 @@ def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() ->
         assert np.linalg.eigvalsh(slack / units / units[:, None]).min() > -1e-9
     none = STransformation.of_alignment(Gauge.NONE, None, truth, truth)
     np.testing.assert_array_equal(upper_bounds(marginals, none), marginals)
+
+
+@pytest.mark.parametrize("poses", [1, 2, 40, 3000])
+def test_the_largest_of_independent_poses_stays_under_its_limit_in_95_percent(poses: int) -> None:
+    limit = summary_of(np.append(np.ones(poses), np.nan)).limit_95
+    # By Bonferroni's inequality, which is too careful by 0.13 % where poses are independent.
+    assert 0.9499999 < chi2.cdf(6.0 * limit, 6) ** poses < 0.9513

@@ -26,6 +26,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import ATE_METRICS
 from trajeval_ros.metrics.protocol import Protocol
@@ -493,3 +494,30 @@ def test_sim3_by_one_state_is_refused_with_the_reason() -> None:
     protocol = dataclasses.replace(BASE, gauge=Gauge.SIM3, align_states=1)
     with pytest.raises(DegenerateGeometryError, match="no scale"):
         evaluate(groundtruth, groundtruth, protocol)
+
+
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3, Gauge.SIM3])
+def test_weights_are_by_the_error_of_the_round_before_in_two_rounds(gauge: Gauge) -> None:
+    groundtruth = make_groundtruth(12, 200)
+    estimate = make_estimate(groundtruth, 13, error_m=0.5)
+    sigmas_m = 10.0 ** np.random.default_rng(14).uniform(-2.0, 1.0, len(estimate))
+    covariances = np.einsum("n,ij->nij", sigmas_m**2, np.eye(6))
+    estimate = dataclasses.replace(estimate, covariances=covariances)
+    if gauge.has_scale:
+        estimate = moved(estimate, Similarity(np.eye(3), np.zeros(3), 0.5))
+    protocol = dataclasses.replace(BASE, gauge=gauge, lengths=(), align_weights="covariance")
+    evaluation = evaluate(groundtruth, estimate, protocol)
+    truth, own = evaluation.association.groundtruth, evaluation.association.estimate
+    assert own.covariances is not None
+    traces = np.trace(own.covariances[:, :3, :3], axis1=1, axis2=2)
+    rounds = [align(gauge, truth.positions, own.positions).similarity]
+    for _ in range(3):
+        last = rounds[-1]
+        apart = truth.positions - (own.positions @ last.linear.T + last.translation)
+        error_m2 = np.mean(np.sum(apart**2, axis=1))
+        weights = 1.0 / (last.scale**2 * traces / 3.0 + error_m2 / 3.0)
+        rounds.append(align(gauge, truth.positions, own.positions, weights).similarity)
+    found = evaluation.alignment.similarity.translation
+    assert found == pytest.approx(rounds[2].translation, abs=1e-12)
+    for other in (0, 1, 3):
+        assert np.abs(found - rounds[other].translation).max() > 1e-9

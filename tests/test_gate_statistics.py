@@ -196,3 +196,18 @@ def test_a_known_spread_is_a_test_of_normal_numbers() -> None:
     assert estimate == pytest.approx(0.2)
     reach = -stats.norm.ppf(outcome.levels.pooled) * 0.15
     assert (low, high) == pytest.approx((0.2 - reach, 0.2 + reach))
+
+
+def test_a_change_that_a_known_spread_shows_is_found_in_four_of_five() -> None:
+    margin, sizes = 0.05, [(3, 3), (5, 2), (1, 1)]
+    known = KnownSpread(0.15, sizes, FALSE_ALARMS)
+    together, alone = known.noticeable(margin)
+    levels = known.levels
+    errors = 0.15 * np.sqrt([1.0 / old + 1.0 / new for old, new in sizes])
+    pooled_error = 1.0 / math.sqrt((errors**-2).sum())
+    found = stats.norm.sf(stats.norm.isf(levels.pooled) - (together - margin) / pooled_error)
+    assert found == pytest.approx(0.8)
+    # The test is by Sidak's level of one of three, and what is said by Bonferroni's: 1 % smaller.
+    least = stats.norm.isf(1.0 - (1.0 - levels.numbers) ** (1.0 / 3.0))
+    found_alone = stats.norm.sf(least - (alone - margin) / errors)
+    assert found_alone == pytest.approx([0.8] * 3, abs=0.005)

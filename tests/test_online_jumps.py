@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import make_element, make_groundtruth, seeds
+from strategies import along_line, make_element, make_groundtruth, seeds
 
+from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.pairing import Pairs, states
+from trajeval_ros.pipeline import evaluate
 
 
 def pairs_of(truth: Trajectory, estimate: Trajectory) -> Pairs:
@@ -95,3 +99,34 @@ def test_pairs_that_come_late_are_passed_over() -> None:
     assert detector.update(late, 1.0) == []
     assert detector.update(part(pairs, 0, 0), 1.0) == []
     assert detector.count == 0
+
+
+@pytest.mark.parametrize(
+    ("true_m", "typical_m", "typical_deg", "limit_m", "limit_deg"),
+    [
+        (0.1, 0.0, 0.0, 1.0, 30.0),  # the least that counts
+        (0.1, 0.3, 5.0, 3.0, 50.0),  # ten times what is usual
+        (7.0, 0.3, 0.0, 7.0, 30.0),  # across a hole, as far as the robot moved
+    ],
+)
+def test_a_jump_is_beyond_the_least_the_usual_and_the_way(
+    true_m: float, typical_m: float, typical_deg: float, limit_m: float, limit_deg: float
+) -> None:
+    factors = np.array([0.99, 1.01, 0.0, 0.0])
+    steps = Steps(np.full(4, true_m), factors * limit_m, factors[::-1] * limit_deg)
+    assert steps.jumps(typical_m, typical_deg).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(("origin_m", "told"), [(0.3, False), (1.5, True)])
+def test_an_evaluation_tells_a_new_origin_of_more_than_a_metre(
+    origin_m: float, told: bool
+) -> None:
+    # The origin moves in the direction of the flight, so that a step is longer by all of it.
+    truth = along_line(0.05 * np.arange(200.0), [1.0, 2.0, 2.0], noise_m=0.002)
+    positions = truth.positions.copy()
+    positions[120:] += origin_m * np.array([1.0, 2.0, 2.0]) / 3.0
+    estimate = dataclasses.replace(truth, positions=positions)
+    evaluation = evaluate(truth, estimate, Protocol(lengths=()))
+    jumps = [each for each in evaluation.warnings if "the estimate jumps" in each]
+    assert bool(jumps) is told
+    assert all("once, first 12.0 s" in each and f"{origin_m:.2f} m" in each for each in jumps)

@@ -227,3 +227,25 @@ def test_large_coordinates_keep_the_figure_small(tmp_path: Path) -> None:
     truth: Trajectory = dataclasses.replace(flight.groundtruth, positions=far)
     for path in write_figures([evaluate(truth, truth[::10])], tmp_path):
         assert max(_pixels(path).shape) < 2600
+
+
+def test_boxes_and_whiskers_are_what_the_title_says() -> None:
+    from trajeval_ros.report.relative_figure import relative_error
+
+    evaluation = _evaluation()
+    assert evaluation.segments is not None
+    with canvas.house_style():
+        figure = relative_error([evaluation], ["vio"])
+    assert "boxes: median and quartiles; whiskers: 5 % to 95 %" in figure.get_suptitle()
+    (axes,) = (each for each in figure.axes if each.get_ylabel() == "position error [m]")
+    # Of a whisker the ends are its percentile and the quartile.
+    ends = {
+        (round(float(line.get_xdata()[0])), float(end))
+        for line in axes.lines
+        for end in line.get_ydata()
+    }
+    for place, segments in enumerate(evaluation.segments):
+        drawn = sorted(end for group, end in ends if group == place)
+        assert drawn == pytest.approx(
+            np.percentile(segments.errors.position_m, [5, 25, 50, 75, 95])
+        )

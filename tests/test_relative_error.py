@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
-from strategies import Array, make_element, make_groundtruth, seeds
+from strategies import Array, make_element, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.errors import absolute_errors, relative_errors
+from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.pipeline import evaluate
 
 PRECISE = 1e-10
 
@@ -182,3 +184,33 @@ def test_withheld_rotation_takes_all_that_depends_on_it() -> None:
     assert errors.rotation_deg is errors.yaw_deg is errors.tilt_deg is None
     assert errors.velocity_mps is None
     assert errors.gyroscope_bias is not None
+
+
+def test_drift_is_percent_of_the_length_and_degrees_per_metre() -> None:
+    truth = make_groundtruth(3, 200)
+    estimate = make_estimate(truth, 4)
+    evaluation = evaluate(truth, estimate, Protocol(lengths=metres(4, 10)))
+    assert evaluation.segments is not None
+    errors = [(each.errors, each.length.value) for each in evaluation.segments]
+    for segments, (of_length, length_m) in zip(evaluation.segments, errors, strict=True):
+        percent, per_metre = (
+            segments.statistics[name] for name in ("position_percent", "rotation_deg_per_m")
+        )
+        assert percent is not None
+        assert per_metre is not None
+        assert percent.mean == pytest.approx(100.0 * of_length.position_m.mean() / length_m)
+        assert per_metre.max == pytest.approx(of_length.rotation_deg.max() / length_m)
+    percent, per_metre = (
+        evaluation.pooled[name] for name in ("position_percent", "rotation_deg_per_m")
+    )
+    assert percent is not None
+    assert per_metre is not None
+    every = [
+        np.concatenate(each)
+        for each in zip(
+            *[(100.0 * of.position_m / size, of.rotation_deg / size) for of, size in errors],
+            strict=True,
+        )
+    ]
+    assert percent.mean == pytest.approx(every[0].mean())
+    assert per_metre.mean == pytest.approx(every[1].mean())
