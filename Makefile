@@ -9,6 +9,7 @@ COLCON := .venv-colcon
 EVO := .venv-evo
 LOCK := .venv-lock
 FUZZ := .venv-fuzz
+MUTATE := .venv-mutate
 BENCH ?=
 KERNELS ?=
 ROS_TEST_DOMAIN ?= 71
@@ -24,7 +25,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
-	bench-runs parity fuzz lock colcon-environment ros-environment clean test-kernels test-all \
+	bench-runs parity fuzz mutate lock colcon-environment ros-environment clean test-kernels test-all \
 	test-stress
 
 help: ## List the targets.
@@ -95,6 +96,11 @@ fuzz: $(FUZZ)/.installed ## Feed the readers of bags with damaged bytes for five
 	$(FUZZ)/bin/python tests/fuzz_bags.py $(FUZZ)/corpus -max_total_time=$(FUZZ_S) -max_len=8192 \
 		-artifact_prefix=$(FUZZ)/
 
+ROOM ?= metrics
+
+mutate: $(MUTATE)/.installed ## Change lines of a room at random, and list what no test notices; ROOM=batch.
+	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/mutants.py $(ROOM)
+
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
 
@@ -110,7 +116,7 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(FUZZ) build install log dist *.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(FUZZ) $(MUTATE) build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -168,6 +174,12 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 $(FUZZ)/.installed: setup.py constraints.txt
 	$(make_venv)
 	$(FUZZ)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
+	touch $@
+
+$(MUTATE)/.installed: setup.py constraints.txt
+	$(make_venv)
+	$(MUTATE)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]" \
+		cosmic-ray==8.7.0
 	touch $@
 
 $(LOCK)/.installed:

@@ -1,0 +1,189 @@
+"""Change the package's code at random, and tell which changes no test notices: `make mutate`.
+
+cosmic-ray's operators change one place at a time in a copy of the checkout: an operator, a
+comparison, a number, a loop. Then the fast tests of the file are run until one fails. A change
+that survives is a place that no law holds, or one that means the same.
+
+    python tests/mutants.py ROOM [--count 50] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import compileall
+import contextlib
+import difflib
+import multiprocessing
+import os
+import random
+import shutil
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis.extra.numpy  # noqa: F401  what is imported here, no run has to import again
+import numpy as np
+import pytest
+import scipy.sparse.linalg
+import scipy.spatial.transform
+import scipy.stats  # noqa: F401
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
+ROOT = Path(__file__).resolve().parent.parent
+PATIENCE_S = 300.0
+
+# Of each room, which files are tested by which tests, the quickest first.
+ROOMS = {
+    "metrics": {
+        "association evo_association coverage no_match frame_association": (
+            "association kitti_protocol online_revised"
+        ),
+        "alignment moments weighted_alignment": "alignment evaluation_laws",
+        "errors drift span_alignment matrix_errors sub_trajectories": (
+            "sub_trajectories relative_error kitti_protocol benchmark_protocols degenerate"
+        ),
+        "statistics columns score settings protocol": (
+            "statistics protocol columns benchmark_protocols"
+        ),
+        "evaluation input_summary": "degenerate columns kitti_protocol evaluation_laws",
+    },
+    "consistency": {
+        "nees result s_transformation marginal_covariances judgement": (
+            "consistency_laws consistency_marginals consistency_reference consistency_monte_carlo"
+        ),
+        "joint_covariance covariance_request judge": "consistency_reference consistency_cli",
+    },
+    "calibration": {
+        "hand_eye increments observability robust_fit pose_interpolator solve clock_offset": (
+            "calibration_reference calibration_laws calibration_verdicts"
+        ),
+        "row_gains significance apply calibrate calibration_request": (
+            "calibration_verdicts calibration_laws calibration_evaluate calibration_guard"
+        ),
+    },
+    "batch": {
+        "gate gate_values gate_verdicts gates gates_markdown": "compare_gates",
+        "gate_tests relabelling known_spread common_change noticeable": (
+            "gate_statistics compare_gates"
+        ),
+    },
+}
+
+
+class WithoutWords(ast.NodeTransformer):
+    """Takes away what doesn't run: annotations and docstrings."""
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        node.annotation = None
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        node.returns = None
+        self.generic_visit(node)
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AnnAssign:
+        node.annotation = ast.Constant(None)
+        self.generic_visit(node)
+        return node
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr:
+        return ast.Expr(ast.Constant(None)) if isinstance(node.value, ast.Constant) else node
+
+
+def what_runs(source: str) -> str:
+    return ast.dump(WithoutWords().visit(ast.parse(source)))
+
+
+def mutants(files: list[Path], generator: random.Random) -> Iterator[tuple[Path, str]]:
+    """Yield files and what they become, at random: first a place, then what is done to it."""
+    operators = [get_operator(name) for name in operator_names()]
+    ready = [kind() for kind in operators if not kind.arguments()]
+    places = defaultdict(list)
+    for file in files:
+        nodes = list(ast_nodes(get_ast(file.read_text())))
+        for operator in ready:
+            found = (place for node in nodes for place in operator.mutation_positions(node))
+            for occurrence, (start, _) in enumerate(found):
+                places[file, start].append((operator, occurrence))
+    order = list(places)
+    generator.shuffle(order)
+    for file, start in order:
+        before = file.read_text()
+        after = mutate_code(before, *generator.choice(places[file, start]))
+        with contextlib.suppress(SyntaxError):
+            if after is not None and what_runs(after) != what_runs(before):
+                yield file, after
+
+
+def is_green(tests: list[str]) -> bool:
+    """Run tests in a child, which has all libraries already and imports the package anew."""
+    child = multiprocessing.get_context("fork").Process(target=_run, args=(tests,))
+    child.start()
+    child.join(PATIENCE_S)
+    if child.is_alive():
+        child.kill()
+        child.join()
+    return child.exitcode == 0
+
+
+def _run(tests: list[str]) -> None:
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+    sys.path.insert(0, str(Path.cwd()))
+    np.random.seed(0)  # noqa: NPY002  other people's
+    marks = ["-m", "not slow and not ros", "-p", "no:cacheprovider"]
+    sys.exit(pytest.main(["-x", "-q", *marks, *tests]))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("room", choices=ROOMS)
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    sys.dont_write_bytecode = True
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "checkout"
+        left_out = shutil.ignore_patterns(".*", "*.egg-info", "demo_output", "build")
+        shutil.copytree(ROOT, copy, ignore=left_out)
+        os.chdir(copy)
+        compileall.compile_dir(copy / "trajeval_ros", quiet=1)
+        tests_of = {
+            copy / "trajeval_ros" / asked.room / f"{name}.py": [
+                f"tests/test_{test}.py" for test in tests.split()
+            ]
+            for names, tests in ROOMS[asked.room].items()
+            for name in names.split()
+        }
+        every = list(dict.fromkeys(test for tests in tests_of.values() for test in tests))
+        if not is_green(every):
+            print("the tests fail without any change", file=sys.stderr)
+            return 2
+        survivors = 0
+        chosen = mutants(list(tests_of), random.Random(asked.seed))
+        for number, (file, after) in zip(range(1, asked.count + 1), chosen, strict=False):
+            before, times = file.read_text(), file.stat()
+            file.write_text(after)
+            survived = is_green(tests_of[file])
+            file.write_text(before)
+            os.utime(file, (times.st_atime, times.st_mtime))  # its bytecode is valid again
+            survivors += survived
+            name = str(file.relative_to(copy))
+            print(f"{number:3} {name}: {'SURVIVED' if survived else 'killed'}", flush=True)
+            if survived:
+                lines = (each.splitlines() for each in (before, after))
+                changed = list(difflib.unified_diff(*lines, name, name, n=0, lineterm=""))[2:]
+                print(*changed, sep="\n", flush=True)
+    print(f"{survivors} of {asked.count} changes of {asked.room} survived")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
