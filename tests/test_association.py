@@ -384,6 +384,17 @@ def test_overlap_without_close_stamps_is_told_from_no_overlap() -> None:
         associate(truth, estimate[:5], AssociationRule("linear"))
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1e3, True), (1e-3, True), (1e6, True), (30, False)])
+def test_other_units_of_the_stamps_are_told_by_a_power_of_a_thousand(
+    factor: float, told: bool
+) -> None:
+    seconds = np.array([2_000.0, 2_001.0, 2_002.0])
+    truth, estimate = at(1e3 * seconds, start=0), at(1e3 * factor * seconds, start=0)
+    with pytest.raises(NoMatchError) as raised:
+        associate(truth, estimate, AssociationRule())
+    assert ("units of the stamps seem to differ" in str(raised.value)) is told
+
+
 @pytest.mark.parametrize(
     "settings",
     [

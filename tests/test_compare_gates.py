@@ -481,3 +481,12 @@ def test_a_deviation_is_the_median_distance_to_the_baselines_median(
     before, now = {"s0": own, "s1": own, "s2": own}, {"s0": own, "s1": worse, "s2": own}
     judgement = judged(tmp_path, before, now, f"{GATE} + {asked} MAD")
     assert judgement.gates[0].numbers[1].verdict == verdict
+
+
+def test_one_number_that_is_worse_takes_the_others_no_worse_away(tmp_path: Path) -> None:
+    before = {"s0": [1.0], "s1": [1.0]}
+    for factor, is_worse in ((1.0, False), (1.06, True)):
+        now = {"s0": [1.0], "s1": [factor]}
+        (verdict,) = judged(tmp_path, before, now, f"{GATE} untested").gates
+        assert [each.verdict == "worse" for each in verdict.numbers] == [False, is_worse]
+        assert (verdict.fails, verdict.is_no_worse) == (is_worse, not is_worse)

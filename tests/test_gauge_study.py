@@ -61,7 +61,7 @@ def test_writes_tables_numbers_and_figures(
 @pytest.mark.slow
 def test_recordings_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
     sources = []
-    for seed, folder in enumerate(("MH_01", "V1_02")):
+    for seed, folder in enumerate(("MH_01", "V1_01")):
         (tmp_path / folder).mkdir()
         truth = simulate(seed, 16.0).groundtruth
         assert truth.quaternions is not None
@@ -74,7 +74,7 @@ def test_recordings_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
     assert main(["gauge-study", "--output", str(study), *part, *sources]) == 0
     numbers = json.loads((study / "study.json").read_text())
     motions = [name for name in numbers["configurations"] if name.startswith("motion of ")]
-    assert motions == ["motion of MH_01/groundtruth", "motion of V1_02/groundtruth"]
+    assert motions == ["motion of MH_01/groundtruth", "motion of V1_01/groundtruth"]
     # Each beside the paper's values of that recording.
     table = (study / "tables.md").read_text()
     assert "0.06936" in table

@@ -87,3 +87,7 @@ def test_a_gauge_by_word_replaces_the_modality_of_a_protocol() -> None:
     changed = protocol_from(inertial, gauge="se3")
     assert (changed.gauge, changed.modality) == (Gauge.SE3, None)
     assert protocol_from(inertial, lengths="none").modality == "mono-inertial"
+
+
+def test_kittis_lengths_are_those_of_its_devkit() -> None:
+    assert PROTOCOLS["kitti"].lengths == metres(*range(100, 900, 100))

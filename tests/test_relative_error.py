@@ -214,3 +214,20 @@ def test_drift_is_percent_of_the_length_and_degrees_per_metre() -> None:
     ]
     assert percent.mean == pytest.approx(every[0].mean())
     assert per_metre.mean == pytest.approx(every[1].mean())
+
+
+def test_a_share_of_the_path_is_of_the_matched_one_and_the_toolboxs_of_all_in_centimetres() -> (
+    None
+):
+    truth = make_groundtruth(5, 200)
+    estimate = make_estimate(truth, 6)[20:60]
+    ours = evaluate(truth, estimate, Protocol(lengths="12.5%"))
+    theirs = evaluate(truth, estimate, Protocol(lengths="12.5%", selection="toolbox"))
+    assert ours.segments is not None
+    assert theirs.segments is not None
+    matched_m = ours.association.groundtruth.path_length_m
+    assert ours.segments[0].length_m == pytest.approx(matched_m / 8.0)
+    assert theirs.segments[0].length_m == np.floor(100.0 * truth.path_length_m / 8.0) / 100.0
+    table = ours._repr_html_()
+    assert "ATE" in table
+    assert "RE 12.5%" in table

@@ -62,7 +62,7 @@ def gauge_study(
     With the motion of real flights, as Table III, and simulated sensors, since the paper's
     feature tracks are not public:
 
-        trajeval gauge-study --output study --motion MH_01.txt --motion V1_02.csv
+        trajeval gauge-study --output study --motion MH_01.txt --motion V1_01.csv
     """
     from trajeval_ros.visual_inertial import motion as motions
     from trajeval_ros.visual_inertial import study
@@ -163,7 +163,7 @@ def _write(
         *markdown_table(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(outcome)),
         "",
         "Relative Frobenius difference between the transformed free-gauge covariance, eq. (12), "
-        "and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on V1_02):\n",
+        "and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on V1_01):\n",
         *markdown_table(
             ["configuration", "difference"],
             [[name, f"{100 * each.difference:.3f} %"] for name, each in matrices.items()],
