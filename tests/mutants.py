@@ -50,11 +50,14 @@ ROOMS = {
         "statistics columns score settings protocol": (
             "statistics protocol columns benchmark_protocols"
         ),
-        "evaluation input_summary": "degenerate columns kitti_protocol evaluation_laws",
+        "evaluation input_summary": (
+            "degenerate columns kitti_protocol benchmark_protocols relative_error evaluation_laws"
+        ),
     },
     "consistency": {
         "nees result s_transformation marginal_covariances judgement": (
-            "consistency_laws consistency_marginals consistency_reference consistency_monte_carlo"
+            "consistency_laws consistency_marginals consistency_reference consistency_monte_carlo "
+            "consistency_long_runs"
         ),
         "joint_covariance covariance_request judge": "consistency_reference consistency_cli",
     },

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from strategies import Array, make_element, make_estimate, make_groundtruth, seeds
+from strategies import Array, along_line, make_element, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.gauge import Gauge
@@ -308,3 +308,18 @@ def test_too_few_states_are_counted_in_the_refusal(gauge: Gauge) -> None:
     with pytest.raises(DegenerateGeometryError, match=f"at least {few + 1} .* {few}"):
         align(gauge, p[:few], q[:few])
     align(gauge, p[: few + 1], q[: few + 1])
+
+
+@pytest.mark.parametrize(
+    ("gauge", "direction", "axis"),
+    [
+        (Gauge.SE3, [1.0, 2.0, 0.5], "the direction of travel"),
+        (Gauge.YAW, [0.0, 0.0, 1.0], "gravity"),
+    ],
+)
+def test_the_axis_that_positions_leave_open_is_named(
+    gauge: Gauge, direction: list[float], axis: str
+) -> None:
+    line = along_line(np.linspace(0.0, 20.0, 50), direction).positions
+    noisy = line + np.random.default_rng(1).normal(scale=0.01, size=line.shape)
+    assert f"rotation about {axis}:" in align(gauge, line, noisy).undetermined

@@ -23,6 +23,7 @@ from trajeval_ros.consistency.nees import (
     extra_directions,
     joint_nees,
     joint_nees_by_information,
+    pose_nees,
 )
 from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
@@ -249,3 +250,13 @@ def test_large_coordinates_cost_no_digits(
         aligned_run(Gauge.SE3, None, each, estimate, covariance) for each in (truth, far)
     )
     assert frobenius(away.covariance, near.covariance) < 1e-6
+
+
+def test_nees_of_poses_is_by_the_inverse_of_their_covariances_in_any_units() -> None:
+    random = np.random.default_rng(4)
+    roots = random.normal(size=(20, 6, 6)) * (10.0 ** random.uniform(-4.0, 4.0, 6))[:, None]
+    errors = np.einsum("nij,nj->ni", roots, random.normal(size=(20, 6)))
+    covariances = roots @ np.swapaxes(roots, 1, 2)
+    # Errors are roots times white numbers w, so that their NEES is |w|^2, whatever the units.
+    white = np.linalg.solve(roots, errors[:, :, None])[:, :, 0]
+    assert pose_nees(errors, covariances) == pytest.approx(np.sum(white**2, axis=1), rel=1e-6)

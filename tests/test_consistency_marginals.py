@@ -160,3 +160,18 @@ def test_the_largest_of_independent_poses_stays_under_its_limit_in_95_percent(po
     limit = summary_of(np.append(np.ones(poses), np.nan)).limit_95
     # By Bonferroni's inequality, which is too careful by 0.13 % where poses are independent.
     assert 0.9499999 < chi2.cdf(6.0 * limit, 6) ** poses < 0.9513
+
+
+@pytest.mark.parametrize(
+    ("gauge", "states", "without"),
+    [(Gauge.YAW, 1, 1), (Gauge.SE3, 1, 1), (Gauge.NONE, 1, 0), (Gauge.YAW, None, 0)],
+)
+def test_only_a_first_pose_that_is_aligned_by_has_no_nees(
+    gauge: Gauge, states: int | None, without: int
+) -> None:
+    run = dataclasses.replace(make_groundtruth(0, 12), covariances=_good(12))
+    aligned = Aligned(run, run, Similarity.identity(), gauge, states)
+    assert aligned.first_with_nees == without
+    judged = judge_marginals(aligned, from_the_start=True)
+    assert judged.per_pose is not None
+    assert judged.per_pose.poses == 12 - without
