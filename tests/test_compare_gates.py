@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate import Gate
-from trajeval_ros.batch.gate_values import GateValues, require_same_settings
+from trajeval_ros.batch.gate_values import GateValues, remarks_on, require_same_settings
 from trajeval_ros.batch.gate_verdicts import Judgement
 from trajeval_ros.batch.gates import judge
 from trajeval_ros.batch.gates_markdown import to_markdown
@@ -490,3 +490,15 @@ def test_one_number_that_is_worse_takes_the_others_no_worse_away(tmp_path: Path)
         (verdict,) = judged(tmp_path, before, now, f"{GATE} untested").gates
         assert [each.verdict == "worse" for each in verdict.numbers] == [False, is_worse]
         assert (verdict.fails, verdict.is_no_worse) == (is_worse, not is_worse)
+
+
+def test_another_groundtruth_is_told_by_its_sequence_and_a_missing_run_is_none(
+    tmp_path: Path,
+) -> None:
+    values = {"s0": [1.0], "s1": [1.0]}
+    before, now = (made_table(tmp_path / f"{name}.parquet", values) for name in ("old", "new"))
+    assert remarks_on(before, now) == []
+    now.groundtruths["vio", "s1"] = "another"
+    del now.groundtruths["vio", "s0"]
+    (told,) = remarks_on(before, now)
+    assert "the groundtruth of s1 is not that of the baseline" in told

@@ -175,3 +175,25 @@ def test_only_a_first_pose_that_is_aligned_by_has_no_nees(
     judged = judge_marginals(aligned, from_the_start=True)
     assert judged.per_pose is not None
     assert judged.per_pose.poses == 12 - without
+
+
+@pytest.mark.parametrize(
+    ("gauge", "states", "from_the_start", "exactness"),
+    [
+        (Gauge.NONE, None, False, "exact"),
+        (Gauge.YAW, 1, True, "exact"),
+        (Gauge.YAW, 1, False, "bound"),
+        (Gauge.YAW, None, True, "bound"),
+        (Gauge.SE3, 1, True, "bound"),
+    ],
+)
+def test_single_poses_are_exact_in_the_estimators_own_gauge_alone(
+    gauge: Gauge, states: int | None, from_the_start: bool, exactness: str
+) -> None:
+    # The estimator fixes position and yaw at its first pose.
+    first = np.zeros((1, 6, 6))
+    first[0, 3:5, 3:5] = 1e-4 * np.eye(2)
+    run = make_groundtruth(0, 12)
+    run = dataclasses.replace(run, covariances=np.concatenate([first, _good(11)]))
+    aligned = Aligned(run, run, Similarity.identity(), gauge, states)
+    assert judge_marginals(aligned, from_the_start=from_the_start).exactness == exactness

@@ -91,3 +91,8 @@ def test_a_gauge_by_word_replaces_the_modality_of_a_protocol() -> None:
 
 def test_kittis_lengths_are_those_of_its_devkit() -> None:
     assert PROTOCOLS["kitti"].lengths == metres(*range(100, 900, 100))
+
+
+def test_protocols_of_programs_that_dont_sort_dont() -> None:
+    unsorted = {name for name, protocol in PROTOCOLS.items() if not protocol.in_order}
+    assert unsorted == {"rpg", "evo", "kitti", "hilti-2023"}
