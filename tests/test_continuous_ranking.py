@@ -116,11 +116,13 @@ def test_the_interval_is_as_wide_as_the_groundtruths_errors_make_it(times: float
     process = MarkovPoses.fit(samples, 2).positions.process
     joint = JointPosterior.of(process, samples.seconds(flight.truth.stamps))
     random = np.random.default_rng(0)
-    errors = times * joint.draws(1, random)[0]
-    seen = errors + joint.draws(2000, random)
+    truth = flight.truth.positions
+    root = np.linalg.cholesky(joint.covariance())
+    draws = (random.normal(size=(2001, truth.size)) @ root.T).reshape(-1, *truth.shape)
+    errors = times * draws[0]
+    seen = errors + draws[1:]
     squares = np.square(seen).sum(axis=2).mean(axis=1)
     usual = int(np.argsort(squares)[1000])
-    truth = flight.truth.positions
     found = uncertain_ate(truth, joint.marginals(), truth + seen[usual], None, 1e3, joint)
     assert found.supported_share == 1.0
     assert found.supported_m is not None
