@@ -106,26 +106,3 @@ def test_evidence_does_not_grow_with_the_estimates_rate() -> None:
     assert slow[0] > 0.0
     assert fast[1] > 6.0 * slow[1]
     assert fast[0] < 4.0 * slow[0]
-
-
-@pytest.mark.parametrize("times", [0.0, 5.0])
-def test_the_interval_is_as_wide_as_the_groundtruths_errors_make_it(times: float) -> None:
-    # All poses are supported and none is aligned: what is left are the groundtruth's errors.
-    flight = fly(3, estimate_hz=5.0)
-    samples = fit_trajectory(flight.groundtruth).samples
-    process = MarkovPoses.fit(samples, 2).positions.process
-    joint = JointPosterior.of(process, samples.seconds(flight.truth.stamps))
-    random = np.random.default_rng(0)
-    truth = flight.truth.positions
-    root = np.linalg.cholesky(joint.covariance())
-    draws = (random.normal(size=(2001, truth.size)) @ root.T).reshape(-1, *truth.shape)
-    errors = times * draws[0]
-    seen = errors + draws[1:]
-    squares = np.square(seen).sum(axis=2).mean(axis=1)
-    usual = int(np.argsort(squares)[1000])
-    found = uncertain_ate(truth, joint.marginals(), truth + seen[usual], None, 1e3, joint)
-    assert found.supported_share == 1.0
-    assert found.supported_m is not None
-    assert found.interval_m is not None
-    reach = found.interval_m[1] ** 2 - found.supported_m**2
-    assert 0.8 < reach / (1.96 * squares.std()) < 1.4
