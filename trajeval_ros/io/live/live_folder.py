@@ -21,6 +21,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
+from trajeval_ros.io.live.run_state import require_run_state
+from trajeval_ros.io.npz_file import read_arrays
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
@@ -96,7 +98,7 @@ def _evaluate(path: Path, request: Request, align_with: str | None) -> _Evaluate
         raise InputError(f"{name}: no pair of estimate and groundtruth was made")
     try:
         return _evaluate_pairs(path, name, recorded, request, align_with)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
@@ -104,8 +106,12 @@ def _evaluate_pairs(
     path: Path, name: str, recorded: RecordedPairs, request: Request, align_with: str | None
 ) -> _EvaluatedEstimate:
     description, state = recorded.description, recorded.state
+    require_run_state(description, state)
     truth, estimate = state["groundtruth"], state["estimate"]
-    protocol = protocol_from("default", **state["settings"])
+    try:
+        protocol = protocol_from("default", **state["settings"])
+    except SettingsError as error:  # not the user's: other estimates may have better ones
+        raise InputError(f"{path} isn't as this version writes it: {error}") from error
     protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
@@ -117,6 +123,11 @@ def _evaluate_pairs(
         warnings.append(
             "the live run ended without its last counts: what was lost and dropped is told as of "
             f"{later} pairs before the end"
+        )
+    if recorded.torn:
+        warnings.append(
+            f"{path.name} is damaged, or was cut short: {recorded.torn} bytes at its end can't be "
+            "read, with the pairs in them"
         )
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
@@ -194,16 +205,27 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
     ), notes
 
 
+def _read_revised(path: Path) -> Trajectory:
+    arrays = read_arrays(path, ("stamps", "positions", "quaternions"))
+    kinds = [(name, array.dtype.kind, array.shape) for name, array in arrays.items()]
+    count = len(arrays["stamps"]) if arrays.get("stamps", np.zeros(())).ndim else 0
+    if not count or kinds != [
+        ("stamps", "i", (count,)),
+        ("positions", "f", (count, 3)),
+        ("quaternions", "f", (count, 4)),
+    ]:
+        raise InputError(f"{path} holds no stamps, positions and quaternions, each as many")
+    quaternions = lie.normalized(arrays["quaternions"])
+    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(quaternions).all()):
+        raise InputError(f"{path} holds poses that aren't finite")
+    return Trajectory(arrays["stamps"], arrays["positions"], quaternions)
+
+
 def _revised(
     causal: Association, recorded: RecordedPairs, path: Path
 ) -> tuple[Association, dict[str, Any]]:
     """Return the pairs with the estimator's last word, and the counts of its poses."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            quaternions = lie.normalized(file["quaternions"])
-            revised = Trajectory(file["stamps"], file["positions"], quaternions)
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path} can't be read: {error}") from error
+    revised = _read_revised(path)
     stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
     groundtruth, estimate = causal.groundtruth[rows], revised[places]
