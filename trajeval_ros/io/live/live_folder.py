@@ -17,8 +17,15 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.trajectory import (
+    LARGEST,
+    NANOSECONDS,
+    NO_STATE,
+    Trajectory,
+    add_counts,
+    judge_poses,
+)
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.live.run_state import require_run_state
@@ -164,8 +171,10 @@ def _association(
 ) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
     """Return the pairs in order of their stamps, with the counts, and notes about either side."""
     # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
-    stamps, order = np.unique(recorded.stamps, return_index=True)
-    again = len(recorded.stamps) - len(stamps)
+    usable = np.flatnonzero(_are_states(recorded.groundtruth) & _are_states(recorded.estimate))
+    stamps, order = np.unique(recorded.stamps[usable], return_index=True)
+    order = usable[order]
+    again = len(usable) - len(stamps)
     later = len(recorded.stamps) - recorded.pairs_at_state
     groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
@@ -176,9 +185,18 @@ def _association(
         estimate=estimate,
         estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
         coverage=_coverage(groundtruth, recorded, rule),
-        dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
+        dropped=add_counts(
+            recorded.state["dropped"],
+            {"duplicate_stamp": again, "not_finite": len(recorded.stamps) - len(usable)},
+        ),
     )
     return pairs, truth_notes, notes
+
+
+def _are_states(rows: Floats) -> Booleans:
+    """Return which rows (N, 10) are states; NaN stands for a rotation or velocity not known."""
+    finite, turned = judge_poses(rows[:, :3], np.nan_to_num(rows[:, 3:7], nan=1.0))
+    return finite & turned & ~(np.abs(rows[:, 7:]) > LARGEST).any(axis=1)
 
 
 def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule) -> Coverage:
@@ -215,10 +233,9 @@ def _read_revised(path: Path) -> Trajectory:
         ("quaternions", "f", (count, 4)),
     ]:
         raise InputError(f"{path} holds no stamps, positions and quaternions, each as many")
-    quaternions = lie.normalized(arrays["quaternions"])
-    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(quaternions).all()):
+    if not np.logical_and(*judge_poses(arrays["positions"], arrays["quaternions"])).all():
         raise InputError(f"{path} holds poses that aren't finite")
-    return Trajectory(arrays["stamps"], arrays["positions"], quaternions)
+    return Trajectory(arrays["stamps"], arrays["positions"], lie.normalized(arrays["quaternions"]))
 
 
 def _revised(

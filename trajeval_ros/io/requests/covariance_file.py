@@ -77,6 +77,11 @@ def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
     ]
     if missing:
         raise InputError(f"the joint covariance lacks {', '.join(missing)}")
+    for name in set(arrays) - {"block", "perturbation", "gauge"}:
+        if arrays[name].dtype.kind not in "iuf":
+            raise InputError(f"the joint covariance's {name} holds no numbers")
+        if name in ("cov", "info") and arrays[name].ndim != 2:
+            raise InputError(f"the joint covariance's {name} is no matrix")
     stamps = np.asarray(arrays["stamps_ns"], dtype=np.int64).ravel()
     positions = np.asarray(arrays["positions"], dtype=np.float64)
     quaternions = np.asarray(arrays["quaternions"], dtype=np.float64)
@@ -121,9 +126,11 @@ def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr
         return None
     try:
         parts = tuple(arrays[f"info_{name}"] for name in ("data", "indices", "indptr"))
-        return scipy.sparse.csr_matrix(parts, shape=(size, size))
-    except (KeyError, ValueError) as error:
+        matrix = scipy.sparse.csr_matrix(parts, shape=(size, size))
+        matrix.check_format(full_check=True)  # else wrong indices read what isn't theirs
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"info_data, info_indices and info_indptr are no {size} x {size} matrix in compressed "
             "rows"
         ) from error
+    return matrix
