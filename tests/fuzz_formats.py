@@ -39,12 +39,13 @@ from trajeval_ros.batch.records import Record, encode, read_record, write_record
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
-from trajeval_ros.io.covariance_file import read_joint_covariance
-from trajeval_ros.io.hand_eye_file import read_hand_eye
+from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.live_folder import evaluate_folder, write_revised
 from trajeval_ros.io.live.pair_file import FORMAT
-from trajeval_ros.io.protocol_file import read_protocol
-from trajeval_ros.io.results.result_json import result_of, to_json
+from trajeval_ros.io.requests.covariance_file import read_joint_covariance
+from trajeval_ros.io.requests.hand_eye_file import read_hand_eye
+from trajeval_ros.io.requests.protocol_file import read_protocol
+from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 
 COUNT = 60
@@ -313,7 +314,7 @@ def make_pairs(random: Random, folder: Path) -> Changed:
         path.write_bytes(with_other_bytes(random, path.read_bytes())[0])
 
     def read(strict: bool) -> None:  # noqa: ARG001
-        to_json(result_of(evaluate_folder(folder)))
+        json_text(result_of(evaluate_folder(folder)))
 
     return Changed("texts", read)
 

@@ -42,6 +42,7 @@ class Part:
         unindexed: Channels whose index is missing behind the chunk.
         is_listed: Whether the summary names the chunk.
         behind: More records.
+        inside: What follows the messages in the chunk.
         size: What the chunk says of its size; None is the truth.
     """
 
@@ -51,6 +52,7 @@ class Part:
     unindexed: frozenset[int] = frozenset()
     is_listed: bool = True
     behind: bytes = b""
+    inside: bytes = b""
     size: int | None = None
 
 
@@ -135,7 +137,7 @@ def _add(file: RecordBuilder, part: Part) -> ChunkIndex | None:
     if not part.is_chunk:
         file.write(part.behind)
         return None
-    plain = builder.end()
+    plain = builder.end() + part.inside
     data = compressed(part.compression, plain)
     times = [time for _, time, _ in part.rows] or [0]
     size = len(plain) if part.size is None else part.size

@@ -17,8 +17,10 @@ import pytest
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.live_folder import evaluate_folder, write_revised
 from trajeval_ros.io.live.pair_file import FORMAT, PairWriter
+from trajeval_ros.io.results.result_json import result_of
 
 COUNT = 200
 STEP_NS = 50_000_000
@@ -173,6 +175,20 @@ def test_what_cannot_be_read_in_the_middle_is_told(folder: Path) -> None:
     assert any(
         f"{lost} bytes at its end can't be read" in each for each in run.evaluation.warnings
     )
+
+
+def test_rows_that_are_no_states_are_counted(folder: Path) -> None:
+    stamps, truth, estimate = columns()
+    truth[3, 0], estimate[5, 2], estimate[7, 1] = np.nan, np.inf, 1e308
+    truth[9, 3:7] = 0.0
+    writer = PairWriter(folder / "odd.pairs", DESCRIPTION)
+    writer.append(stamps, truth, estimate, STATE)
+    writer.close()
+    runs = result_of(evaluate_folder(folder))["runs"]
+    (association,) = [run["association"] for run in runs if run["estimate"]["name"] == "odd"]
+    assert association["pairs"] == COUNT - 4
+    assert association["dropped"] == {"not_finite": 4}
+    json_text({"runs": runs})  # which refuses what is no number
 
 
 # NAME.revised.npz

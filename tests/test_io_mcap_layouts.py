@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 from mcap.records import Channel, Schema
-from mcap_layouts import Layout, Part, record
+from mcap_layouts import MAGIC, Layout, Part, record
 from test_io_damage import SECOND, assert_damaged, assert_whole, definition, payloads, rows_of
 
 from trajeval_ros.cli.app import main
@@ -150,6 +151,37 @@ def test_records_between_chunks_that_cannot_be_followed_lose_no_other(tmp_path: 
     assert "can't be followed" in read.damage[0]
     with pytest.raises(InputError, match="can't be followed"):
         read_trajectory(str(path), strict=True)
+
+
+@pytest.mark.parametrize("inside", [record(5, bytes(40))[:-1], bytes(20), record(5, bytes(9))])
+def test_records_in_a_chunk_that_cannot_be_followed_are_told(
+    inside: bytes, tmp_path: Path
+) -> None:
+    several = parts("zstd")
+    several[1].inside = inside
+    given = dataclasses.replace(layout(several), has_summary=False)
+    read = assert_damaged(written(tmp_path, given), "can't be followed to their end")
+    assert rows_of(read) == list(range(COUNT))
+
+
+def test_messages_of_channels_that_nothing_describes_are_told(tmp_path: Path) -> None:
+    several = [*parts(), Part([(7, SECOND, b"?")] * 3), Part([(8, SECOND, b"?")], is_chunk=False)]
+    given = dataclasses.replace(layout(several), has_summary=False)
+    read = assert_damaged(written(tmp_path, given), "4 messages are of channels that nothing")
+    assert rows_of(read) == list(range(COUNT))
+
+
+def test_a_summary_that_contradicts_itself_is_not_used(tmp_path: Path) -> None:
+    path = written(tmp_path, layout(parts()))
+    content = path.read_bytes()
+    twice = struct.pack("<Q", 2 * COUNT)  # how many there are of both channels
+    for wrong in (twice, struct.pack("<Q", 2 * COUNT + 1)):
+        place = content.rfind(record(0x0B)[:1] + struct.pack("<Q", 42 + 4 + 20)) + 9
+        assert content[place : place + 8] == twice
+        path.write_bytes(content[:place] + wrong + content[place + 8 : -12] + bytes(4) + MAGIC)
+        read = read_trajectory(str(path))
+        assert rows_of(read) == list(range(COUNT))
+        assert any("contradicts itself" in each for each in read.damage) == (wrong != twice)
 
 
 def test_strict_has_a_sentence_for_the_command_line(

@@ -15,7 +15,7 @@ import pytest
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io import npz_file
-from trajeval_ros.io.covariance_file import read_joint_covariance, write_joint_covariance
+from trajeval_ros.io.requests.covariance_file import read_joint_covariance, write_joint_covariance
 
 COUNT = 40
 MIB = 1 << 20
