@@ -8,9 +8,10 @@ ROS := .venv-ros
 COLCON := .venv-colcon
 EVO := .venv-evo
 LOCK := .venv-lock
-FUZZ := .venv-fuzz
+ATHERIS := .venv-fuzz
 MUTATE := .venv-mutate
 BENCH ?=
+FUZZ ?=
 KERNELS ?=
 ROS_TEST_DOMAIN ?= 71
 
@@ -25,8 +26,8 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
-	bench-runs parity fuzz mutate lock colcon-environment ros-environment clean test-kernels test-all \
-	test-stress
+	bench-runs parity fuzz fuzz-bytes mutate lock colcon-environment ros-environment \
+	clean test-kernels test-all test-stress
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -91,10 +92,13 @@ bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.
 
 FUZZ_S ?= 300
 
-fuzz: $(FUZZ)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
-	mkdir -p $(FUZZ)/corpus
-	$(FUZZ)/bin/python tests/fuzz_bags.py $(FUZZ)/corpus -max_total_time=$(FUZZ_S) -max_len=8192 \
-		-artifact_prefix=$(FUZZ)/
+fuzz: $(VENV)/.installed ## Read 10 000 changed inputs of all formats; FUZZ="--seed 1 --count 800".
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/fuzz_structures.py $(FUZZ)
+
+fuzz-bytes: $(ATHERIS)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
+	mkdir -p $(ATHERIS)/corpus
+	$(ATHERIS)/bin/python tests/fuzz_bags.py $(ATHERIS)/corpus -max_total_time=$(FUZZ_S) \
+		-max_len=8192 -artifact_prefix=$(ATHERIS)/
 
 ROOM ?= metrics
 
@@ -116,7 +120,8 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(FUZZ) $(MUTATE) build install log dist *.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(ATHERIS) $(MUTATE) build install log dist \
+		*.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -171,9 +176,9 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 	touch $@
 
 # atheris has wheels for Python 3.11 to 3.13 on Linux.
-$(FUZZ)/.installed: setup.py constraints.txt
+$(ATHERIS)/.installed: setup.py constraints.txt
 	$(make_venv)
-	$(FUZZ)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
+	$(ATHERIS)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
 	touch $@
 
 $(MUTATE)/.installed: setup.py constraints.txt

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of what reads strangers' bytes: `make fuzz`.
+"""Coverage-guided fuzzing of what reads strangers' bytes: `make fuzz-bytes`.
 
 Whatever the bytes, the CDR decoder raises nothing, and the MCAP reader nothing but InputError.
 

@@ -340,6 +340,11 @@ def test_velocities_of_another_point_are_left_out(pair: tuple[Trajectory, Trajec
             "transform: {translation: {x: 0, y: 0}, rotation: {x: 0, y: 0, z: 0, w: 1}}",
             "transform.translation.z must be a number, not None",
         ),
+        (
+            f"transform: {{translation: {{x: 1{'0' * 400}, y: 0, z: 0}}, "
+            "rotation: {x: 0, y: 0, z: 0, w: 1}}",
+            "transform.translation.x must be a number",
+        ),
     ],
 )
 def test_files_that_hold_no_transform_are_refused(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,25 @@ def made_table(
     arrow = pyarrow.Table.from_pylist(rows)
     parquet.write_table(arrow.replace_schema_metadata(metadata), path)
     return GateValues(ResultsTable(path))
+
+
+@pytest.mark.parametrize("values", [None, [1], [{"a": 1}]])
+def test_tables_that_lack_a_column_or_hold_another_are_refused(
+    tmp_path: Path, values: list[Any] | None
+) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    path = tmp_path / "odd.parquet"
+    made_table(path, {"a": [0.1, 0.2]})
+    table = parquet.read_table(path)
+    column = None if values is None else pyarrow.array(values * table.num_rows)
+    for name in ("trial", "metric", "length"):
+        place = table.column_names.index(name)
+        odd = table.drop([name]) if column is None else table.set_column(place, name, column)
+        parquet.write_table(odd, path)
+        with pytest.raises(InputError, match=f"has no column {name} of string"):
+            GateValues(ResultsTable(path))
 
 
 def trials_of(

@@ -8,11 +8,23 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType
-from test_io_damage import COUNT, assert_damaged, mcap_file, payloads, sqlite_file
+from mcap_layouts import Layout, Part
+from test_io_damage import (
+    COUNT,
+    SECOND,
+    assert_damaged,
+    definition,
+    mcap_file,
+    payloads,
+    rows_of,
+    sqlite_file,
+)
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags import compression
+from trajeval_ros.io.bags import compression, mcap_index
+from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
 
 MIB = 1 << 20
@@ -49,6 +61,72 @@ def test_a_file_that_becomes_a_thousand_times_its_size_is_refused(
     assert path.stat().st_size < MIB // 4
     with pytest.raises(InputError, match="times its size, which no recording does"):
         read_trajectory(str(path))
+
+
+def with_zeros(path: Path, count: int, size: int, *, has_summary: bool = True) -> Path:
+    """Write poses, and chunks of zeros; each of these takes a ten thousandth of its size."""
+    poses = [(1, row * SECOND, payload) for row, payload in enumerate(payloads(20))]
+    zeros = Part([(2, 5 * SECOND, bytes(size))], compression="zstd")
+    layout = Layout(
+        [Schema(1, definition(POSE_STAMPED), "ros2msg", POSE_STAMPED)],
+        [Channel(1, "/pose", "cdr", {}, 1), Channel(2, "/pose", "cdr", {}, 1)],
+        [Part(poses), *[zeros] * count],
+        has_summary=has_summary,
+    )
+    path.write_bytes(bytes(layout))
+    return path
+
+
+@pytest.mark.parametrize("has_summary", [True, False])
+def test_a_chunk_that_becomes_much_is_left_out(has_summary: bool, tmp_path: Path) -> None:
+    path = with_zeros(tmp_path / "x.mcap", 3, 100 * MIB, has_summary=has_summary)
+    assert path.stat().st_size < MIB
+    tracemalloc.start()
+    read = read_trajectory(str(path))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert rows_of(read) == list(range(20))
+    assert "a chunk becomes more than 500 times its size" in read.damage[0]
+    assert "3 times" in read.damage[0]
+    assert peak < 20 * MIB
+
+
+@pytest.mark.parametrize("has_summary", [True, False])
+def test_a_file_of_which_no_chunk_becomes_too_much_but_all_do(
+    has_summary: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = with_zeros(tmp_path / "x.mcap", 5, 4 * MIB, has_summary=has_summary)
+    assert rows_of(read_trajectory(str(path))) == list(range(20))
+    monkeypatch.setattr("trajeval_ros.io.bags.mcap_chunks.LARGEST", 16 * MIB)
+    with pytest.raises(InputError, match="500 times its size, which no recording does"):
+        read_trajectory(str(path))
+
+
+def test_what_is_decompressed_ahead_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_index, "_IN_FLIGHT", 16 * MIB)
+    path = with_zeros(tmp_path / "x.mcap", 8, 16 * MIB)
+    tracemalloc.start()
+    read = read_trajectory(str(path))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert rows_of(read) == list(range(20))
+    assert peak < 5 * 16 * MIB  # one chunk, in pieces, joined and searched
+
+
+def test_a_message_that_becomes_much_is_none(tmp_path: Path) -> None:
+    zeros = zstandard.ZstdCompressor().compress(bytes(32 * MIB))
+    path = mcap_file(
+        tmp_path / "x.mcap", messages=[*payloads(20), zeros], compression=CompressionType.NONE
+    )
+    tracemalloc.start()
+    read = read_trajectory(str(path))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert rows_of(read) == list(range(20))
+    assert read.dropped == {"undecodable": 1}
+    assert peak < 32 * MIB
 
 
 def test_a_leap_of_ids_in_a_damaged_file_ends(tmp_path: Path) -> None:

@@ -472,6 +472,49 @@ def test_old_files_without_definitions(version: int, tmp_path: Path) -> None:
     assert_whole(tmp_path / "old.db3")
 
 
+def changed_by(path: Path, *statements: str) -> Path:
+    with sqlite3.connect(path) as database:
+        for each in statements:
+            database.execute(each)
+    database.close()
+    return path
+
+
+def test_texts_that_are_stored_as_blobs(tmp_path: Path) -> None:
+    path = changed_by(
+        sqlite_file(tmp_path),
+        "UPDATE topics SET type = CAST(type AS BLOB), name = CAST(name AS BLOB), "
+        "serialization_format = CAST(serialization_format AS BLOB)",
+        "UPDATE message_definitions SET topic_type = CAST(topic_type AS BLOB), "
+        "encoding = CAST(encoding AS BLOB), "
+        "encoded_message_definition = CAST(encoded_message_definition AS BLOB)",
+    )
+    assert_whole(path)
+
+
+def test_texts_that_are_none(tmp_path: Path) -> None:
+    path = changed_by(
+        sqlite_file(tmp_path),
+        "INSERT INTO topics SELECT 90, CAST(x'FF00' AS TEXT), x'FF', 5, 0.5, '' FROM topics",
+        "INSERT INTO message_definitions VALUES (90, 5, x'FF', 0.5, '')",
+    )
+    assert_whole(path)
+
+
+def test_rows_that_are_no_messages_are_counted(tmp_path: Path) -> None:
+    path = changed_by(
+        sqlite_file(tmp_path),
+        "UPDATE messages SET data = 'text' WHERE id = 3",
+        "UPDATE messages SET data = 5 WHERE id = 5",
+        "UPDATE messages SET timestamp = 'never' WHERE id = 7",
+        "UPDATE messages SET timestamp = x'FF' WHERE id = 9",
+        "UPDATE messages SET timestamp = 1e300 WHERE id = 11",
+    )
+    read = read_trajectory(str(path))
+    assert sorted(rows_of(read)) == [row for row in range(COUNT) if row not in (2, 4)]
+    assert read.dropped == {"undecodable": 2}
+
+
 def test_one_definition_is_missing(tmp_path: Path) -> None:
     path = sqlite_file(tmp_path)
     database = sqlite3.connect(path)

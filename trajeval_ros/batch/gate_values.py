@@ -117,7 +117,9 @@ class GateValues:
             kind, length = (POOLED, None) if length == "pooled" else (RE, length)
         metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
         own = [row for row in self._rows if row["kind"] == kind and _key(row) == length]
-        self._require(metric, list(dict.fromkeys(row["metric"] for row in own)), path)
+        self._require(
+            metric, list(dict.fromkeys(row["metric"] for row in own if row["metric"])), path
+        )
         self._require(column, list(STATISTICS), path)
         return (
             lambda row: (row["kind"], _key(row), row["metric"]) == (kind, length, metric),

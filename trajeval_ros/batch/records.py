@@ -94,10 +94,11 @@ def read_record(folder: Path, key: str) -> Record | None:
             name: part.reshape(shape)
             for (name, shape), part in zip(head["shapes"].items(), parts[:-1], strict=True)
         }
-        if len(parts[-1]):  # more than there should be
-            return None
-        return Record(key, head["result"], tuple(head["lengths"]), tuple(head["span_ns"]), columns)
-    except (OSError, ValueError, KeyError):
+        span_ns = tuple(map(int, head["span_ns"]))
+        if len(parts[-1]) or len(span_ns) != 2 or not isinstance(head["result"]["runs"][0], dict):
+            return None  # more than there should be, or something else
+        return Record(key, head["result"], tuple(head["lengths"]), span_ns, columns)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError):
         return None
 
 

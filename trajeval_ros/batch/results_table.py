@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -232,7 +233,7 @@ def state_of(path: Path) -> str:
         metadata = parquet.read_schema(path).metadata or {}
     except (OSError, ValueError):
         return ""
-    return bytes(metadata.get(b"trajeval.state", b"")).decode()
+    return bytes(metadata.get(b"trajeval.state", b"")).decode(errors="replace")
 
 
 class ResultsTable:
@@ -250,33 +251,56 @@ class ResultsTable:
         Raises:
             InputError: It can't be read, or is something else.
         """
-        _, self._parquet = load_pyarrow()
+        self._arrow, self._parquet = load_pyarrow()
         self.path = path
         try:
-            metadata = self._parquet.read_schema(path).metadata or {}
+            self._schema = self._parquet.read_schema(path)
         except FileNotFoundError as error:
             raise InputError(f"{path} does not exist; check the path") from error
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"{path} is no whole Parquet file; if its writing was interrupted, make it anew "
-                "with trajeval compare"
-            ) from error
-        if metadata.get(b"trajeval.schema") != SCHEMA.encode():
+            raise self._damaged() from error
+        metadata = self._schema.metadata or {}
+        settings: Any = None
+        if metadata.get(b"trajeval.schema") == SCHEMA.encode():
+            with contextlib.suppress(ValueError):
+                settings = json.loads(metadata.get(b"trajeval.settings", b""))
+        if not isinstance(settings, dict):
             raise InputError(
                 f"{path} is no table of trajeval compare ({SCHEMA}); name the runs.parquet of an "
                 "output folder"
             )
-        self.title = metadata[b"trajeval.title"].decode()
-        self.settings: dict[str, Any] = json.loads(metadata[b"trajeval.settings"])
+        self.title = metadata.get(b"trajeval.title", b"").decode(errors="replace")
+        self.settings: dict[str, Any] = settings
 
     def select(self, columns: Iterable[str], **equal: str) -> list[dict[str, Any]]:
-        """Return some columns of the rows in which other columns have these values."""
+        """Return some columns of the rows in which other columns have these values.
+
+        Raises:
+            InputError: The table lacks one, or can't be read.
+        """
+        names = list(columns)
+        for name in (*names, *equal):
+            kinds = getattr(self._arrow, _COLUMNS[name])(), self._arrow.null()
+            if name not in self._schema.names or self._schema.field(name).type not in kinds:
+                raise InputError(
+                    f"{self.path} has no column {name} of {_COLUMNS[name]}; make it anew with "
+                    "trajeval compare"
+                )
         filters = [(name, "==", value) for name, value in equal.items()] or None
-        table: pyarrow.Table = self._parquet.read_table(
-            self.path, columns=list(columns), filters=filters
-        )
-        rows: list[dict[str, Any]] = table.to_pylist()
+        try:
+            table: pyarrow.Table = self._parquet.read_table(
+                self.path, columns=names, filters=filters
+            )
+            rows: list[dict[str, Any]] = table.to_pylist()
+        except (OSError, ValueError) as error:
+            raise self._damaged() from error
         return rows
+
+    def _damaged(self) -> InputError:
+        return InputError(
+            f"{self.path} is no whole Parquet file; if its writing was interrupted, make it anew "
+            "with trajeval compare"
+        )
 
 
 def load_pyarrow() -> tuple[Any, Any]:

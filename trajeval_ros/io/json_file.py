@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,9 +18,24 @@ def json_text(value: Mapping[str, Any], indent: int | None = None) -> str:
 
 
 def mapping_in(text: str | bytes) -> dict[str, Any] | None:
-    """Return the mapping that a text holds, None if it is damaged or holds something else."""
+    """Return the mapping that a text holds, None if it is damaged or holds something else.
+
+    That is also a number that no int64 or float64 holds, or a NaN.
+    """
     try:
-        found = json.loads(text)
+        found = json.loads(text, parse_float=_float, parse_constant=_float, parse_int=_integer)
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
+
+
+def _float(digits: str) -> float:
+    if not math.isfinite(number := float(digits)):
+        raise ValueError(digits)
+    return number
+
+
+def _integer(digits: str) -> int:
+    if not -(2**63) <= (number := int(digits)) < 2**63:
+        raise ValueError(digits)
+    return number

@@ -228,6 +228,6 @@ def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _decompressed(payload: bytes) -> bytes:
-    from trajeval_ros.io.bags.compression import decompress
+    from trajeval_ros.io.bags.compression import decompress, most_of
 
-    return decompress("zstd", payload, _LARGEST_MESSAGE)
+    return decompress("zstd", payload, min(most_of(len(payload), BYTES), _LARGEST_MESSAGE))

@@ -9,8 +9,13 @@ from trajeval_ros.exceptions import InputError
 
 _PIECE = 1 << 20  # bytes
 _LARGEST_WINDOW = 1 << 27  # bytes, which is what `zstd --long` makes
-# A file may become so many bytes, and more if it isn't too many times its own size.
-_LARGEST_FILE, _LARGEST_RATIO = 1 << 30, 500
+_LARGEST_FILE = 1 << 30  # bytes that a file may become, however well it is compressed
+LARGEST_RATIO = 500  # to which anything large may grow
+
+
+def most_of(size: int, floor: int) -> int:
+    """Return the bytes that compressed data may become, given theirs; never less than a floor."""
+    return max(floor, LARGEST_RATIO * size)
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
@@ -79,7 +84,7 @@ def decompress_file(path: Path, folder: Path) -> Path:
     """
     import zstandard
 
-    limit = max(_LARGEST_FILE, _LARGEST_RATIO * path.stat().st_size)
+    limit = most_of(path.stat().st_size, _LARGEST_FILE)
     copy = folder / path.name.removesuffix(".zstd").removesuffix(".zst")
     reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
     with path.open("rb") as file, copy.open("wb") as plain:
@@ -89,7 +94,7 @@ def decompress_file(path: Path, folder: Path) -> Path:
                 plain.write(piece)
                 if plain.tell() > limit:
                     raise InputError(
-                        f"{path} becomes more than {_LARGEST_RATIO} times its size, which no "
+                        f"{path} becomes more than {LARGEST_RATIO} times its size, which no "
                         "recording does; if you trust it, decompress it with `zstd -d`"
                     )
         except zstandard.ZstdError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.io.bags.blocks import Block
@@ -63,7 +63,7 @@ def read_chunk(
     reading = _Reading(source, chunk, is_indexed=bool(chunk.indexes) and not strict)
     if len(selections) > 1 and (share := reading.together(selections)) is not None:
         return [share]
-    return [reading.share_of(each) for each in selections]
+    return [share for each in selections for share in reading.shares_of(each)]
 
 
 class _Reading:
@@ -74,7 +74,7 @@ class _Reading:
         self._chunk = chunk
         self._is_indexed = is_indexed
         self._whole: bytes | DamagedError | None = None
-        self._walked: MessageIndex | None = None
+        self._walked: tuple[MessageIndex, bool] | None = None
 
     def together(self, selections: Sequence[TopicSelection]) -> Share | None:
         """Return what all selections get, looked up and measured as one.
@@ -107,30 +107,36 @@ class _Reading:
             return None
         return Share(selections, block, is_partial)
 
-    def share_of(self, selection: TopicSelection) -> Share:
-        """Return what a selection gets."""
+    def shares_of(self, selection: TopicSelection) -> Iterator[Share]:
+        """Yield what a selection gets."""
         chunk, indexed = self._chunk, None
-        if self._is_indexed:
+        if self._is_indexed and not selection.connections.isdisjoint(chunk.indexes):
             try:
                 indexed = index_of(self._source, chunk, selection.connections)
                 if (runs := runs_of(chunk, indexed)) is not None:
-                    return Share([selection], partial(self._source, chunk, indexed, runs), True)
+                    yield Share([selection], partial(self._source, chunk, indexed, runs), True)
+                    return
             except DamagedError:
                 indexed = None  # the chunk itself may be well
         try:
             data = self._data()
         except DamagedError as error:
-            return Share([selection], str(error))
+            yield Share([selection], str(error))
+            return
         if indexed is not None:
             try:
                 found = measured(data, indexed, len(data))
-                return Share([selection], block_in(data, found, chunk.first))
+                yield Share([selection], block_in(data, found, chunk.first))
+                return
             except DamagedError:
                 pass
         if self._walked is None:
             self._walked = walked(data)
-        found = of_channels(self._walked, selection.connections)
-        return Share([selection], block_in(data, found, chunk.first))
+        messages, is_whole = self._walked
+        found = of_channels(messages, selection.connections)
+        yield Share([selection], block_in(data, found, chunk.first))
+        if not is_whole and not chunk.is_cut:
+            yield Share([selection], "a chunk's records can't be followed to their end")
 
     def _data(self) -> bytes:
         """Return the records of the whole chunk, decompressed and verified once."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import LARGEST, Block
 from trajeval_ros.io.bags.byte_source import ByteSource
-from trajeval_ros.io.bags.compression import decompress
+from trajeval_ros.io.bags.compression import LARGEST_RATIO, decompress, most_of
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -34,6 +36,7 @@ _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 _RECORD = HEAD + MESSAGE_HEAD
 GAP = 1 << 16  # bytes between wanted messages that cost less than another read
 _TAIL = 4096  # bytes read for the last message of a run, whose length isn't known before
+_LARGE = 1 << 26  # bytes that a chunk may become, however well it is compressed
 _WORTHWHILE = 0.5  # of a chunk; what needs more is read whole, and verified
 
 
@@ -50,6 +53,7 @@ class Chunk:
         size: Bytes of its records, decompressed.
         indexes: Where in the file the message index of a channel lies, by channel.
         index_end: Where those end.
+        channels: Those that it has messages of, as far as they are known; None if they aren't.
         is_cut: Whether the file ends within.
     """
 
@@ -61,6 +65,7 @@ class Chunk:
     size: int
     indexes: dict[int, int] = field(default_factory=dict)
     index_end: int = 0
+    channels: frozenset[int] | None = None
     is_cut: bool = False
 
     @property
@@ -69,8 +74,8 @@ class Chunk:
         return self.offset + HEAD + _TIMES.size + 4 + len(self.compression.encode()) + 8
 
     def may_hold(self, channels: Collection[int]) -> bool:
-        """Return whether it has messages of any of the channels, as far as its index says."""
-        return not self.indexes or any(each in self.indexes for each in channels)
+        """Return whether it has messages of any of the channels, as far as is known."""
+        return self.channels is None or not self.channels.isdisjoint(channels)
 
 
 def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = False) -> Chunk:
@@ -93,9 +98,28 @@ def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = Fal
 
 
 def require_size(chunk: Chunk) -> None:
-    """Raise DamagedError if a chunk is larger than any that a recorder writes."""
+    """Raise DamagedError if a chunk is, or becomes, larger than any that a recorder writes."""
     if chunk.length > LARGEST or chunk.size > LARGEST:
         raise DamagedError("a chunk's size can't be right")
+    if chunk.compression and chunk.size > most_of(chunk.length, _LARGE):
+        raise DamagedError(
+            f"a chunk becomes more than {LARGEST_RATIO} times its size, which none of a recording "
+            "does"
+        )
+
+
+def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
+    """Raise InputError if the chunks that may be opened become more than any recording does."""
+    total = 0
+    for chunk in chunks:
+        with contextlib.suppress(DamagedError):
+            require_size(chunk)
+            total += chunk.size if chunk.compression else 0
+    if total > most_of(source.size, LARGEST):
+        raise InputError(
+            f"{source.name} becomes more than {LARGEST_RATIO} times its size, which no recording "
+            "does; if you trust it, decompress it with `mcap decompress`"
+        )
 
 
 def whole(source: ByteSource, chunk: Chunk) -> bytes:
@@ -129,15 +153,23 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     return data
 
 
-def walked(data: bytes, registry: Registry | None = None) -> MessageIndex:
-    """Return the messages in a chunk's records; schemas and channels are added to a registry."""
-    found = MessageIndexBuilder()
+def walked(data: bytes, registry: Registry | None = None) -> tuple[MessageIndex, bool]:
+    """Return the messages in a chunk's records, and whether these lead to its end.
+
+    Args:
+        data: The records.
+        registry: To which schemas and channels are added.
+    """
+    found, end = MessageIndexBuilder(), 0
     for opcode, offset, length in records(data):
-        if opcode == MESSAGE and length >= MESSAGE_HEAD:
+        if opcode == MESSAGE:
+            if length < MESSAGE_HEAD:
+                break
             found.add(data, offset, offset - HEAD, length)
         elif registry is not None and opcode in (SCHEMA, CHANNEL):
             registry.add(opcode, data[offset : offset + length])
-    return found.done()
+        end = offset + length
+    return found.done(), end == len(data)
 
 
 def index_range(chunk: Chunk, wanted: Collection[int]) -> tuple[int, int]:

@@ -26,6 +26,7 @@ from trajeval_ros.io.bags.mcap_records import (
     CHUNK_INDEX,
     DATA_END,
     FOOTER,
+    FOOTER_SIZE,
     HEAD,
     MAGIC,
     MESSAGE_HEAD,
@@ -38,21 +39,22 @@ from trajeval_ros.io.bags.mcap_records import (
     head_of,
     records,
 )
-from trajeval_ros.io.bags.mcap_scan import Scan, scan
+from trajeval_ros.io.bags.mcap_scan import Scan, add_unlisted, scan
 from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-_FOOTER_SIZE = HEAD + 20
-_END_SIZE = _FOOTER_SIZE + len(MAGIC)
+_END_SIZE = FOOTER_SIZE + len(MAGIC)
 # Bytes. glibc gives memory back to the kernel that is larger than what was freed once, and to have
 # each page of the next chunk mapped again costs as much as decompressing it.
 _KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
+_IN_FLIGHT = 1 << 28  # bytes of the chunks that are in memory at once, unless one has more
 Piece = tuple[
     int, Chunk | MessageIndex, Sequence[TopicSelection]
 ]  # first log time, what, for whom
+S = TypeVar("S")
 T = TypeVar("T")
 
 
@@ -77,8 +79,11 @@ class McapReader:
         self._known: tuple[int, int] | None = None
         try:
             found, self._known = _summary(source)
+            self.damage += [f"{source.name}: {each}" for each in found.damage]
         except DamagedError as error:
             found = scan(source)
+            if isinstance(error, NoIndexError) and error.counts:
+                found.counts = Counter(error.counts)
             if found.damage or not isinstance(error, NoIndexError):
                 self.damage.append(
                     f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
@@ -125,7 +130,11 @@ class McapReader:
         pieces: list[Piece] = [
             (chunk.first, chunk, some)
             for chunk in chunks
-            if (some := [each for each in selections if chunk.may_hold(each.connections)])
+            if (
+                some := [
+                    each for each in selections if self._strict or chunk.may_hold(each.connections)
+                ]
+            )
         ]
         wanted = all_connections(selections)
         pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
@@ -136,12 +145,19 @@ class McapReader:
             bytes(_KEPT)
         lost = {each: Counter[str]() for each in selections}
         partial: Counter[TopicSelection] = Counter()
-        loaded = _prefetched(self._load, pieces, threads) if threads else map(self._load, pieces)
-        for (_, _, own), shares in zip(pieces, loaded, strict=True):
+        loaded = (
+            _prefetched(self._load, pieces, _room_of, threads)
+            if threads
+            else map(self._load, pieces)
+        )
+        for (_, place, own), shares in zip(pieces, loaded, strict=True):
             for share in shares:
                 if isinstance(share.block, str):
                     for selection in share.selections:
-                        lost[selection][share.block] += 1
+                        # If an index says that it has none of them, their count tells whether
+                        # that's true.
+                        if not isinstance(place, Chunk) or place.may_hold(selection.connections):
+                            lost[selection][share.block] += 1
                     continue
                 if share.is_partial:
                     partial.update(share.selections)
@@ -236,13 +252,15 @@ def _summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
     checksum = int.from_bytes(tail[HEAD + 16 : HEAD + 20], "little")
     end = source.size - _END_SIZE
     if not start:
-        raise NoIndexError("it has no index")
+        raise NoIndexError()
     if not len(MAGIC) <= start <= end or end - start > LARGEST:
         raise DamagedError("the summary isn't where its footer says")
     data = source.read(start, end - start)
     if checksum and zlib.crc32(tail[: HEAD + 16], zlib.crc32(data)) != checksum:
         raise DamagedError("the summary isn't what its checksum is of")
-    return _parsed(data, source.size)
+    found, span = _parsed(data, source.size)
+    add_unlisted(source, found, start)
+    return found, span
 
 
 def _parsed(data: bytes, size: int) -> tuple[Scan, tuple[int, int] | None]:
@@ -267,21 +285,24 @@ def _parsed(data: bytes, size: int) -> tuple[Scan, tuple[int, int] | None]:
             raise DamagedError("the summary is damaged") from error
     if any(chunk.offset + chunk.length > size for chunk in found.chunks):
         raise DamagedError("the summary names chunks that aren't there")
+    if len({chunk.offset for chunk in found.chunks}) < len(found.chunks):
+        raise DamagedError("the summary names a chunk twice")
     if statistics is None:
-        raise NoIndexError("it has no index")
+        raise NoIndexError()
     found.counts.update(statistics.channel_message_counts)
+    if found.counts and found.counts.total() != statistics.message_count:
+        raise DamagedError("the summary contradicts itself")
     channels = found.registry.channels
     used = {channel for channel, count in found.counts.items() if count}
     used |= {channel for chunk in found.chunks for channel in chunk.indexes}
     schemas = {channels[each].schema_id for each in used & channels.keys()} - {0}
-    if not used <= channels.keys() or not schemas <= found.registry.schemas.keys():
-        raise NoIndexError("it has no index")
-    if len(found.chunks) != statistics.chunk_count or (
-        statistics.message_count and not found.chunks
+    if (
+        not used <= channels.keys()
+        or not schemas <= found.registry.schemas.keys()
+        or len(found.chunks) != statistics.chunk_count
+        or (statistics.message_count and not (found.chunks and found.counts))
     ):
-        raise NoIndexError("it has no index")
-    if statistics.message_count and not found.counts:
-        raise NoIndexError("it has no index")
+        raise NoIndexError(found.counts)
     span = statistics.message_start_time, statistics.message_end_time
     return found, span if statistics.message_count else None
 
@@ -296,6 +317,7 @@ def _chunk_of(index: Any) -> Chunk:
         index.uncompressed_size,
         dict(index.message_index_offsets),
         index.chunk_start_offset + index.chunk_length + index.message_index_length,
+        frozenset(index.message_index_offsets) or None,
     )
 
 
@@ -310,17 +332,30 @@ def _data_end(source: ByteSource) -> tuple[int, int]:
     return end, int.from_bytes(record[HEAD:], "little")
 
 
-def _prefetched(load: Callable[[Any], T], pieces: Iterable[Any], threads: int) -> Iterator[T]:
+def _room_of(piece: Piece) -> int:
+    """Return the bytes that a piece needs in memory."""
+    place = piece[1]
+    return place.size if isinstance(place, Chunk) else int(place.sizes.sum())
+
+
+def _prefetched(
+    load: Callable[[S], T], pieces: Iterable[S], room_of: Callable[[S], int], threads: int
+) -> Iterator[T]:
     """Yield what is loaded, in order, while the next are loaded by other threads."""
-    waiting: deque[Future[T]] = deque()
+    waiting: deque[tuple[int, Future[T]]] = deque()
+    in_flight = 0
     with ThreadPoolExecutor(threads) as pool:
         try:
             for piece in pieces:
-                waiting.append(pool.submit(load, piece))
-                if len(waiting) > threads:
-                    yield waiting.popleft().result()
+                room = room_of(piece)
+                while waiting and (len(waiting) > threads or in_flight + room > _IN_FLIGHT):
+                    done, future = waiting.popleft()
+                    yield future.result()
+                    in_flight -= done
+                waiting.append((room, pool.submit(load, piece)))
+                in_flight += room
             while waiting:
-                yield waiting.popleft().result()
+                yield waiting.popleft()[1].result()
         finally:
-            for future in waiting:
+            for _, future in waiting:
                 future.cancel()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -21,8 +21,8 @@ MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = (
     0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08, 0x0B, 0x0F,
 )  # fmt: skip
-LAST_KNOWN = 0x0F
 HEAD = 9  # bytes of opcode and length
+FOOTER_SIZE = HEAD + 20
 MESSAGE_HEAD = 22  # bytes of a message before its payload
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
@@ -33,7 +33,16 @@ class DamagedError(Exception):
 
 
 class NoIndexError(DamagedError):
-    """A file has no index, as it may."""
+    """A file has no index, as it may.
+
+    Attributes:
+        counts: Number of messages by channel, as far as its statistics count them.
+    """
+
+    def __init__(self, counts: Mapping[int, int] | None = None) -> None:
+        """Keep what is known without an index."""
+        super().__init__("it has no index")
+        self.counts = counts or {}
 
 
 @dataclass

@@ -1,30 +1,28 @@
-"""A walk through all records of an MCAP file, for one whose index is missing or can't be trusted.
+"""A walk through the records of an MCAP file: all of them, or those that no index tells of.
 
-Only the heads of records are read, and what stands beside them; payloads are passed over.
+Only the heads of records are read, and what stands beside them; payloads are passed over. A chunk
+that no summary lists is opened to see what it holds: the message indexes behind it may be missing,
+as when a recorder was killed between them.
 """
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.io.bags.byte_source import ByteSource
-from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, walked, whole
+from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
     CHUNK,
-    DATA_END,
     FOOTER,
+    FOOTER_SIZE,
     HEAD,
-    LAST_KNOWN,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
     MessageIndex,
@@ -35,7 +33,6 @@ from trajeval_ros.io.bags.mcap_records import (
 
 _WINDOW = 1 << 16  # bytes
 _NEAR = HEAD + MESSAGE_HEAD  # bytes of a record that are looked at
-_PRIVATE = 0x80  # opcodes from here on are anybody's own
 
 
 @dataclass
@@ -48,7 +45,7 @@ class Scan:
         messages: Those outside of chunks; offsets are of the file.
         counts: Number of messages by channel, those in chunks included.
         end: Where the walk ended.
-        damage: Why it ended before the end of the data, "" if it didn't; and what else is wrong.
+        damage: What can't be followed, or read of what was found.
     """
 
     registry: Registry = field(default_factory=Registry)
@@ -66,87 +63,124 @@ class _Window:
         self._source = source
         self._begin, self._data = 0, b""
 
-    def at(self, offset: int, size: int) -> bytes:
-        """Return bytes of the file, fewer where it ends."""
+    def at(self, offset: int, size: int, end: int) -> bytes:
+        """Return bytes of the file, fewer where the part that is walked through ends."""
         place = offset - self._begin
         if not 0 <= place <= len(self._data) - size:
-            self._begin, self._data = offset, self._source.read(offset, max(size, _WINDOW))
+            room = min(max(size, _WINDOW), end - offset)
+            self._begin, self._data = offset, self._source.read(offset, room)
             place = 0
         return self._data[place : place + size]
 
 
-def scan(source: ByteSource) -> Scan:
-    """Walk through a file, as far as its records can be followed."""
-    found, window, growing = Scan(), _Window(source), MessageIndexBuilder()
-    while True:
-        head = window.at(found.end, _NEAR)
-        if len(head) < HEAD:
+class _Walk:
+    """A walk while it goes on."""
+
+    def __init__(self, source: ByteSource, found: Scan) -> None:
+        self._source = source
+        self._found = found
+        self._window = _Window(source)
+        self._growing = MessageIndexBuilder()
+        self.opened: list[Chunk] = []  # chunks that no summary lists
+
+    def through(self, begin: int, end: int) -> None:
+        """Walk through a part of the file, as far as its records can be followed."""
+        found = self._found
+        found.end = begin
+        while found.end < end:
+            head = self._window.at(found.end, _NEAR, end)
+            opcode, length = head_of(head.ljust(HEAD, b"\xff"))
+            if opcode == FOOTER and found.end + FOOTER_SIZE + len(MAGIC) == self._source.size:
+                return
+            if opcode in (0, FOOTER):
+                found.damage.append(f"what follows byte {found.end} is no record")
+                return
+            is_cut = found.end + HEAD + length > end
+            try:
+                self._add(opcode, head, min(HEAD + length, end - found.end), is_cut=is_cut)
+            except DamagedError as error:
+                found.damage.append(f"{error} at byte {found.end}")
+            if is_cut:
+                break
+            found.end += HEAD + length
+        if end < self._source.size and found.end < end:
+            found.damage.append(f"records from byte {found.end} on can't be followed")
+        elif end == self._source.size:
             found.damage.append("it was cut short")
-            break
-        opcode, length = head_of(head)
-        if opcode in (DATA_END, FOOTER):
-            break
-        if not 0 < opcode <= LAST_KNOWN and opcode < _PRIVATE:
-            found.damage.append(f"what follows byte {found.end} is no record")
-            break
-        end = found.end + HEAD + length
-        is_cut = end > source.size
-        try:
-            if opcode == CHUNK:
-                _add_chunk(source, found, length if not is_cut else source.size, is_cut=is_cut)
-            elif not is_cut:
-                _add_record(window, found, growing, opcode, length)
-        except DamagedError as error:
-            found.damage.append(f"{error} at byte {found.end}")
-        if is_cut:
-            found.damage.append("it was cut short")
-            found.end = source.size if opcode == CHUNK else found.end
-            break
-        found.end = end
-    found.messages = growing.done()
-    found.counts.update(found.messages.channels.tolist())
-    _look_into_chunks(source, found)
-    found.messages = found.messages[_known(found.messages, found.registry)]
-    return found
 
+    def _add(self, opcode: int, head: bytes, size: int, *, is_cut: bool) -> None:
+        """Add what a record says; one of a kind that isn't known is passed over."""
+        offset = self._found.end
+        if opcode == CHUNK:
+            self.opened.append(chunk_at(self._source, offset, size, is_cut=is_cut))
+        elif is_cut:
+            return
+        elif opcode == MESSAGE:
+            if size < _NEAR:
+                raise DamagedError("a message is too short")
+            self._growing.add(head, HEAD, offset, size - HEAD)
+        elif opcode in (SCHEMA, CHANNEL):
+            record = self._window.at(offset, size, offset + size)
+            self._found.registry.add(opcode, record[HEAD:])
 
-def _add_chunk(source: ByteSource, found: Scan, length: int, *, is_cut: bool) -> None:
-    size = source.size - found.end if is_cut else HEAD + length
-    found.chunks.append(chunk_at(source, found.end, size, is_cut=is_cut))
-
-
-def _add_record(
-    window: _Window, found: Scan, growing: MessageIndexBuilder, opcode: int, length: int
-) -> None:
-    offset = found.end
-    if opcode == MESSAGE:
-        if length < MESSAGE_HEAD:
-            raise DamagedError("a message is too short")
-        growing.add(window.at(offset, _NEAR), HEAD, offset, length)
-    elif opcode in (SCHEMA, CHANNEL):
-        found.registry.add(opcode, window.at(offset, HEAD + length)[HEAD:])
-    elif opcode == MESSAGE_INDEX and found.chunks and length >= 6:
-        channel, size = struct.unpack_from("<HI", window.at(offset, HEAD + 6), HEAD)
-        found.chunks[-1].indexes[channel] = offset
-        found.chunks[-1].index_end = offset + HEAD + length
-        found.counts[channel] += size // 16
-
-
-def _look_into_chunks(source: ByteSource, found: Scan) -> None:
-    """Read the chunks that have channels nobody has described, or no index."""
-    for chunk in found.chunks:
-        if chunk.indexes and chunk.indexes.keys() <= found.registry.channels.keys():
-            continue
-        try:
-            messages = walked(whole(source, chunk), found.registry)
-        except DamagedError:
-            continue  # is counted when it is read
-        if not chunk.indexes:
-            found.counts.update(messages.channels.tolist())
+    def done(self) -> None:
+        """Open the chunks that were found, and count all messages."""
+        found = self._found
+        require_budget(self._source, [*found.chunks, *self.opened])
+        found.messages = self._growing.done()
+        counts = Counter(found.messages.channels.tolist())
+        for chunk in self.opened:
+            try:
+                messages, is_whole = walked(whole(self._source, chunk), found.registry)
+            except DamagedError:
+                continue  # is told when it is read
+            if is_whole or chunk.is_cut:
+                chunk.channels = frozenset(messages.channels.tolist())
+            counts.update(messages.channels.tolist())
             if len(messages):
                 chunk.first = int(messages.log_times.min())
                 chunk.last = int(messages.log_times.max())
+        found.chunks += self.opened
+        known = np.fromiter(found.registry.channels, np.int64)
+        found.messages = found.messages[np.isin(found.messages.channels, known)]
+        unknown = sum(count for each, count in counts.items() if each not in known)
+        if unknown:
+            found.damage.append(f"{unknown} messages are of channels that nothing describes")
+        found.counts = found.counts or counts
 
 
-def _known(messages: MessageIndex, registry: Registry) -> Booleans:
-    return np.isin(messages.channels, np.fromiter(registry.channels, np.int64))
+def scan(source: ByteSource) -> Scan:
+    """Walk through a file, as far as its records can be followed.
+
+    Raises:
+        InputError: It would become far larger than any recording does.
+    """
+    found = Scan()
+    walk = _Walk(source, found)
+    walk.through(len(MAGIC), source.size)
+    walk.done()
+    return found
+
+
+def add_unlisted(source: ByteSource, found: Scan, end: int) -> None:
+    """Add what is beside the chunks that a summary lists: messages, and other chunks.
+
+    Args:
+        source: The file.
+        found: What its summary says.
+        end: Where its data end.
+
+    Raises:
+        InputError: It would become far larger than any recording does.
+    """
+    walk = _Walk(source, found)
+    begin = len(MAGIC)
+    listed = sorted(found.chunks, key=lambda chunk: chunk.offset)
+    nexts = [*(chunk.offset for chunk in listed[1:]), end]
+    for chunk, until in zip(listed, nexts, strict=False):
+        walk.through(begin, chunk.offset)
+        begin = chunk.offset + chunk.length
+        if begin < chunk.index_end <= until:
+            begin = chunk.index_end
+    walk.through(begin, end)
+    walk.done()

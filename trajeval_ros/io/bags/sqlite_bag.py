@@ -56,6 +56,7 @@ class SqliteReader:
         mode = "mode=ro" if has_log else "immutable=1"
         uri = f"{path.resolve().as_uri()}?{mode}"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        self._database.text_factory = lambda text: text.decode(errors="replace")
         try:
             self.connections = self._list_connections()
         except sqlite3.Error as error:
@@ -74,7 +75,8 @@ class SqliteReader:
     def span(self) -> tuple[int, int] | None:
         """First and last log time of all messages, ns; None if there is none."""
         first, last = self._database.execute(
-            "SELECT min(timestamp), max(timestamp) FROM messages"
+            "SELECT min(timestamp), max(timestamp) FROM messages "
+            "WHERE typeof(timestamp) = 'integer'"
         ).fetchone()
         return None if first is None else (first, last)
 
@@ -165,7 +167,8 @@ class SqliteReader:
         texts = {}
         if self._columns("message_definitions"):
             rows = self._database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                f"SELECT {_text('topic_type')}, {_text('encoding')}, "
+                f"{_text('encoded_message_definition')} FROM message_definitions"
             )
             texts = {
                 name: MessageDefinition(formats[encoding], text)
@@ -176,8 +179,8 @@ class SqliteReader:
             raise InputError(f"{self._name} is no bag: it lacks the tables of topics and messages")
         has_qos = "offered_qos_profiles" in self._columns("topics")
         rows = self._database.execute(
-            "SELECT id, name, type, serialization_format, "
-            + ("offered_qos_profiles" if has_qos else "''")
+            f"SELECT id, {_text('name')}, {_text('type')}, {_text('serialization_format')}, "
+            + (_text("offered_qos_profiles") if has_qos else "''")
             + " FROM topics ORDER BY id"
         )
         none = MessageDefinition(MessageDefinitionFormat.NONE, "")
@@ -227,7 +230,8 @@ class _Window:
     def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
         """Return the query of the wanted messages, and its values."""
         query = (
-            "SELECT id, topic_id, timestamp, data FROM messages "
+            "SELECT id, topic_id, CAST(ifnull(timestamp, 0) AS INTEGER), "
+            "ifnull(CAST(data AS BLOB), x'') FROM messages "
             f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
         )
         values: tuple[Any, ...] = tuple(wanted)
@@ -251,6 +255,11 @@ class _Window:
     def place(self, log_time: int, key: int) -> Place:
         """Return where in the order a message is."""
         return (log_time if self.in_order else 0, key)
+
+
+def _text(column: str) -> str:
+    """Return a column as text: sqlite lets any row hold anything, such as the text as a blob."""
+    return f"ifnull(CAST({column} AS TEXT), '')"
 
 
 def _lost_of(log: Path) -> str:

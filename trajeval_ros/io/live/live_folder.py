@@ -18,12 +18,21 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.geometry.trajectory import (
+    LARGEST,
+    NANOSECONDS,
+    NO_STATE,
+    Trajectory,
+    add_counts,
+    judge_poses,
+)
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
+from trajeval_ros.io.live.run_state import require_run_state
+from trajeval_ros.io.npz_file import read_arrays
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
@@ -99,7 +108,7 @@ def _evaluate(path: Path, request: Request, align_with: str | None) -> _Evaluate
         raise InputError(f"{name}: no pair of estimate and groundtruth was made")
     try:
         return _evaluate_pairs(path, name, recorded, request, align_with)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
 
 
@@ -107,8 +116,12 @@ def _evaluate_pairs(
     path: Path, name: str, recorded: RecordedPairs, request: Request, align_with: str | None
 ) -> _EvaluatedEstimate:
     description, state = recorded.description, recorded.state
+    require_run_state(description, state)
     truth, estimate = state["groundtruth"], state["estimate"]
-    protocol = protocol_from("default", **state["settings"])
+    try:
+        protocol = protocol_from("default", **state["settings"])
+    except SettingsError as error:  # not the user's: other estimates may have better ones
+        raise InputError(f"{path} isn't as this version writes it: {error}") from error
     protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
@@ -128,6 +141,11 @@ def _evaluate_pairs(
         warnings.append(
             "the live run ended without its last counts: what was lost and dropped is told as of "
             f"{later} pairs before the end"
+        )
+    if recorded.torn:
+        warnings.append(
+            f"{path.name} is damaged, or was cut short: {recorded.torn} bytes at its end can't be "
+            "read, with the pairs in them"
         )
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
@@ -165,8 +183,10 @@ def _association(
 ) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
     """Return the pairs in order of their stamps, with the counts, and notes about either side."""
     # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
-    stamps, order = np.unique(recorded.stamps, return_index=True)
-    again = len(recorded.stamps) - len(stamps)
+    usable = np.flatnonzero(_are_states(recorded.groundtruth) & _are_states(recorded.estimate))
+    stamps, order = np.unique(recorded.stamps[usable], return_index=True)
+    order = usable[order]
+    again = len(usable) - len(stamps)
     later = len(recorded.stamps) - recorded.pairs_at_state
     groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
@@ -177,9 +197,18 @@ def _association(
         estimate=dataclasses.replace(estimate, up=ups[1]),
         estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
         coverage=_coverage(groundtruth, recorded, rule),
-        dropped=add_counts(recorded.state["dropped"], {"duplicate_stamp": again}),
+        dropped=add_counts(
+            recorded.state["dropped"],
+            {"duplicate_stamp": again, "not_finite": len(recorded.stamps) - len(usable)},
+        ),
     )
     return pairs, truth_notes, notes
+
+
+def _are_states(rows: Floats) -> Booleans:
+    """Return which rows (N, 10) are states; NaN stands for a rotation or velocity not known."""
+    finite, turned = judge_poses(rows[:, :3], np.nan_to_num(rows[:, 3:7], nan=1.0))
+    return finite & turned & ~(np.abs(rows[:, 7:]) > LARGEST).any(axis=1)
 
 
 def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule) -> Coverage:
@@ -206,17 +235,26 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
     ), notes
 
 
+def _read_revised(path: Path) -> Trajectory:
+    arrays = read_arrays(path, ("stamps", "positions", "quaternions"))
+    kinds = [(name, array.dtype.kind, array.shape) for name, array in arrays.items()]
+    count = len(arrays["stamps"]) if arrays.get("stamps", np.zeros(())).ndim else 0
+    if not count or kinds != [
+        ("stamps", "i", (count,)),
+        ("positions", "f", (count, 3)),
+        ("quaternions", "f", (count, 4)),
+    ]:
+        raise InputError(f"{path} holds no stamps, positions and quaternions, each as many")
+    if not np.logical_and(*judge_poses(arrays["positions"], arrays["quaternions"])).all():
+        raise InputError(f"{path} holds poses that aren't finite")
+    return Trajectory(arrays["stamps"], arrays["positions"], lie.normalized(arrays["quaternions"]))
+
+
 def _revised(
     causal: Association, recorded: RecordedPairs, path: Path
 ) -> tuple[Association, dict[str, Any]]:
     """Return the pairs with the estimator's last word, and the counts of its poses."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            quaternions = lie.normalized(file["quaternions"])
-            up = causal.estimate.up
-            revised = Trajectory(file["stamps"], file["positions"], quaternions, up=up)
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path} can't be read: {error}") from error
+    revised = dataclasses.replace(_read_revised(path), up=causal.estimate.up)
     stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
     groundtruth, estimate = causal.groundtruth[rows], revised[places]

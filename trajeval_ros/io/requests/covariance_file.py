@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,13 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
+from trajeval_ros.io.npz_file import read_arrays
 from trajeval_ros.io.writing import write_whole
 
+_ARRAYS = (
+    "stamps_ns", "positions", "quaternions", "block", "perturbation", "gauge", "cov", "info",
+    "info_data", "info_indices", "info_indptr",
+)  # fmt: skip
 _GAUGES = ("free", "first4", "prior", "unknown")
 _PERTURBATIONS = ("left", "right")
 
@@ -55,7 +59,10 @@ def read_joint_covariance(path: Path) -> JointCovariance:
         InputError: It can't be read, something is missing or of the wrong size, or the matrix
             is no covariance.
     """
-    arrays = _load(path)
+    try:
+        arrays = read_arrays(path, _ARRAYS)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; check the path of --covariance") from None
     try:
         joint = _joint_of(arrays)
         joint.require_sound()
@@ -64,24 +71,17 @@ def read_joint_covariance(path: Path) -> JointCovariance:
     return joint
 
 
-def _load(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; check the path of --covariance") from None
-    except (OSError, ValueError, zipfile.BadZipFile, AttributeError, EOFError):
-        raise InputError(
-            f"{path} is no npz archive of plain arrays, as a joint covariance must be"
-        ) from None
-
-
 def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
     missing = [
         name for name in ("stamps_ns", "positions", "quaternions", "block") if name not in arrays
     ]
     if missing:
         raise InputError(f"the joint covariance lacks {', '.join(missing)}")
+    for name in set(arrays) - {"block", "perturbation", "gauge"}:
+        if arrays[name].dtype.kind not in "iuf":
+            raise InputError(f"the joint covariance's {name} holds no numbers")
+        if name in ("cov", "info") and arrays[name].ndim != 2:
+            raise InputError(f"the joint covariance's {name} is no matrix")
     stamps = np.asarray(arrays["stamps_ns"], dtype=np.int64).ravel()
     positions = np.asarray(arrays["positions"], dtype=np.float64)
     quaternions = np.asarray(arrays["quaternions"], dtype=np.float64)
@@ -126,9 +126,11 @@ def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr
         return None
     try:
         parts = tuple(arrays[f"info_{name}"] for name in ("data", "indices", "indptr"))
-        return scipy.sparse.csr_matrix(parts, shape=(size, size))
-    except (KeyError, ValueError) as error:
+        matrix = scipy.sparse.csr_matrix(parts, shape=(size, size))
+        matrix.check_format(full_check=True)  # else wrong indices read what isn't theirs
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"info_data, info_indices and info_indptr are no {size} x {size} matrix in compressed "
             "rows"
         ) from error
+    return matrix

@@ -11,7 +11,6 @@ The frames' names may be left out. What `ros2 topic echo --once` prints of such 
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
 _WHAT = "transform"
@@ -79,7 +79,7 @@ def _numbers(value: Any, names: str, where: str) -> Any:
     numbers: list[float] = []
     for name in names:
         number = found.get(name)
-        if isinstance(number, (int, float)) and math.isfinite(number):
+        if isinstance(number, (int, float)) and abs(number) <= LARGEST:
             numbers.append(float(number))
         else:
             raise InputError(f"{where}.{name} must be a number, not {number!r}")

@@ -1,0 +1,82 @@
+"""What the texts of a pair file must say for its pairs to be evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+Check = Callable[[Any], bool]
+
+
+def require_run_state(description: Mapping[str, Any], state: Mapping[str, Any]) -> None:
+    """Check the values that a live run describes itself with.
+
+    Raises:
+        ValueError: One can't be; says which.
+        KeyError: One is missing.
+    """
+    for keys, fits in _DESCRIPTION.items():
+        _require(description, keys, fits)
+    for keys, fits in _STATE.items():
+        _require(state, keys, fits)
+
+
+def _require(values: Mapping[str, Any], keys: str, fits: Check) -> None:
+    value: Any = values
+    for key in keys.split("."):
+        value = value[key] if isinstance(value, dict) else None
+    if not fits(value):
+        raise ValueError(f"{keys} can't be {repr(value)[:60]}")
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_amount(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, dict)
+
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _are_counts(value: Any) -> bool:
+    return isinstance(value, dict) and all(map(_is_count, value.values()))
+
+
+_DESCRIPTION: dict[str, Check] = {
+    "groundtruth": _is_text,
+    "estimate": _is_text,
+    "place": _is_count,
+}
+_STATE: dict[str, Check] = {
+    **{
+        f"{side}.{key}": fits
+        for side in ("groundtruth", "estimate")
+        for key, fits in (
+            ("poses", _is_count),
+            ("states", _is_count),
+            ("duration_s", _is_amount),
+            ("frame", _is_text),
+            ("child_frame", _is_text),
+            ("notes", _are_texts),
+        )
+    },
+    "groundtruth.path_length_m": _is_amount,
+    "groundtruth.time_without_gaps_ns": _is_count,
+    "groundtruth.dropped": _are_counts,
+    "dropped": _are_counts,
+    "aligned_by": lambda value: value is None or (_is_count(value) and value > 0),
+    "settings": _is_mapping,
+    "live": _is_mapping,
+    "warnings": _are_texts,
+}
