@@ -300,11 +300,23 @@ def make_pairs(random: Random, folder: Path) -> Changed:
         stamps[int(random.integers(len(stamps)))] = pick(random, [0, -1, 2**63 - 1, stamps[0]])
     rows = np.empty(len(stamps), dtype=[("s", "<i8"), ("t", "<f8", 10), ("e", "<f8", 10)])
     rows["s"], rows["t"], rows["e"] = stamps, truth, estimate
+    passed = np.empty(5, dtype=[("s", "<i8"), ("p", "<f8", 7)])
+    passed["s"], passed["p"] = stamps[:5] + 1_000_000, truth[:5, :7]
+    if random.random() < 0.3:
+        passed["p"][int(random.integers(5)), int(random.integers(7))] = pick(
+            random, [np.nan, np.inf, 1e308, 0.0]
+        )
+        passed["s"][int(random.integers(5))] = pick(random, [0, -1, 2**63 - 1])
     content = b""
-    for text, own in ((texts[0], rows[:0]), ("", rows), (texts[1], rows[:0])):
+    for magic, text, own in (
+        (b"TEPC", texts[0], rows[:0]),
+        (b"TEPC", "", rows),
+        (b"TEWC", "", passed),
+        (b"TEPC", texts[1], rows[:0]),
+    ):
         body = (json.dumps(text).encode() if text else b"") + own.tobytes()
         length = len(body) - own.nbytes
-        content += struct.pack("<4sIII", b"TEPC", len(own), length, zlib.crc32(body)) + body
+        content += struct.pack("<4sIII", magic, len(own), length, zlib.crc32(body)) + body
     if random.random() < 0.2:
         content, _ = with_other_bytes(random, content)
     (folder / "vio.pairs").write_bytes(content)

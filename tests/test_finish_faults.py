@@ -25,7 +25,13 @@ from trajeval_ros.io.results.result_json import result_of
 COUNT = 200
 STEP_NS = 50_000_000
 SETTINGS = {"gauge": "yaw", "lengths": "2,4"}
-COUNTS = {"poses": COUNT, "states": COUNT, "duration_s": 9.95, "notes": []}
+COUNTS = {
+    "poses": COUNT,
+    "states": COUNT,
+    "duration_s": 9.95,
+    "up": {"name": "z", "origin": "assumed"},
+    "notes": [],
+}
 STATE: dict[str, Any] = {
     "settings": SETTINGS,
     "groundtruth": {

@@ -206,7 +206,7 @@ def _association(
 
 
 def _are_states(rows: Floats) -> Booleans:
-    """Return which rows (N, 10) are states; NaN stands for a rotation or velocity not known."""
+    """Return which poses (N, 7) or states (N, 10) can be; NaN stands for what isn't known."""
     finite, turned = judge_poses(rows[:, :3], np.nan_to_num(rows[:, 3:7], nan=1.0))
     return finite & turned & ~(np.abs(rows[:, 7:]) > LARGEST).any(axis=1)
 
@@ -216,11 +216,18 @@ def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: Associatio
     max_gap_ns = round(rule.max_gap_s * NANOSECONDS)
     pairs = StampedPoses.of(groundtruth, np.arange(len(groundtruth)))
     sums = CoverageSums(rule.max_gap_s)
-    sums.add(StepMeter(max_gap_ns).measure(recorded.waypoints, pairs))
+    waypoints = _usable(recorded.waypoints)
+    sums.add(StepMeter(max_gap_ns).measure(waypoints, pairs))
     truth = recorded.state["groundtruth"]
     # Of a run that was killed, the newest counts are older than the newest pairs.
-    passed_ns = time_without_gaps(recorded.waypoints.stamps, max_gap_ns)
+    passed_ns = time_without_gaps(waypoints.stamps, max_gap_ns)
     return sums.coverage(max(truth["time_without_gaps_ns"], passed_ns), max(truth["states"], 1))
+
+
+def _usable(waypoints: StampedPoses) -> StampedPoses:
+    rows = np.flatnonzero(_are_states(waypoints.poses))
+    rows = rows[np.argsort(waypoints.stamps[rows], kind="stable")]
+    return StampedPoses(waypoints.stamps[rows], waypoints.poses[rows])
 
 
 def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from trajeval_ros.geometry.up_axis import UP_AXES
+
 Check = Callable[[Any], bool]
 
 
@@ -49,6 +51,15 @@ def _are_texts(value: Any) -> bool:
     return isinstance(value, list) and all(map(_is_text, value))
 
 
+def _is_up(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and value.keys() == {"name", "origin"}
+        and value["name"] in UP_AXES
+        and _is_text(value["origin"])
+    )
+
+
 def _are_counts(value: Any) -> bool:
     return isinstance(value, dict) and all(map(_is_count, value.values()))
 
@@ -69,6 +80,7 @@ _STATE: dict[str, Check] = {
             ("frame", _is_text),
             ("child_frame", _is_text),
             ("notes", _are_texts),
+            ("up", _is_up),
         )
     },
     "groundtruth.path_length_m": _is_amount,
