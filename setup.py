@@ -121,9 +121,9 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"trajeval = {PACKAGE}.cli.app:main",
-            f"evaluator = {PACKAGE}.cli.app:ros_evaluator",  # ros2 run trajeval_ros evaluator
-            f"replay = {PACKAGE}.cli.app:ros_replay",  # ros2 run trajeval_ros replay
+            f"trajeval = {PACKAGE}.__main__:main",
+            f"evaluator = {PACKAGE}.__main__:ros_evaluator",  # ros2 run trajeval_ros evaluator
+            f"replay = {PACKAGE}.__main__:ros_replay",  # ros2 run trajeval_ros replay
         ]
     },
 )

@@ -13,11 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-try:
-    from trajeval_ros.cli.app import main
-except ModuleNotFoundError as missing:
-    print(f"{missing}; run `make install`, then use .venv/bin/python", file=sys.stderr)
-    sys.exit(2)
+from trajeval_ros.__main__ import main
 
 # The workers import this file anew.
 if __name__ == "__main__":

@@ -16,11 +16,7 @@ ROOT = str(Path(__file__).resolve().parent.parent)
 sys.path.insert(0, ROOT)
 os.environ["PYTHONPATH"] = ROOT  # for the processes that it starts
 
-try:
-    from trajeval_ros.cli.app import main
-except ModuleNotFoundError as missing:
-    print(f"{missing}; run `make demo`, which has what it takes", file=sys.stderr)
-    sys.exit(2)
+from trajeval_ros.__main__ import main  # noqa: E402
 
 if __name__ == "__main__":
     sys.exit(main(["demo", *sys.argv[1:]]))

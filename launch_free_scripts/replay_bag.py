@@ -14,11 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-try:
-    from trajeval_ros.cli.app import ros_replay
-except ModuleNotFoundError as missing:
-    print(f"{missing}; run `make ros-environment`, then use .venv-ros/bin/python", file=sys.stderr)
-    sys.exit(2)
+from trajeval_ros.__main__ import ros_replay
 
 if __name__ == "__main__":
     sys.exit(ros_replay())

@@ -301,7 +301,7 @@ def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
     folder.mkdir()
     program.write_text(
         '#!/bin/sh\ncase "$*" in *--json*)\n'
-        f'touch "{folder}/.result.json.$$.part" "{folder}/.other.json.1.part"\n'
+        f'touch "{folder}/.result.json.trajeval-01234567" "{folder}/.other.json.1.part"\n'
         "exec sleep 600;; esac\necho trajeval: full >&2\nexit 2\n"
     )
     program.chmod(0o755)

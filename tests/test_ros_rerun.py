@@ -94,8 +94,8 @@ def test_without_rerun_the_extra_is_named_and_the_node_runs_on(
     flights: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     code = (
-        "import sys; sys.modules['rerun'] = None; from trajeval_ros.cli.app import ros_evaluator; "
-        "sys.exit(ros_evaluator())"
+        "import sys; sys.modules['rerun'] = None; "
+        "from trajeval_ros.__main__ import ros_evaluator; sys.exit(ros_evaluator())"
     )
     values = {
         "groundtruth_topic": TRUTH,

@@ -1,4 +1,4 @@
-"""The entry point: the verbs, and one line instead of a traceback for a user's mistake."""
+"""The verbs, and one line instead of a traceback for a user's mistake."""
 
 from __future__ import annotations
 
@@ -87,20 +87,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status if isinstance(status, int) else 0
 
 
-def ros_replay() -> int:
-    """Run `trajeval replay`, under the name that `ros2 run trajeval_ros replay` looks for."""
-    return main(["replay", *sys.argv[1:]])
-
-
-def ros_evaluator() -> int:
-    """Run the live evaluator, as `ros2 run trajeval_ros evaluator` does."""
-    return main(["evaluator", *sys.argv[1:]])
-
-
 def _fail(sentence: str) -> int:
     print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
     return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

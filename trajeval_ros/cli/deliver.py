@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
-import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +22,7 @@ from trajeval_ros.io.results.error_archive import write_errors
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
 from trajeval_ros.io.writing import refused_by_disk, write_text
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline import Outcome, RunOutcome
 
 _NO_PICTURES = Pictures()
+_RESULT = "result.json"
 _OURS = re.compile(
     "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
     r"|likelihood_by_edge|(consistency|uncertainty_top)(_\d+)?)\.png"
@@ -113,12 +113,16 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
 def _write_folder(
     folder: Path, result: dict[str, object], runs: Sequence[RunOutcome], pictures: Pictures
 ) -> None:
-    """Write everything under a temporary name first, so that nothing is ever half written."""
+    """Write everything under a temporary name first, so that nothing is ever half written.
+
+    result.json goes first and comes last: where there is one, all else is of the same evaluation.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
     # A folder that exists may be a disk of its own, and the only place that can be written.
     beside = folder if folder.is_dir() else folder.parent
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=beside))
-    try:
+    # A run that was killed may have been the first, which wrote beside the folder.
+    collect_leftovers(folder.parent)
+    with temporary_folder(folder.name, beside) as temporary:
         write_errors(temporary / "errors.npz", runs)
         if _HAVE_FIGURES:
             # That matplotlib can't write into the user's home is no news about trajectories.
@@ -138,17 +142,19 @@ def _write_folder(
                 from trajeval_ros.report.probabilistic_figures import write_probabilistic
 
                 write_probabilistic(list(likely.values()), temporary, list(likely))
-        pictures.write_into(temporary, runs)
-        (temporary / "result.json").write_text(json_text(result, indent=2), encoding="utf-8")
+        try:
+            pictures.write_into(temporary, runs)
+        except InputError as error:  # names a place that nobody knows
+            raise InputError(str(error).replace(str(temporary), str(folder))) from error
+        (temporary / _RESULT).write_text(json_text(result, indent=2), encoding="utf-8")
         folder.mkdir(exist_ok=True)
+        (folder / _RESULT).unlink(missing_ok=True)
         # Figures of an evaluation before this one would pass for figures of this one.
         for old in folder.glob("*.png"):
             if _OURS.fullmatch(old.name):
                 old.unlink()
-        for file in sorted(temporary.iterdir()):
+        for file in sorted(temporary.iterdir(), key=lambda file: file.name == _RESULT):
             file.replace(folder / file.name)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _assessments(runs: Sequence[RunOutcome]) -> dict[str, Assessment]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.pipeline import RunOutcome
 
 PICTURE = "run.rrd"
@@ -58,8 +58,8 @@ class Pictures:
         if self.rrd is not None:
             show(self.rrd)
             return
-        with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:
-            made = Path(folder) / PICTURE
+        with temporary_folder("picture") as folder:
+            made = folder / PICTURE
             _write(made, runs)
             show(made)
 

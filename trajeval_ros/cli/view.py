@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.pair_file import SUFFIX
+from trajeval_ros.io.temporary import temporary_folder
 
 
 def view(
@@ -54,7 +54,7 @@ def view(
     from trajeval_ros.viewer.recorded_scene import write_recording
 
     live = evaluate_folder(result)
-    with tempfile.TemporaryDirectory(prefix="trajeval-") as folder:
-        made = Path(folder) / PICTURE
+    with temporary_folder("picture") as folder:
+        made = folder / PICTURE
         write_recording(made, [run.evaluation for run in live.runs])
         show(made, in_browser=web)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.temporary import temporary_file
 
 
 def write_text(path: Path, text: str) -> None:
@@ -15,9 +19,18 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def temporary_name(name: str, process: int) -> str:
-    """Return what a file is called while a process, by its number, writes it."""
-    return f".{name}.{process}.part"
+def write_npz(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
+    """Write an archive of arrays to a file at once.
+
+    On a full disk, zipfile leaves an open archive behind, which complains when it is collected.
+
+    Raises:
+        OSError: The file can't be written.
+    """
+    archive = BytesIO()
+    save = np.savez_compressed if compressed else np.savez
+    save(archive, **arrays)
+    path.write_bytes(archive.getbuffer())
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -36,14 +49,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         return
     if path.is_symlink():
         path = path.resolve()
-    temporary = path.with_name(temporary_name(path.name, os.getpid()))
-    try:
-        with refused_by_disk(str(path)):
-            write(temporary)
-            temporary.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+    with refused_by_disk(str(path)), temporary_file(path) as temporary:
+        write(temporary)
+        temporary.replace(path)
 
 
 @contextlib.contextmanager

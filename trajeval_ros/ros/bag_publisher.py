@@ -36,7 +36,7 @@ def replay(
     begin: Callable[[Sequence[Channel]], None],
     advance: Callable[[int, int], None],
 ) -> PlaybackResult[Channel]:
-    """Publish what is to be played; SIGINT and SIGTERM end it early.
+    """Publish what is to be played; SIGINT, SIGTERM and SIGHUP end it early.
 
     Args:
         playback: What is played.

@@ -8,10 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.ros.terminal import leave_lost_terminal
 
 
 class StopSignal:
-    """Whether SIGINT or SIGTERM has arrived.
+    """Whether SIGINT, SIGTERM or SIGHUP has arrived.
 
     A plain flag: a handler runs between any two instructions of the main thread, so it must not
     take a lock, as `threading.Event.set` does.
@@ -22,6 +23,18 @@ class StopSignal:
     def __call__(self, *_: object) -> None:
         """Handle a signal."""
         self.is_asked_for = True
+        leave_lost_terminal()
+
+
+def _endings() -> list[signal.Signals]:
+    """Return the signals that ask for an end.
+
+    SIGHUP tells that the terminal is gone, as when an SSH session drops; `nohup` has it ignored.
+    """
+    endings = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        endings.append(signal.SIGHUP)
+    return endings
 
 
 @contextmanager
@@ -40,9 +53,7 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     from rclpy.signals import SignalHandlerOptions
 
     stop = StopSignal()
-    before: dict[signal.Signals, Any] = {
-        each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)
-    }
+    before: dict[signal.Signals, Any] = {each: signal.signal(each, stop) for each in _endings()}
     try:
         try:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)

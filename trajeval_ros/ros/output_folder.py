@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.writing import temporary_name
+from trajeval_ros.io.temporary import collect_leftovers
 
 _MOST_SHARE = 0.05  # of a core, for saving again and again
 _NICE = 10
@@ -93,10 +93,8 @@ class Finisher:
         """Begin to write everything, and don't wait for it, nor for what is being written."""
         if self._process is not None:
             self._process.terminate()
-            left = temporary_name("*", self._process.pid)
             self._end()
-            for each in self.folder.glob(left):
-                each.unlink()
+            collect_leftovers(self.folder)
         self._start(["--output", str(self.folder)], quiet=True)
 
     def _start(self, options: list[str], *, quiet: bool) -> None:

@@ -35,7 +35,7 @@ class PeriodicTask:
 
 
 def evaluate_live(arguments: Sequence[str]) -> int:
-    """Run the evaluator until SIGINT or SIGTERM; returns the exit status.
+    """Run the evaluator until SIGINT, SIGTERM or SIGHUP; returns the exit status.
 
     Args:
         arguments: ROS arguments, from `--ros-args` on.

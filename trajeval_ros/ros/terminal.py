@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
+import stat
 import sys
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -26,16 +29,35 @@ class StatusLine:
         width = shutil.get_terminal_size().columns
         text = "  |  ".join(parts)
         text = text if len(text) < width else text[: width - 2] + "…"
-        sys.stderr.write(_BEGIN_ANEW + text)
-        sys.stderr.flush()
+        self._write(_BEGIN_ANEW + text)
         self._shown = True
 
     def clear(self) -> None:
         """Make way for another line."""
         if self._shown:
-            sys.stderr.write(_BEGIN_ANEW)
-            sys.stderr.flush()
+            self._write(_BEGIN_ANEW)
             self._shown = False
+
+    def _write(self, text: str) -> None:
+        """Write to the terminal, which may be gone."""
+        try:
+            sys.stderr.write(text)
+            sys.stderr.flush()
+        except OSError:
+            self._watched = False
+
+
+def leave_lost_terminal() -> None:
+    """Say no more where a terminal was that is gone, as when an SSH session drops.
+
+    To write there fails, and would end what is still to be done, in other processes as well.
+    """
+    for stream in (1, 2):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, stream)
+                os.close(nowhere)
 
 
 def summary(

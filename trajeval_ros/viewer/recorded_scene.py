@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.consistency.result import Consistency
-from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency_bands import send_consistency
+from trajeval_ros.viewer.flushing import flush_to
 from trajeval_ros.viewer.paths import (
     between_origins,
     bounds_of,
@@ -59,9 +59,8 @@ def write_recording(
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
     truth = evaluations[0].groundtruth
     origin = origin_for(truth.positions)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.touch()
+
+    def write(temporary: Path) -> None:
         recording = rerun.RecordingStream(scene_entities.APPLICATION)
         recording.set_log_time_enabled(False)
         recording.set_sinks(
@@ -77,15 +76,11 @@ def write_recording(
         try:
             recording.send_recording_name(", ".join(names))
             _draw(recording, evaluations, consistencies, estimates, origin)
-            recording.flush()
+            flush_to(temporary, recording)
         finally:
             recording.disconnect()
-        temporary.replace(path)
-    except (OSError, RuntimeError) as error:
-        reason = (getattr(error, "strerror", None) or str(error)).lower()
-        raise InputError(f"{path} can't be written: {reason}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+
+    write_whole(path, write)
 
 
 def _draw(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import re
 import socket
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.viewer.flushing import flush_to
 from trajeval_ros.viewer.scene_entities import APPLICATION
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.stream import Sink
@@ -18,7 +18,6 @@ from trajeval_ros.viewer.stream import Sink
 LOOPBACK = "127.0.0.1"
 PORT = 9876
 _FILE_FLUSH_S = 20.0
-_LEAST_ROOM, _LITTLE_ROOM = 2**16, 2**20  # bytes
 _SERVER_MEMORY = "512MB"
 _PROBE_S = 0.3
 
@@ -56,12 +55,9 @@ class FileTarget:
     def check(self, recording: Any) -> bool:
         """Have everything in the file."""
         try:
-            recording.flush()
-            if self._room < _LEAST_ROOM:  # then a flush may pass over what did not fit
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            flush_to(self._path, recording)
             self._whole = self._path.stat().st_size
-        except (RuntimeError, OSError) as error:
-            why = self._why(error)
+        except OSError as error:
             # Half a chunk at the end would make all of it unreadable. What Rerun still holds would
             # be written behind a hole, so it goes first.
             recording.disconnect()
@@ -70,26 +66,13 @@ class FileTarget:
                     os.truncate(self._path, self._whole)
                 else:
                     self._path.unlink()
-            raise InputError(f"{self._path} can't be written: {why}") from error
+            raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
         return True
 
     def close(self, recording: Any) -> None:
         """End the file."""
         self.check(recording)
         recording.disconnect()
-
-    def _why(self, error: Exception) -> str:
-        """Return why the disk takes no more; Rerun says only that it doesn't."""
-        with contextlib.suppress(OSError):
-            if self._room < _LITTLE_ROOM:
-                return "no space left on device"
-        return str(error).lower()
-
-    @property
-    def _room(self) -> int:
-        """Bytes that the disk still takes."""
-        disk = os.statvfs(self._path.parent)
-        return disk.f_bavail * disk.f_frsize
 
 
 class ServerTarget:

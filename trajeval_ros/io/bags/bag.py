@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +23,7 @@ from trajeval_ros.io.bags.metadata import Metadata
 from trajeval_ros.io.bags.recorded_topic import Reading, Topic
 from trajeval_ros.io.bags.selection import TopicSelection
 from trajeval_ros.io.checks import nearest
+from trajeval_ros.io.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -249,7 +249,7 @@ class Bag:
 
     def _add(self, file: Path) -> None:
         """Open a file; one of several that can't be read is damage."""
-        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="trajeval-")))
+        folder = self._stack.enter_context(temporary_folder("bag"))
         try:
             container = open_file(file, folder, strict=self._strict)
         except Exception as error:  # of a dozen kinds, see `_one_sentence`

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,6 +10,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -50,8 +50,8 @@ def write_bag(
         ):
             raise InputError(f"{topic} has stamps that ROS can't hold: before 1970 or after 2038")
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-            complete = Path(folder) / path.name
+        with temporary_folder(path.name, path.parent) as folder:
+            complete = folder / path.name
             _write(complete, topics, storage)
             complete.rename(path)
     except OSError as error:

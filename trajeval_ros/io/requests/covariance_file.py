@@ -14,7 +14,7 @@ from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
 from trajeval_ros.io.npz_file import read_arrays
-from trajeval_ros.io.writing import write_whole
+from trajeval_ros.io.writing import write_npz, write_whole
 
 _ARRAYS = (
     "stamps_ns", "positions", "quaternions", "block", "perturbation", "gauge", "cov", "info",
@@ -45,11 +45,7 @@ def write_joint_covariance(path: Path, joint: JointCovariance) -> None:
         arrays["info_indices"] = joint.information.indices
         arrays["info_indptr"] = joint.information.indptr
 
-    def write(temporary: Path) -> None:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-
-    write_whole(path, write)
+    write_whole(path, lambda temporary: write_npz(temporary, arrays))
 
 
 def read_joint_covariance(path: Path) -> JointCovariance:

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
+from trajeval_ros.io.writing import write_npz
 from trajeval_ros.pipeline import RunOutcome
+
+SCHEMA = "trajeval-errors/1"
 
 
 def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
@@ -21,9 +22,9 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
     `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
     Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees`,
     `.position_nees` and `.rotation_nees` (N,); where groundtruth was continuous,
-    `NAME.probabilistic.residuals` and others.
+    `NAME.probabilistic.residuals` and others. `schema` names this layout.
     """
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {"schema": SCHEMA}
     for run in runs:
         name, evaluation = run.estimate.name, run.evaluation
         arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
@@ -40,8 +41,7 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
             }
         for segment in evaluation.segments or ():
             arrays |= _columns(f"{name}.{segment.length}", segment.errors)
-    with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_npz(path, arrays)
 
 
 def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
