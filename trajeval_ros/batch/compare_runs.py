@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trajeval_ros.batch.comparison import run_plan
+from trajeval_ros.batch.comparison import RECORDS, run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
+from trajeval_ros.batch.output_lock import only_writer
 from trajeval_ros.batch.summary_tables import ComparisonSummary, failures, matrices, summary_of
 from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.formatting.escaping import markdown_text
@@ -46,7 +47,7 @@ def compare(
 
     Raises:
         InputError: The target can't be read, the output can't be written, or a package of the
-            extra `compare` is missing.
+            extra `compare` is missing; another comparison writes to the same output.
         SettingsError: Settings that mean nothing.
 
     Example:
@@ -63,13 +64,14 @@ def compare(
     folder = Path(output)
     words = {word: _as_written(word, value) for word, value in settings.items()}
     plan = plan_of(Path(target), words, common_time_span=common_time_span)
-    run_plan(plan, folder, lambda: local_pool(workers))
-    summary = summary_of(folder)
-    write_tables(folder, summary)
-    if report:
-        from trajeval_ros.batch.page import write_report
+    with only_writer(folder, RECORDS):
+        run_plan(plan, folder, lambda: local_pool(workers))
+        summary = summary_of(folder)
+        write_tables(folder, summary)
+        if report:
+            from trajeval_ros.batch.page import write_report
 
-        write_report(folder, summary, local_pool(workers))
+            write_report(folder, summary, local_pool(workers))
     return summary
 
 
@@ -79,7 +81,7 @@ def _as_written(word: str, value: str | float) -> str | float:
 
 
 def write_tables(folder: Path, summary: ComparisonSummary) -> None:
-    """Write tables.md, tables.tex and a CSV file for each table.
+    """Write tables.md, tables.tex and a CSV file for each table, those that aren't there yet.
 
     Raises:
         InputError: They can't be written.
@@ -89,7 +91,18 @@ def write_tables(folder: Path, summary: ComparisonSummary) -> None:
     without = ["### Runs without numbers", "", *lost, ""] if lost else []
     title = f"# {markdown_text(summary.title)}"
     text = "\n".join([title, "", *map(tables.to_markdown, made), *without])
-    write_text(folder / "tables.md", text)
-    write_text(folder / "tables.tex", "\n".join(map(tables.to_latex, made)))
-    for each in made:
-        write_text(folder / f"{each.name}.csv", tables.to_csv(each))
+    texts = {
+        "tables.md": text,
+        "tables.tex": "\n".join(map(tables.to_latex, made)),
+        **{f"{each.name}.csv": tables.to_csv(each) for each in made},
+    }
+    for name, content in texts.items():
+        if not _holds(folder / name, content):
+            write_text(folder / name, content)
+
+
+def _holds(path: Path, text: str) -> bool:
+    try:
+        return path.read_bytes() == text.encode()
+    except OSError:
+        return False

@@ -12,7 +12,6 @@ from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros import __version__
 from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
 from trajeval_ros.batch.plan import Plan, PlannedRun
@@ -26,11 +25,12 @@ from trajeval_ros.batch.results_table import (
     state_of,
     write_table,
 )
+from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.batch.worker import Task, work
-from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.io.writing import write_text
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.io.writing import refused_by_disk, write_text
 
-RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
+RUNS, POOLED, GATES, RECORDS = "runs.parquet", "pooled.parquet", "gates.md", "runs"
 _INPUTS, _ABOUT = "inputs.json", "README.txt"
 _ABOUT_TEXT = """\
 Made by trajeval compare.
@@ -82,19 +82,18 @@ def run_plan(
     """
     load_pyarrow()
     records = folder / RECORDS
-    try:
+    with refused_by_disk(f"the folder {records}"):
         records.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{records} can't be made: {reason}") from error
     batch = _RunningComparison(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
-    if (folder / RUNS).is_file() and (folder / POOLED).is_file():
+    written = {state_of(folder / each) for each in (RUNS, POOLED)}
+    if "" not in written:
         tasks = list(batch.planned())
-        state = batch.state
-        if state and state == state_of(folder / RUNS):
+        if written == {batch.state}:
             batch.progress.kept = len(tasks)
             tell(batch.progress)
             return batch.progress
+    with refused_by_disk(f"the folder {folder}"):
+        (folder / GATES).unlink(missing_ok=True)  # is of tables that will be there no more
     write_text(folder / _ABOUT, _ABOUT_TEXT)
     batch.evaluate(batch.planned())
     state = batch.state
@@ -155,7 +154,7 @@ class _RunningComparison:
             + [self.tasks[run].key if run in self.tasks else ""]
             for run in self.plan.runs
         ]
-        text = json.dumps([__version__, self.plan.title, settings_of(self.plan), parts])
+        text = json.dumps([hash_of_package(), self.plan.title, settings_of(self.plan), parts])
         return hashlib.sha256(text.encode()).hexdigest()
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
@@ -245,8 +244,10 @@ def _write_tables(folder: Path, batch: _RunningComparison, state: str) -> None:
             pooled.extend(pooled_rows(algorithm, sequence, len(runs), records))
 
     # Failed runs are tried again the next time, so such a table is never taken for the last one.
-    write_table(folder / RUNS, rows(), batch.plan, "" if batch.progress.failed else state)
+    state = "" if batch.progress.failed else state
+    write_table(folder / RUNS, rows(), batch.plan, state)
     if state and batch.progress.failed:  # by a record that could be read no more, just now
         pooled.clear()
-        write_table(folder / RUNS, rows(), batch.plan, "")
-    write_pooled(folder / POOLED, pooled, batch.plan)
+        state = ""
+        write_table(folder / RUNS, rows(), batch.plan, state)
+    write_pooled(folder / POOLED, pooled, batch.plan, state)

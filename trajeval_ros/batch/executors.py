@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
+from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.batch.worker import Task, work
 from trajeval_ros.exceptions import InputError
 
@@ -79,7 +80,7 @@ def dask_pool(address: str) -> Pool:
     try:
         with connect() as client:
             threads = sum(client.nthreads().values())
-            lacking = client.run(_lacks_trajeval) if threads else {}
+            sources = client.run(hash_of_numbers) if threads else {}
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no Dask scheduler answers at {address}: {error}") from error
     except ModuleNotFoundError as error:
@@ -88,7 +89,12 @@ def dask_pool(address: str) -> Pool:
         ) from error
     if not threads:
         raise InputError(f"the Dask scheduler at {address} has no workers; start some first")
-    assert not any(lacking.values())
+    other = [worker for worker, found in sources.items() if found != hash_of_numbers()]
+    if other:
+        raise InputError(
+            f"{other[0]} has other sources of trajeval-ros than this machine, so its numbers may "
+            "differ; install the same there"
+        )
 
     @contextmanager
     def start(workers: int) -> Iterator[Executor]:  # noqa: ARG001 - it has the workers it has
@@ -269,12 +275,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         connection.wait([parent.sentinel])
         os._exit(1)
-
-
-def _lacks_trajeval() -> bool:
-    import trajeval_ros.batch.worker
-
-    return not trajeval_ros.batch.worker.__name__
 
 
 def _cores() -> int:

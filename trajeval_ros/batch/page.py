@@ -14,7 +14,15 @@ from trajeval_ros.batch.drawing import Advance, draw_all
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
 from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
+from trajeval_ros.batch.results_table import (
+    ATE,
+    OK,
+    POOLED,
+    RE,
+    STATISTICS,
+    ResultsTable,
+    state_of,
+)
 from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, matrices
 from trajeval_ros.formatting.numbers import percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import write_text
@@ -24,6 +32,7 @@ from trajeval_ros.report.comparison_page import Plot, RunPage, render
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 REPORT = "report.html"
+_HEAD_BYTES = 2000
 # A page of more figures than this takes a browser long to open.
 _MOST_FIGURES = 200
 
@@ -62,9 +71,20 @@ def write_report(
         plots=plots,
         runs=_runs(folder, summary, figures),
         version=__version__,
+        state=state_of(folder / RUNS),
     )
     write_text(folder / REPORT, page)
     return folder / REPORT
+
+
+def is_drawn(folder: Path) -> bool:
+    """Return whether the report is of the tables beside it; clocks tell it wrongly."""
+    state = state_of(folder / RUNS)
+    try:
+        with (folder / REPORT).open("rb") as file:
+            return bool(state) and state.encode() in file.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        return False
 
 
 def _findings(summary: ComparisonSummary) -> list[str]:

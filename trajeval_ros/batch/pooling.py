@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,13 @@ import numpy as np
 
 from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, settings_of
+from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, metadata_of
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.drift import PER_LENGTH
 from trajeval_ros.metrics.statistics import quantile, statistics_of
 
+SCHEMA = "trajeval-pooled/1"
 QUANTILES = {"p5": 0.05, "p25": 0.25, "p75": 0.75}
 _ABSOLUTE = ("position_m", "rotation_deg", "yaw_deg", "tilt_deg")
 _COLUMNS = {
@@ -90,8 +90,8 @@ def _rows(values: Floats, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield {**row, **vars(statistics), **quantiles}
 
 
-def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan) -> None:
-    """Write the statistics over trials as Parquet.
+def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan, state: str) -> None:
+    """Write the statistics over trials as Parquet, with the hash of what they were made from.
 
     Raises:
         InputError: It can't be written, or pyarrow is not installed.
@@ -99,7 +99,7 @@ def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan) -> None:
     arrow, parquet = load_pyarrow()
     schema = arrow.schema(
         [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata={"trajeval.settings": json.dumps(settings_of(plan))},
+        metadata=metadata_of(SCHEMA, plan, state),
     )
     table = arrow.Table.from_pylist(rows, schema=schema)
     write_whole(path, lambda temporary: parquet.write_table(table, temporary))

@@ -18,6 +18,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.writing import write_whole
 
+SCHEMA = "trajeval-run/1"
 _END_OF_HEAD = b"\n"
 
 
@@ -57,6 +58,7 @@ def encode(record: Record) -> bytes:
     """Return a record as the bytes of its file, which workers make."""
     shapes = {name: column.shape for name, column in record.columns.items()}
     head = {
+        "schema": SCHEMA,
         "result": record.result,
         "lengths": record.lengths,
         "span_ns": record.span_ns,
@@ -86,7 +88,7 @@ def read_record(folder: Path, key: str) -> Record | None:
     try:
         text, _, values = _path(folder, key).read_bytes().partition(_END_OF_HEAD)
         head = mapping_in(text)
-        if head is None:
+        if head is None or head["schema"] != SCHEMA:
             return None
         sizes = [math.prod(shape) for shape in head["shapes"].values()]
         parts = np.split(np.frombuffer(values, dtype="<f8"), np.cumsum(sizes))

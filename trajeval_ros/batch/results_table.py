@@ -200,16 +200,14 @@ def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: s
         InputError: It can't be written, or pyarrow is not installed.
     """
     arrow, parquet = load_pyarrow()
-    settings = json.dumps(settings_of(plan))
-    head = {"schema": SCHEMA, "title": plan.title, "settings": settings, "state": state}
     schema = arrow.schema(
         [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata={f"trajeval.{name}": value for name, value in head.items()},
+        metadata=metadata_of(SCHEMA, plan, state),
     )
     constant = {
         "gauge": plan.request.protocol.gauge.value,
         "protocol": plan.request.protocol.name,
-        "settings": settings,
+        "settings": json.dumps(settings_of(plan)),
         "version": __version__,
     }
 
@@ -224,6 +222,13 @@ def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: s
             writer.write_table(arrow.Table.from_pylist(batch, schema=schema))
 
     write_whole(path, write)
+
+
+def metadata_of(schema: str, plan: Plan, state: str) -> dict[str, str]:
+    """Return what a table of a comparison says of itself."""
+    settings = json.dumps(settings_of(plan))
+    head = {"schema": schema, "title": plan.title, "settings": settings, "state": state}
+    return {f"trajeval.{name}": value for name, value in head.items()}
 
 
 def state_of(path: Path) -> str:

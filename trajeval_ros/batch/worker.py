@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros import __version__
 from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
+from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -23,7 +23,6 @@ from trajeval_ros.pipeline import Request
 from trajeval_ros.pipeline import run as run_pipeline
 from trajeval_ros.report.canvas import thinned
 
-_FORMAT = 3  # of records: what is older is evaluated again
 _POINTS = 900  # of a line in a report
 
 
@@ -43,8 +42,8 @@ class Task:
 
     @functools.cached_property
     def key(self) -> str:
-        """Hash of all that its numbers depend on."""
-        parts = (_FORMAT, __version__, self.request.fingerprint, self.run.name, self.inputs)
+        """Hash of all that its numbers depend on, the program included."""
+        parts = (hash_of_numbers(), self.request.fingerprint, self.run.name, self.inputs)
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 

@@ -94,6 +94,14 @@ def compare(
             rich_help_panel=options.OUTPUT,
         ),
     ] = Path("comparison"),
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait",
+            help="Wait while another comparison writes to the same folder, instead of refusing.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
     quiet: Annotated[
         bool,
         typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=options.OUTPUT),
@@ -117,10 +125,11 @@ def compare(
         --fail-if 'ate.position_m.rmse worse than 5 %'
     """
     from trajeval_ros.batch.compare_runs import write_tables
-    from trajeval_ros.batch.comparison import RUNS, run_plan
+    from trajeval_ros.batch.comparison import RECORDS, run_plan
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.executors import local_pool
-    from trajeval_ros.batch.page import REPORT, write_report
+    from trajeval_ros.batch.output_lock import only_writer
+    from trajeval_ros.batch.page import is_drawn, write_report
     from trajeval_ros.batch.summary_tables import summary_of
 
     if workers is not None and cluster is not None:
@@ -144,23 +153,23 @@ def compare(
     plan = plan_of(target, said, common_time_span=common_time_span)
     # Read before anything is written: it may be the table of the same folder.
     gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan)
-    with _progress_bar() as tell:
-        progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
-    summary = summary_of(output)
-    # It is written last: if it is newer than the results, all is there.
-    if not _is_newer(output / REPORT, output / RUNS):
+    with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
+        with _progress_bar() as tell:
+            progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
+        summary = summary_of(output)
         write_tables(output, summary)
-        with drawing("drawing the report") as advance:
-            write_report(output, summary, local_pool(workers), advance)
-    if not quiet:
-        with may_break():
-            _print(summary, progress, output)
-    if gates is not None:
-        gating.judge(gates, output, summary.title, quiet=quiet)
+        if not is_drawn(output):
+            with drawing("drawing the report") as advance:
+                write_report(output, summary, local_pool(workers), advance)
+        if not quiet:
+            with may_break():
+                _print(summary, progress, output)
+        if gates is not None:
+            gating.judge(gates, output, summary.title, quiet=quiet)
 
 
-def _is_newer(path: Path, other: Path) -> bool:
-    return path.is_file() and path.stat().st_mtime_ns >= other.stat().st_mtime_ns
+def _tell_of_waiting(held: str) -> None:
+    print(f"waiting: {held}", file=sys.stderr, flush=True)
 
 
 def _pool(workers: int | None, cluster: str | None) -> Pool:

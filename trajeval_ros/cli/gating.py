@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.plan import Plan
 
 GATES = "Gates"
-GATES_FILE = "gates.md"
 
 BaselineOption = Annotated[
     Path | None,
@@ -104,6 +103,7 @@ def gates_of(
 def judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print the verdicts; exit with status 1 if something is worse."""
     from trajeval_ros.batch import gates
+    from trajeval_ros.batch.comparison import GATES as GATES_FILE
     from trajeval_ros.batch.comparison import RUNS
     from trajeval_ros.batch.gate_values import GateValues, remarks_on
     from trajeval_ros.batch.gates_markdown import to_markdown

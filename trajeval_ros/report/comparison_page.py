@@ -67,6 +67,7 @@ def render(
     plots: Sequence[Plot],
     runs: Sequence[RunPage],
     version: str,
+    state: str,
 ) -> str:
     """Return the page.
 
@@ -78,6 +79,7 @@ def render(
         plots: The figures.
         runs: All runs, the failed ones included.
         version: Of this program.
+        state: Hash of what the tables were made from, to know the report of other tables by.
 
     Raises:
         InputError: Jinja2 is not installed.
@@ -106,6 +108,7 @@ def render(
         plots=plots,
         runs=runs,
         version=version,
+        state=state,
     )
 
 

@@ -1,0 +1,76 @@
+"""One comparison at a time writes to an output folder, on this machine or another."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.io.file_lock import is_at, lock
+from trajeval_ros.io.temporary import collect_leftovers
+from trajeval_ros.io.writing import refused_by_disk
+
+LOCK = ".compare.lock"
+_MOST_READ = 200
+
+
+@contextlib.contextmanager
+def only_writer(
+    folder: Path, subfolder: str, wait: Callable[[str], object] | None = None
+) -> Iterator[None]:
+    """Make a comparison's folders and hold them against other comparisons during the block.
+
+    What comparisons that were killed left there unfinished is removed.
+
+    Args:
+        folder: The comparison's.
+        subfolder: Of its records.
+        wait: Called with who holds the folder, before waiting for them; by default, nobody is
+            waited for.
+
+    Raises:
+        InputError: Another comparison writes there, or the folder can't be made.
+    """
+    with refused_by_disk(f"the folder {folder}"):
+        (folder / subfolder).mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):  # nobody writes here: all is there, or a sentence tells
+        yield
+        return
+    path = folder / LOCK
+    while True:
+        with refused_by_disk(str(path)):
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        try:
+            _hold(file, folder, wait)
+            if not is_at(path, file):  # who held it before has removed it
+                continue
+            with refused_by_disk(str(path)):
+                os.truncate(file, 0)
+                os.write(file, f"process {os.getpid()} on {platform.node()}".encode())
+            for each in (folder, folder / subfolder):
+                collect_leftovers(each)
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            return
+        finally:
+            os.close(file)
+
+
+def _hold(file: int, folder: Path, wait: Callable[[str], object] | None) -> None:
+    """Lock the open file, or refuse to."""
+    with contextlib.suppress(OSError):  # a disk that knows no locks
+        if lock(file, wait=False):
+            return
+        holder = one_line(os.pread(file, _MOST_READ, 0).decode(errors="replace"))
+        held = f"{folder} is being written by {holder or 'another process'}"
+        if wait is None:
+            raise InputError(f"{held}; wait for it with --wait, or name another --output")
+        wait(held)
+        lock(file, wait=True)

@@ -1,0 +1,63 @@
+"""What this package's sources are, since numbers depend on them.
+
+A version stands for many states of the sources while one works on them. A hash of their bytes
+stands for one.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+# All that `batch/worker.py` imports, and what these import.
+_OF_NUMBERS = (
+    "exceptions.py",
+    "pipeline.py",
+    "geometry",
+    "continuous_time",
+    "metrics",
+    "calibration",
+    "consistency",
+    "likelihood",
+    "diagnosis",
+    "formatting",
+    "io",
+    "report/canvas.py",
+    "batch/plan.py",
+    "batch/records.py",
+    "batch/source_hash.py",
+    "batch/worker.py",
+)
+
+
+def sources_of_numbers() -> list[Path]:
+    """Return the sources that the numbers of a run depend on."""
+    places = [_PACKAGE / each for each in _OF_NUMBERS]
+    return [file for place in places for file in ([place] if place.is_file() else _below(place))]
+
+
+@functools.cache
+def hash_of_numbers() -> str:
+    """Return the sha256 of the sources that the numbers of a run depend on."""
+    return _hash(sources_of_numbers())
+
+
+@functools.cache
+def hash_of_package() -> str:
+    """Return the sha256 of all sources, those that draw and the templates included."""
+    return _hash(_below(_PACKAGE))
+
+
+def _below(folder: Path) -> list[Path]:
+    return [each for each in folder.rglob("*") if each.suffix in (".py", ".j2")]
+
+
+def _hash(files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(f"{file.relative_to(_PACKAGE).as_posix()}\n".encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
