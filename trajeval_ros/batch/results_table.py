@@ -15,6 +15,7 @@ from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import Record
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_whole
 
 if TYPE_CHECKING:
@@ -265,15 +266,14 @@ class ResultsTable:
         except (OSError, ValueError) as error:
             raise self._damaged() from error
         metadata = self._schema.metadata or {}
+        found = metadata.get(b"trajeval.schema", b"").decode(errors="replace")
+        what, mend = "table of trajeval compare", "name the runs.parquet of another output folder"
+        require_schema(path, found, SCHEMA, what, mend)
         settings: Any = None
-        if metadata.get(b"trajeval.schema") == SCHEMA.encode():
-            with contextlib.suppress(ValueError):
-                settings = json.loads(metadata.get(b"trajeval.settings", b""))
+        with contextlib.suppress(ValueError):
+            settings = json.loads(metadata.get(b"trajeval.settings", b""))
         if not isinstance(settings, dict):
-            raise InputError(
-                f"{path} is no table of trajeval compare ({SCHEMA}); name the runs.parquet of an "
-                "output folder"
-            )
+            raise self._damaged()
         self.title = metadata.get(b"trajeval.title", b"").decode(errors="replace")
         self.settings: dict[str, Any] = settings
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import shlex
-import shutil
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.io.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -252,7 +252,9 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
             f"{output} is not a bag that trajeval simulate wrote, so it is not overwritten; "
             "name another folder"
         )
-    shutil.rmtree(output)
+    # A kill must not leave half of it, which nobody would take for a simulation's.
+    with temporary_folder(output.name, output.parent) as going:
+        output.rename(going / output.name)
 
 
 def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.io.json_file import json_text, mapping_in
+from trajeval_ros.io.schema import require_schema
 from trajeval_ros.metrics.pair_steps import StampedPoses
 
 FORMAT = "trajeval-pairs/2"
@@ -182,8 +183,8 @@ def read_pairs(path: Path) -> RecordedPairs:
         if text:
             texts.append(text)
             pairs_at_state = count
-    if not texts or texts[0].get("format") != FORMAT:
-        raise InputError(f"{path} is no pair file of a live run ({FORMAT})")
+    schema = texts[0].get("format") if texts else None
+    require_schema(path, schema, FORMAT, "pair file of a live run", "name another folder")
     pairs, passed = np.concatenate(rows), np.concatenate(waypoints)
     passed_stamps, passed_poses = (passed[name].copy() for name in ("stamp", "pose"))
     return RecordedPairs(
