@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import os
 import re
-import shutil
+import select
 import signal
 import subprocess
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,11 +25,13 @@ from ros_processes import (
     assert_same,
     evaluating,
     offline,
+    parameters,
     replay,
     replay_command,
 )
+from small_disk import mounted
 from strategies import assert_same_numbers
-from waiting import PATIENCE_S, until
+from waiting import LOOK_EVERY_S, PATIENCE_S, until
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.live.live_folder import evaluate_folder
@@ -191,7 +196,9 @@ def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
     assert_same_numbers(run.evaluation, evaluate(truth, estimate[paired], protocol))
 
 
-@pytest.mark.parametrize("endings", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]])
+@pytest.mark.parametrize(
+    "endings", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM], [signal.SIGHUP]]
+)
 def test_a_signal_ends_it_with_everything_written(
     flight: Path, environment: dict[str, str], endings: list[signal.Signals], tmp_path: Path
 ) -> None:
@@ -206,6 +213,56 @@ def test_a_signal_ends_it_with_everything_written(
     left = {each.name for each in evaluator.folder.iterdir()}
     assert {"result.json", "errors.npz", "vio_odometry.pairs"} <= left
     assert not {each for each in left if each.startswith(".")}
+
+
+@contextmanager
+def reading(terminal: int) -> Iterator[None]:
+    """Take what is said to a terminal, so that it doesn't fill."""
+    enough = threading.Event()
+
+    def read() -> None:
+        while not enough.is_set():
+            if select.select([terminal], [], [], LOOK_EVERY_S)[0]:
+                os.read(terminal, 65536)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    try:
+        yield
+    finally:
+        enough.set()
+        reader.join()
+
+
+def test_a_terminal_that_is_lost_leaves_results(
+    flight: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    values = {"groundtruth_topic": TRUTH, "estimate_topics": [ODOMETRY], "output": str(folder)}
+    master, slave = os.openpty()
+    # The first process of a session that opens a terminal is told when that is gone.
+    code = (
+        "import os, sys; os.close(os.open(sys.argv.pop(1), os.O_RDWR)); "
+        "from trajeval_ros.__main__ import ros_evaluator; sys.exit(ros_evaluator())"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, os.ttyname(slave), *parameters(gauge="yaw", **values)],
+        env=environment,
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+    ) as process:
+        os.close(slave)
+        try:
+            with reading(master):
+                replay(flight, environment, "--rate", 10)
+            os.close(master)
+            assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
+    assert (folder / "result.json").exists()
+    assert (folder / "errors.npz").exists()
 
 
 def test_a_defect_is_told_and_what_was_paired_is_written(
@@ -321,18 +378,8 @@ class PathSender:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system that is soon full."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = shutil.which("mount") and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=40k", "tmpfs", str(folder)],
-        capture_output=True,
-        check=False,
-    ).returncode == 0  # fmt: skip
-    if not mounted:
-        pytest.skip("mounting a small file system needs privileges that this user has not")
-    yield folder
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+    with mounted(tmp_path / "disk", "40k") as folder:
+        yield folder
 
 
 def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(

@@ -28,6 +28,7 @@ pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
 from rerun_driver import flight_at
 from rrd import Rrd
+from small_disk import mounted
 from waiting import PATIENCE_S, until
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -335,29 +336,12 @@ def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
     assert min(np.linalg.norm(begin - row[0][0], axis=1).min() for row in rows) < 1e-3
 
 
-@contextmanager
-def small_disk(folder: Path, size: str) -> Iterator[None]:
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)],
-        capture_output=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("to fill a disk, the tests must be allowed to mount a small one")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(folder)], check=True)
-
-
 @pytest.mark.slow
 def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
-    with small_disk(tmp_path, "350k"):
-        report = Driver("file", tmp_path, seconds=75.0, speed=1.5).report()
-        picture = Rrd(tmp_path / "run.rrd")
-    assert report["trouble"] == [
-        f"{tmp_path / 'run.rrd'} can't be written: no space left on device"
-    ]
+    with mounted(tmp_path / "disk", "350k") as disk:
+        report = Driver("file", disk, seconds=75.0, speed=1.5).report()
+        picture = Rrd(disk / "run.rrd")
+    assert report["trouble"] == [f"{disk / 'run.rrd'} can't be written: no space left on device"]
     assert report["dropped"][0] > 0
     stamps, values = picture.numbers(f"metrics/position_error/{NAME}")
     assert len(stamps) > 100
@@ -367,10 +351,10 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_disk_without_any_room_leaves_no_stub(tmp_path: Path) -> None:
-    with small_disk(tmp_path, "60k"):
-        report = Driver("file", tmp_path, seconds=15.0).report()
+    with mounted(tmp_path / "disk", "60k") as disk:
+        report = Driver("file", disk, seconds=15.0).report()
         assert report["closed"] == [True]
-        assert not (tmp_path / "run.rrd").exists()
+        assert not (disk / "run.rrd").exists()
     assert "no space left on device" in report["trouble"][0]
 
 
