@@ -11,15 +11,17 @@ from pathlib import Path
 
 import pytest
 from comparison_runs import write_runs
+from ros_bags import ODOM
 from small_disk import mounted
 from test_cli_evaluate import pair
+from test_live_run import Live, messages
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.writing import write_npz, write_whole
+from trajeval_ros.io.npz_file import write_arrays
+from trajeval_ros.io.writing import write_whole
 
 __all__ = ["pair"]  # a fixture
 ROOT = Path(__file__).resolve().parent.parent
-PAIRS = Path(__file__).with_name("data") / "schema_1" / "vio.pairs"
 FULL = "can't be written: no space left on device\n"
 
 
@@ -62,7 +64,7 @@ def test_an_archive_that_does_not_fit_says_nothing_of_zip_files(
 
     numbers = np.random.default_rng(1).normal(size=50_000)
     with pytest.raises(InputError, match="no space left on device"):
-        write_whole(disk / "errors.npz", lambda file: write_npz(file, {"numbers": numbers}))
+        write_whole(disk / "errors.npz", lambda file: write_arrays(file, {"numbers": numbers}))
     gc.collect()
     assert capfd.readouterr() == ("", "")
     assert not names(disk)
@@ -96,8 +98,9 @@ def test_a_picture_for_rerun(pair: list[str], disk: Path) -> None:
 @pytest.mark.slow
 def test_a_live_run(disk: Path) -> None:
     run = disk / "run"
-    run.mkdir()
-    shutil.copy(PAIRS, run)
+    live = Live(run, ODOM)
+    live.feed(messages(9))
+    live.end()
     fill(disk, 4096)
     said = refused(["finish", str(run), "--output", str(run), "--quiet"])
     assert said == f"trajeval: the folder {run} {FULL}"

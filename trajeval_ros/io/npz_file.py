@@ -1,10 +1,14 @@
-"""Arrays of an npz archive that a stranger may have made: only those asked for, and no bombs."""
+"""Arrays of an npz archive, written at once and read one by one.
+
+An archive that is read may be a stranger's: only what is asked for is looked at, and no bombs.
+"""
 
 from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,20 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.compression import LARGEST_RATIO, most_of
 
 _LARGEST = 1 << 29  # bytes that an array may become, however well it is compressed
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
+    """Write an archive at once.
+
+    On a full disk, zipfile leaves an open archive behind, which complains when it is collected.
+
+    Raises:
+        OSError: The file can't be written.
+    """
+    archive = BytesIO()
+    save = np.savez_compressed if compressed else np.savez
+    save(archive, **arrays)
+    path.write_bytes(archive.getbuffer())
 
 
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:

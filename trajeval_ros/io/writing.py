@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from io import BytesIO
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.temporary import temporary_file
@@ -17,20 +13,6 @@ from trajeval_ros.io.temporary import temporary_file
 def write_text(path: Path, text: str) -> None:
     """Write a file whole or not at all: under a temporary name, then renamed."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def write_npz(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
-    """Write an archive of arrays to a file at once.
-
-    On a full disk, zipfile leaves an open archive behind, which complains when it is collected.
-
-    Raises:
-        OSError: The file can't be written.
-    """
-    archive = BytesIO()
-    save = np.savez_compressed if compressed else np.savez
-    save(archive, **arrays)
-    path.write_bytes(archive.getbuffer())
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -32,9 +32,8 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.live.run_state import require_run_state
-from trajeval_ros.io.npz_file import read_arrays
+from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.io.results.result_json import statistics_json
-from trajeval_ros.io.writing import write_npz
 from trajeval_ros.metrics.association import Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
 from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
@@ -98,7 +97,7 @@ def evaluate_folder(
 def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
     """Write the poses of a path, (N,), (N, 3), (N, 4), to a file."""
     columns = {"stamps": stamps, "positions": positions, "quaternions": quaternions}
-    write_npz(path, columns, compressed=False)
+    write_arrays(path, columns, compressed=False)
 
 
 def _evaluate(path: Path, request: Request, align_with: str | None) -> _EvaluatedEstimate:

@@ -184,7 +184,9 @@ def read_pairs(path: Path) -> RecordedPairs:
             texts.append(text)
             pairs_at_state = count
     schema = texts[0].get("format") if texts else None
-    require_schema(path, schema, FORMAT, "pair file of a live run", "name another folder")
+    require_schema(
+        path, schema, FORMAT, "pair file of a live run", "evaluate a recording of the run"
+    )
     pairs, passed = np.concatenate(rows), np.concatenate(waypoints)
     passed_stamps, passed_poses = (passed[name].copy() for name in ("stamp", "pose"))
     return RecordedPairs(

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
-from trajeval_ros.io.npz_file import read_arrays
-from trajeval_ros.io.writing import write_npz, write_whole
+from trajeval_ros.io.npz_file import read_arrays, write_arrays
+from trajeval_ros.io.writing import write_whole
 
 _ARRAYS = (
     "stamps_ns", "positions", "quaternions", "block", "perturbation", "gauge", "cov", "info",
@@ -45,7 +45,7 @@ def write_joint_covariance(path: Path, joint: JointCovariance) -> None:
         arrays["info_indices"] = joint.information.indices
         arrays["info_indptr"] = joint.information.indptr
 
-    write_whole(path, lambda temporary: write_npz(temporary, arrays))
+    write_whole(path, lambda temporary: write_arrays(temporary, arrays))
 
 
 def read_joint_covariance(path: Path) -> JointCovariance:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.io.npz_file import write_arrays
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
-from trajeval_ros.io.writing import write_npz
 from trajeval_ros.pipeline import RunOutcome
 
 SCHEMA = "trajeval-errors/1"
@@ -41,7 +41,7 @@ def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
             }
         for segment in evaluation.segments or ():
             arrays |= _columns(f"{name}.{segment.length}", segment.errors)
-    write_npz(path, arrays)
+    write_arrays(path, arrays)
 
 
 def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
