@@ -33,6 +33,7 @@ from test_live_run import Live, messages
 ROOT = Path(__file__).resolve().parent.parent
 ENDINGS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 PATIENCE_S = 600.0
+_LAST_WRITING_S = 60.0
 # What no two runs write alike: a recording's id, and when inputs were looked at.
 OWN = {"run.rrd", "inputs.json"}
 COMPLAINTS = ("Traceback", "Exception ignored", "Fatal Python error")
@@ -117,10 +118,10 @@ class Campaign:
         self.verb.prepare(folder)
         return folder
 
-    def _start(self, command: list[str], log: Path) -> subprocess.Popen[bytes]:
+    def _start(self, command: list[str], log: Path, **more: str) -> subprocess.Popen[bytes]:
         with log.open("wb") as said:
             return subprocess.Popen(
-                command, env=self.environment, stdin=subprocess.DEVNULL, stdout=said,
+                command, env={**self.environment, **more}, stdin=subprocess.DEVNULL, stdout=said,
                 stderr=subprocess.STDOUT, start_new_session=True,
             )  # fmt: skip
 
@@ -142,7 +143,9 @@ class Campaign:
         process = self._start(self.verb.command(folder, setting), log)
         companion = None
         if self.verb.beside is not None:
-            companion = self._start(self.verb.beside(folder), self.work / "beside.log")
+            companion = self._start(
+                self.verb.beside(folder), self.work / "beside.log", TMPDIR=str(self.work)
+            )
         try:
             process.wait(moment)
             how = "ended before"
@@ -182,7 +185,7 @@ class Campaign:
                 each for each in found.keys() | whole.keys() if found.get(each) != whole.get(each)
             }
             self._fault(f"the next start leaves other results: {sorted(names - OWN)}")
-        limit = time.monotonic() + PATIENCE_S
+        limit = time.monotonic() + _LAST_WRITING_S
         # A process that the node had started may still write, on its own.
         while (left := self._left(folder)) and self.verb.then and time.monotonic() < limit:
             time.sleep(0.1)

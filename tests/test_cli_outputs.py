@@ -46,6 +46,27 @@ def test_who_reads_the_head_alone_gets_the_right_status(
 
 
 @needs_pipes
+@pytest.mark.parametrize("stdout_as_well", [False, True])
+@pytest.mark.parametrize(
+    ("more", "status"),
+    [(["--require", "ate.position_m.rmse < 1e-9"], 1), (["--gauge", "none of these"], 2)],
+)
+def test_who_reads_the_head_of_errors_gets_the_right_status(
+    more: list[str], status: int, pair: list[str], *, stdout_as_well: bool
+) -> None:
+    command = [sys.executable, "-m", "trajeval_ros", *pair, *more]
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    stdout = writing if stdout_as_well else subprocess.PIPE
+    done = subprocess.run(command, stdout=stdout, stderr=writing, env=environment, check=False)
+    os.close(writing)
+    assert done.returncode == status
+    if not stdout_as_well:
+        assert (b"rmse" in done.stdout) == (status == 1)
+
+
+@needs_pipes
 def test_output_may_be_closed(pair: list[str], tmp_path: Path) -> None:
     result = tmp_path / "result.json"
     command = [sys.executable, "-m", "trajeval_ros", *pair, "--json", str(result)]

@@ -88,5 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(sentence: str) -> int:
-    print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
+    with may_break():
+        print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
     return 2

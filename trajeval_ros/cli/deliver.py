@@ -6,7 +6,7 @@ import contextlib
 import logging
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -83,17 +83,20 @@ def deliver(
     if not quiet and json != "-":
         with may_break():
             _print(runs, output, gauge_given=gauge_given)
-        for line in failed:
-            print(f"warning: {visible(line)}", file=sys.stderr)
+        _tell("warning", failed)
     else:
         # Missing data are told even to who wants to hear nothing.
-        for line in outcome.damage:
-            print(f"warning: {visible(line)}", file=sys.stderr)
+        _tell("warning", outcome.damage)
     pictures.show(runs)
-    for line in unmet:
-        print(f"trajeval: {visible(line)}", file=sys.stderr)
+    _tell("trajeval", unmet)
     if unmet:
         raise typer.Exit(1)
+
+
+def _tell(who: str, lines: Iterable[str]) -> None:
+    with may_break():
+        for line in lines:
+            print(f"{who}: {visible(line)}", file=sys.stderr)
 
 
 def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> None:
