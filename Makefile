@@ -26,7 +26,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
-	bench-runs parity fuzz fuzz-bytes mutate lock colcon-environment ros-environment \
+	bench-runs parity fuzz fuzz-bytes chaos chaos-ros mutate lock colcon-environment ros-environment \
 	clean test-kernels test-all test-stress
 
 help: ## List the targets.
@@ -94,6 +94,16 @@ FUZZ_S ?= 300
 
 fuzz: $(VENV)/.installed ## Read 10 000 changed inputs of all formats; FUZZ="--seed 1 --count 800".
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/fuzz_structures.py $(FUZZ)
+
+CHAOS ?= --seed 1 --kills 200
+
+chaos: $(VENV)/.installed ## Kill all verbs that write at random moments; CHAOS="--seed 1 --kills 20".
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/chaos.py $(CHAOS) evaluate compare finish simulate
+	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory chaos-ros,\
+		@echo "there are no wheels of ROS 2 for this machine: the replay and the node are left out")
+
+chaos-ros: $(ROS)/.installed ## Kill the replay and the live node at random moments.
+	$(ALONE) $(ROS)/bin/python tests/chaos.py $(CHAOS) replay node
 
 fuzz-bytes: $(ATHERIS)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
 	mkdir -p $(ATHERIS)/corpus

@@ -21,7 +21,7 @@ pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 pytest.importorskip("distributed", reason="dask.distributed is missing, the extra `cluster`")
 
-from trajeval_ros.batch import comparison
+from trajeval_ros.batch import comparison, executors
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import dask_pool
@@ -133,6 +133,16 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
     # And the numbers are those of this machine.
     run_plan(plan, tmp_path / "near", here)
     assert summary_of(tmp_path / "far").trials == summary_of(tmp_path / "near").trials
+
+
+def test_workers_of_other_sources_are_refused(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.add_worker()
+    assert dask_pool(cluster.address).workers == 1
+    monkeypatch.setattr(executors, "hash_of_numbers", os.getpid)  # another one over there
+    with pytest.raises(InputError, match=r"^tcp://127.* has other sources of trajeval-ros than"):
+        dask_pool(cluster.address)
 
 
 def test_a_worker_that_dies_when_its_result_was_fetched_takes_nothing_with_it(
