@@ -43,6 +43,26 @@ def test_ctrl_c_in_the_first_second_is_one_line(module: str, program: str) -> No
     assert interrupted_at(module, program) == (130, "trajeval: interrupted\n")
 
 
+def test_ctrl_c_while_an_object_is_collected_is_not_lost() -> None:
+    code = (
+        "import sys, time\n"
+        "from trajeval_ros.__main__ import _hear_again\n"
+        "class Collected:\n"
+        "    def __del__(self):\n"
+        "        raise KeyboardInterrupt\n"
+        "sys.unraisablehook = _hear_again\n"
+        "try:\n"
+        "    Collected()\n"
+        "    time.sleep(600)\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(7)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (7, "")
+
+
 def test_what_runs_in_the_background_may_ignore_ctrl_c() -> None:
     ignore = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
     assert interrupted_at("typer", "main", ignore) == (0, "")

@@ -6,10 +6,12 @@ Nothing is imported here that takes long: Ctrl-C is heard before everything else
 import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
 _INTERRUPTED = 130
+_AGAIN_S = 0.05
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if is_heard:
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            sys.unraisablehook = _hear_again
         return app.main(arguments)
     except KeyboardInterrupt:  # before or after it takes care of that
         _leave()
@@ -47,6 +50,16 @@ def ros_replay() -> int:
 def ros_evaluator() -> int:
     """Run the live evaluator, as `ros2 run trajeval_ros evaluator` does."""
     return main(["evaluator", *sys.argv[1:]])
+
+
+def _hear_again(dropped: "sys.UnraisableHookArgs") -> None:
+    """Repeat a Ctrl-C that came where Python can't raise, as while it collects an object."""
+    if isinstance(dropped.exc_value, KeyboardInterrupt):
+        again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(dropped)
 
 
 def _leave(*_: object) -> NoReturn:
