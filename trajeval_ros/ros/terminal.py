@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.reports import Snapshot
 
@@ -24,7 +25,7 @@ class StatusLine:
         if not self._watched:
             return
         width = shutil.get_terminal_size().columns
-        text = "  |  ".join(parts)
+        text = one_line("  |  ".join(parts))
         text = text if len(text) < width else text[: width - 2] + "…"
         sys.stderr.write(_BEGIN_ANEW + text)
         sys.stderr.flush()
