@@ -82,6 +82,8 @@ def run_plan(
     """
     load_pyarrow()
     records = folder / RECORDS
+    if records.is_symlink():
+        raise InputError(f"{records} is a link, which nothing is written through; remove it")
     try:
         records.mkdir(parents=True, exist_ok=True)
     except OSError as error:
