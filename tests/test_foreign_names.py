@@ -14,6 +14,7 @@ import pytest
 from test_formatting import controls
 
 from trajeval_ros import Gauge, Protocol, evaluate
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.ros.terminal import StatusLine
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
@@ -71,7 +72,7 @@ def test_figures_of_a_comparison_show_names_and_no_formulas() -> None:
     box, path = Box.of([1.0, 2.0]), np.zeros((2, 3))
     for drawn in (
         box_plot("a", [NAME], [("_vio", [box]), (NAME, [box])], "", "m"),
-        overlay("b", path, [None, (NAME, path)]),
+        overlay("b", UpAxis(), path, [None, (NAME, path)]),
     ):
         assert not controls(drawn.replace("\n", ""))
         assert SEEN in drawn
