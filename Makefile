@@ -10,6 +10,7 @@ EVO := .venv-evo
 LOCK := .venv-lock
 ATHERIS := .venv-fuzz
 MUTATE := .venv-mutate
+AUDIT := .venv-audit
 BENCH ?=
 FUZZ ?=
 KERNELS ?=
@@ -26,8 +27,8 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
-	bench-runs parity fuzz fuzz-bytes chaos chaos-ros mutate lock colcon-environment ros-environment \
-	clean test-kernels test-all test-stress
+	bench-runs parity fuzz fuzz-bytes chaos chaos-ros mutate audit lock colcon-environment \
+	ros-environment clean test-kernels test-all test-stress
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -115,6 +116,12 @@ ROOM ?= metrics
 mutate: $(MUTATE)/.installed ## Change lines of a room at random, and list what no test notices; ROOM=batch.
 	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/mutants.py $(ROOM)
 
+audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of known vulnerabilities.
+	@status=0; for each in constraints.txt constraints-ros.txt; do \
+		echo "$$each:"; \
+		$(AUDIT)/bin/pip-audit --no-deps --disable-pip --requirement $$each || status=1; \
+	done; exit $$status
+
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
 
@@ -130,8 +137,8 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(ATHERIS) $(MUTATE) build install log dist \
-		*.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(ATHERIS) $(MUTATE) $(AUDIT) \
+		build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -195,6 +202,11 @@ $(MUTATE)/.installed: setup.py constraints.txt
 	$(make_venv)
 	$(MUTATE)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]" \
 		cosmic-ray==8.7.0
+	touch $@
+
+$(AUDIT)/.installed:
+	$(make_venv)
+	$(AUDIT)/bin/python -m pip install --quiet pip-audit==2.10.1
 	touch $@
 
 $(LOCK)/.installed:

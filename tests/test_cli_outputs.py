@@ -10,9 +10,11 @@ import threading
 from pathlib import Path
 
 import pytest
+from comparison_runs import write_runs
 from test_cli_evaluate import pair, refused, write_tum
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.io.writing import write_text
 
 __all__ = ["pair"]  # a fixture
 ROOT = Path(__file__).resolve().parent.parent
@@ -98,6 +100,71 @@ def test_a_pipe_is_written_to_and_a_link_stays_one(pair: list[str], tmp_path: Pa
     assert link.is_symlink()
     assert heard == [plain.read_text()] == [(tmp_path / "target.json").read_text()]
     assert not list(tmp_path.glob("*.part"))
+
+
+def made_links(folder: Path, made: Path, victims: Path) -> dict[Path, Path]:
+    """Make a folder with links out of it, called as files that were made; return what to."""
+    folder.mkdir()
+    victims.mkdir()
+    links = {}
+    for file in made.iterdir():
+        if file.is_file():
+            links[folder / file.name] = victims / file.name
+            (victims / file.name).write_text("mine")
+            (folder / file.name).symlink_to(victims / file.name)
+    return links
+
+
+def assert_not_followed(links: dict[Path, Path]) -> None:
+    assert links
+    for link, victim in links.items():
+        assert not link.is_symlink(), link
+        assert link.stat().st_size > 0
+        assert victim.read_text() == "mine"
+
+
+def test_links_in_a_folder_of_results_are_not_followed(pair: list[str], tmp_path: Path) -> None:
+    assert main([*pair, "-q", "--output", str(tmp_path / "made")]) == 0
+    links = made_links(tmp_path / "out", tmp_path / "made", tmp_path / "mine")
+    assert main([*pair, "-q", "--output", str(tmp_path / "out")]) == 0
+    assert_not_followed(links)
+
+
+def test_links_in_the_folder_of_a_comparison_are_not_followed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for package in ("pyarrow", "jinja2", "matplotlib"):
+        pytest.importorskip(package, reason=f"{package} is missing, the extra `compare`")
+    config = write_runs(tmp_path / "runs", ["hall"], ["good"], 1)
+    made, out = tmp_path / "made", tmp_path / "out"
+    common = ["compare", str(config), "-q", "--workers", "1", "--output"]
+    assert main([*common, str(made)]) == 0
+    links = made_links(out, made, tmp_path / "mine")
+    assert {"runs.parquet", "report.html", "tables.md"} < {each.name for each in links}
+    gate = [
+        "--baseline",
+        str(made / "runs.parquet"),
+        "--fail-if",
+        "ate.position_m.rmse worse than 5 %",
+    ]
+    assert main([*common, str(out), *gate]) == 0
+    assert_not_followed(links)
+    elsewhere = tmp_path / "elsewhere"
+    (out / "runs").rename(elsewhere)
+    (out / "runs").symlink_to(elsewhere)
+    assert main([*common, str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"{out}/runs is a link, which nothing is written through; remove it" in said
+
+
+def test_a_link_to_a_folder_or_a_device_is_replaced(tmp_path: Path) -> None:
+    for number, target in enumerate((tmp_path, os.devnull, "nowhere")):
+        link = tmp_path / str(number)
+        link.symlink_to(target)
+        write_text(link, "x")
+        assert not link.is_symlink()
+        assert link.read_text() == "x"
+    assert not (tmp_path / "nowhere").exists()
 
 
 @pytest.mark.parametrize("option", ["--json", "--rrd", "--output"])

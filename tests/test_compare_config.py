@@ -10,6 +10,7 @@ from comparison_runs import write_run, write_runs
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, natural
+from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.yaml_file import read_mapping
@@ -228,3 +229,69 @@ def test_missing_keys_are_told(tmp_path: Path) -> None:
 
 def test_names_in_the_order_of_people() -> None:
     assert natural(["t10", "t2", "a", "10", "9", ""]) == ["", "9", "10", "a", "t2", "t10"]
+
+
+def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = pytest.importorskip("fsspec.core", reason="fsspec is missing, the extra `remote`")
+    asked: list[str] = []
+
+    def ask(url: str) -> None:
+        asked.append(url)
+        raise OSError("nobody is asked in tests")
+
+    monkeypatch.setattr(core, "url_to_fs", ask)
+    config = tmp_path / "runs.yaml"
+
+    def said(url: str, *allowed: str) -> str:
+        config.write_text(f"groundtruth: '{url}'\nruns: {{vio: '{{sequence}}.txt'}}\n")
+        with pytest.raises(TrajevalError) as error:
+            plan_of(config, {}, allow_remote=allowed)
+        return str(error.value)
+
+    url = "https://host.net/x/{sequence}.txt"
+    trust = "which is not on this machine; if you trust the file, add --allow-remote "
+    assert said(url) == f"{config} names {url}, {trust}https://host.net"
+    for other in (
+        "https://host.net.evil.org/{sequence}.txt",
+        "https://{sequence}.host.net/{sequence}.txt",
+        "https://host.net@evil.org/{sequence}.txt",
+        "https://host.net?@evil.org/{sequence}.txt",
+        "https://host.net#@evil.org/{sequence}.txt",
+        "https://host.net:81/{sequence}.txt",
+        "http://host.net/{sequence}.txt",
+        "s3://host.net/{sequence}.txt",
+        "github://me:it@main/{sequence}.txt",
+    ):
+        assert trust in said(other, "https://host.net")
+    chain = "zip://{sequence}.txt::https://evil.org/x.zip"
+    assert "is a chain of URLs" in said(chain, "https://host.net")
+    assert "is a chain of URLs" in said(chain.replace("zip", "file"))
+    assert "names no host" in said("https:///{sequence}.txt", "https://host.net")
+    assert not asked
+    for host in ("https://host.net", "https://host.net/", "HTTPS://host.net"):
+        assert "can't be listed: nobody is asked" in said(url, "s3://bucket", host)
+    assert asked == [url] * 3
+    assert "can't be listed" in said("HTTPS://host.net/{sequence}.txt", "https://host.net")
+
+
+@pytest.mark.parametrize("text", ["s3", "s3://", "bucket/x", "s3://bucket/x", "://x"])
+def test_a_host_that_is_none_is_told(text: str, tmp_path: Path) -> None:
+    with pytest.raises(TrajevalError, match="is no host; write SCHEME://HOST, as in s3://bucket"):
+        plan_of(write_runs(tmp_path), {}, allow_remote=[text])
+
+
+def test_each_file_of_runs_is_checked_and_the_command_line_names_hosts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = write_runs(tmp_path)
+    config.write_text(config.read_text().replace("bad: ", "bad: nosuch://bucket/"))
+    out = ["--output", str(tmp_path / "out")]
+    assert main(["compare", str(config), *out]) == 2
+    assert "add --allow-remote nosuch://bucket\n" in capsys.readouterr().err
+    assert main(["compare", str(config), *out, "--allow-remote", "nosuch://bucket"]) == 2
+    said = capsys.readouterr().err
+    assert "--allow-remote" not in said
+    assert "nosuch://bucket/" in said
+    assert not (tmp_path / "out").exists()

@@ -105,3 +105,21 @@ def test_other_stores(scheme: str, tmp_path: Path) -> None:
     path.write_bytes(content)
     read = read_trajectory(f"{url}:/pose")
     np.testing.assert_array_equal(read.positions[:, 0], np.arange(COUNT))
+
+
+def test_who_asks_is_never_taken_for_a_host(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    class Nowhere:
+        def __init__(self, url: str) -> None:
+            asked.append(url)
+
+        def exists(self) -> bool:
+            return False
+
+    monkeypatch.setattr(upath, "UPath", Nowhere)
+    with pytest.raises(InputError, match="does not exist; check the URL"):
+        read_trajectory("https://me:secret@host.net:81/x.mcap:/odom")
+    assert asked == [f"https://me:secret@host.net{rest}" for rest in (
+        ":81/x.mcap:/odom", ":81/x.mcap", "",
+    )]  # fmt: skip

@@ -79,3 +79,19 @@ def test_a_topic_without_poses_is_named_with_what_it_carries(
         evaluator.wait_for("nobody publishes /nobody, and there are no poses on any other topic")
         assert evaluator.end() == 2
     peer.node.destroy_publisher(publisher)
+
+
+def test_the_log_and_diagnostics_show_control_characters(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    heard = peer.hear("/diagnostics", DiagnosticArray)
+    folder, shown = tmp_path / "out\x1b[31m\u202e", rf"{tmp_path}/out\x1b[31m\u202e"
+    with evaluating(folder, environment, groundtruth="/truth") as evaluator:
+        evaluator.wait_for(f"results go to {shown}")
+        peer.until(lambda: any(each.status for each in heard), "diagnostics")
+        assert evaluator.end() == 2
+    values = [value.value for array in heard for status in array.status for value in status.values]
+    assert shown in values
+    assert not {"\x1b", "\u202e"} & set(evaluator.said + "".join(values))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from trajeval_ros.batch.comparison import RECORDS, run_plan
@@ -21,6 +22,7 @@ def compare(
     output: str | Path,
     *,
     common_time_span: bool | None = None,
+    allow_remote: Iterable[str] = (),
     workers: int | None = None,
     report: bool = True,
     **settings: str | float,
@@ -36,6 +38,7 @@ def compare(
             evaluated again.
         common_time_span: Evaluate only the time that all runs of a sequence have; None for what
             the file says.
+        allow_remote: Hosts that the file's URLs may be of, such as `s3://bucket`.
         workers: Number of processes; None for one for each core.
         report: Whether to write report.html, which needs matplotlib.
         **settings: Of the request, by the command line's words with `_` for `-`, such as
@@ -63,7 +66,9 @@ def compare(
         require_one_of(word, WORDS, "setting")
     folder = Path(output)
     words = {word: _as_written(word, value) for word, value in settings.items()}
-    plan = plan_of(Path(target), words, common_time_span=common_time_span)
+    plan = plan_of(
+        Path(target), words, common_time_span=common_time_span, allow_remote=allow_remote
+    )
     with only_writer(folder, RECORDS):
         run_plan(plan, folder, lambda: local_pool(workers))
         summary = summary_of(folder)

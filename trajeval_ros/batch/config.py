@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.conventions import runs_in_folder
-from trajeval_ros.batch.patterns import Pattern
+from trajeval_ros.batch.patterns import Pattern, is_url
 from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
+from trajeval_ros.batch.remote_hosts import parse_hosts, require_allowed
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io.requests.protocol_file import is_protocol_file
 from trajeval_ros.io.requests.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
@@ -25,7 +26,11 @@ _KEYS = (
 
 
 def plan_of(
-    target: Path, settings: Mapping[str, Any], *, common_time_span: bool | None = None
+    target: Path,
+    settings: Mapping[str, Any],
+    *,
+    common_time_span: bool | None = None,
+    allow_remote: Iterable[str] = (),
 ) -> Plan:
     """Return what a YAML file or a folder asks to compare.
 
@@ -33,9 +38,11 @@ def plan_of(
         target: The file or folder.
         settings: Of the request, by the words of the command line; they override the file's.
         common_time_span: Likewise.
+        allow_remote: Hosts that a file's URLs may be of, `SCHEME://HOST`.
 
     Raises:
-        InputError: It can't be read, says what nobody knows, or names no files.
+        InputError: It can't be read, says what nobody knows, names no files, or a host that isn't
+            allowed.
         SettingsError: Settings that mean nothing.
     """
     if target.is_dir():
@@ -47,6 +54,7 @@ def plan_of(
             f"{target} does not exist; name a YAML file that says what to compare, or a folder of "
             "ov_eval's or rpg_trajectory_evaluation's layout"
         )
+    hosts = parse_hosts(allow_remote)
     config = read_mapping(target, "comparison")
     require_known(config, _KEYS, str(target))
     for key in ("groundtruth", "runs"):
@@ -56,13 +64,15 @@ def plan_of(
         common_time_span = _typed(config, "common_time_span", bool, target, default=False)
     return Plan(
         title=_typed(config, "title", str, target, default=target.stem),
-        runs=_runs(config, target),
+        runs=_runs(config, target, hosts),
         request=_request(_settings(config, target), settings),
         common_time_span=bool(common_time_span),
     )
 
 
-def _runs(config: Mapping[str, Any], target: Path) -> tuple[PlannedRun, ...]:
+def _runs(
+    config: Mapping[str, Any], target: Path, hosts: frozenset[str]
+) -> tuple[PlannedRun, ...]:
     folder = target.parent / _typed(config, "folder", str, target, default=".")
     patterns = config["runs"]
     if not isinstance(patterns, dict) or not patterns:
@@ -77,6 +87,9 @@ def _runs(config: Mapping[str, Any], target: Path) -> tuple[PlannedRun, ...]:
         str(name): Pattern.parse(_typed(patterns, name, str, target, default=""))
         for name in patterns
     }
+    for each in (truth, *algorithms.values()):
+        if is_url(each.path):
+            require_allowed(each.text, hosts, str(target))
     sequences = _names(config, "sequences", target)
     found = truth.find(folder)
     truth.require(found, folder)

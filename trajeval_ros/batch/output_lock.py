@@ -33,10 +33,14 @@ def only_writer(
             waited for.
 
     Raises:
-        InputError: Another comparison writes there, or the folder can't be made.
+        InputError: Another comparison writes there, the folder can't be made, or its records lie
+            behind a link.
     """
+    records = folder / subfolder
+    if records.is_symlink():
+        raise InputError(f"{records} is a link, which nothing is written through; remove it")
     with refused_by_disk(f"the folder {folder}"):
-        (folder / subfolder).mkdir(parents=True, exist_ok=True)
+        records.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK):  # nobody writes here: all is there, or a sentence tells
         yield
         return
@@ -51,7 +55,7 @@ def only_writer(
             with refused_by_disk(str(path)):
                 os.truncate(file, 0)
                 os.write(file, f"process {os.getpid()} on {platform.node()}".encode())
-            for each in (folder, folder / subfolder):
+            for each in (folder, records):
                 collect_leftovers(each)
             try:
                 yield

@@ -65,6 +65,14 @@ def compare(
             rich_help_panel=options.MEASURE,
         ),
     ] = None,
+    allow_remote: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL",
+            help="A host that URLs in CONFIG.yaml may be of, as in s3://bucket; repeatable.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -150,7 +158,9 @@ def compare(
         "rotation_covariance_frame": rotation_covariance_frame,
         "up": up,
     }
-    plan = plan_of(target, said, common_time_span=common_time_span)
+    plan = plan_of(
+        target, said, common_time_span=common_time_span, allow_remote=allow_remote or ()
+    )
     # Read before anything is written: it may be the table of the same folder.
     gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan)
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):

@@ -153,4 +153,4 @@ def _write(
     if target == "-":
         sys.stdout.write(json_text(content, indent=2))
     else:
-        write_text(Path(target), json_text(content, indent=2))
+        write_text(Path(target), json_text(content, indent=2), follow_link=True)

@@ -79,7 +79,7 @@ def deliver(
         with may_break():
             sys.stdout.write(json_text(result, indent=2))
     elif json is not None:
-        write_text(Path(json), json_text(result, indent=2))
+        write_text(Path(json), json_text(result, indent=2), follow_link=True)
     if not quiet and json != "-":
         with may_break():
             _print(runs, output, gauge_given=gauge_given)

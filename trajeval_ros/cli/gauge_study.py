@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from importlib.util import find_spec
 from pathlib import Path
@@ -187,6 +188,7 @@ def _draw(
     matrices: dict[str, Covariances],
 ) -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    from trajeval_ros.io.writing import write_whole
     from trajeval_ros.report import canvas, gauge_figures
     from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, SWEEP_WEIGHTS, paths
 
@@ -207,7 +209,7 @@ def _draw(
             file = f"covariances_{name.removeprefix('motion of ').replace(' ', '_')}.png"
             figures[file.replace("/", "_")] = gauge_figures.covariance_matrices(each, name)
         for file, figure in figures.items():
-            canvas.save(figure, folder / file)
+            write_whole(folder / file, functools.partial(canvas.save, figure))
 
 
 def _print(

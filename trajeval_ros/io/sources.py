@@ -204,8 +204,11 @@ def _split_url(source: str) -> tuple[Path, str]:
         ) from error
     pieces = source.split(":")
     candidates = [(":".join(pieces[:count]), count) for count in range(len(pieces), 1, -1)]
+    secrets = source.split("/", 3)[2].count("@")  # USER:PASSWORD@HOST: USER is no host to ask
     try:
         for url, count in candidates:
+            if url.count("@") < secrets:
+                break
             path: Any = UPath(url)  # a Path in all that is asked of it
             if path.exists():
                 return path, ":".join(pieces[count:])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
@@ -181,7 +182,7 @@ def short_names(names: Sequence[str]) -> list[str]:
     """Return names that fit in a legend: the end of a long one says more than its beginning."""
     short = []
     for place, name in enumerate(names):
-        text = name or f"estimate {place + 1}"
+        text = one_line(name) or f"estimate {place + 1}"
         if len(text) > _LONGEST_NAME:
             text = f"…{text[1 - _LONGEST_NAME :]}"
         # matplotlib leaves labels that begin with an underscore out of legends.

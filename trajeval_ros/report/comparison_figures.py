@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.report import canvas
@@ -72,12 +73,13 @@ def box_plot(
         figure = canvas.new_figure(_WIDTH_IN, 2.3)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         width = 0.8 / len(series)
-        for place, (algorithm, boxes) in enumerate(series):
+        legend = canvas.short_names([algorithm for algorithm, _ in series])
+        for place, (_, boxes) in enumerate(series):
             colour, _ = canvas.line_style(place)
             shift = width * (place - (len(series) - 1) / 2.0)
             _draw_boxes(axes, boxes, shift, 0.85 * width, colour)
-            axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=algorithm)
-        axes.set_xticks(range(len(groups)), list(groups))
+            axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=legend[place])
+        axes.set_xticks(range(len(groups)), [one_line(each) for each in groups])
         axes.set_xlim(-0.6, len(groups) - 0.4)
         axes.set_ylim(bottom=0.0)
         axes.grid(visible=False, axis="x")
@@ -188,13 +190,14 @@ def _draw_paths(
     axes: Axes, up: UpAxis, truth: Floats, paths: Sequence[tuple[str, Floats] | None]
 ) -> None:
     axes.plot(truth[:, 0], truth[:, 1], color=_TRUTH, linewidth=1.8, label="groundtruth")
+    legend = canvas.short_names([path[0] if path else "" for path in paths])
     for place, path in enumerate(paths):
         if path is not None:
-            label, positions = path
+            _, positions = path
             colour, dashes = canvas.line_style(place)
             axes.plot(
                 positions[:, 0], positions[:, 1],
-                color=colour, linestyle=dashes, linewidth=1.1, label=label,
+                color=colour, linestyle=dashes, linewidth=1.1, label=legend[place],
             )  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
     across, onward = ("xyz"[each] for each in up.level)

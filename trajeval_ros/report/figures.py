@@ -58,7 +58,9 @@ def draw(
     with canvas.house_style():
         figure = _DRAWINGS[kind](given, canvas.short_names([each.estimate.name for each in given]))
         if path is not None:
-            write_whole(Path(path), lambda temporary: canvas.save(figure, temporary))
+            write_whole(
+                Path(path), lambda temporary: canvas.save(figure, temporary), follow_link=True
+            )
     return figure
 
 

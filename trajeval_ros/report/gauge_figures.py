@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report import canvas
 from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
@@ -113,7 +114,7 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
     ):
         axes.set_ylabel(label)
         axes.grid(visible=False, axis="x")
-    panels[-1].set_xticks(places, list(outcome), rotation=20, ha="right")
+    panels[-1].set_xticks(places, [one_line(each) for each in outcome], rotation=20, ha="right")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
@@ -122,7 +123,9 @@ def covariance_matrices(covariances: Covariances, title: str) -> Figure:
     """Draw the covariances of free gauge, transformed and fixed: Fig. 9 and 10."""
     figure = canvas.new_figure(7.4, 3.1, layout="constrained")
     percent = 100.0 * covariances.difference
-    figure.suptitle(f"{title}: transformed and fixed differ by {percent:.2g} % (Frobenius norm)")
+    figure.suptitle(
+        f"{one_line(title)}: transformed and fixed differ by {percent:.2g} % (Frobenius norm)"
+    )
     panels = figure.subplots(1, 3)
     named = (
         ("free gauge", covariances.free),

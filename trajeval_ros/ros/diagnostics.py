@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.trajectory import add_counts
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
@@ -54,9 +55,11 @@ def diagnose(
     return DiagnosticStatus(
         level=bytes([level]),
         name=f"{node}: {estimate.name}",
-        message="; ".join(text for _, text in gravest_first) or "evaluating",
+        message=one_line("; ".join(text for _, text in gravest_first)) or "evaluating",
         values=[
-            KeyValue(key=key, value=f"{value:.6g}" if isinstance(value, float) else str(value))
+            KeyValue(
+                key=key, value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
+            )
             for key, value in values.items()
             if value is not None
         ],

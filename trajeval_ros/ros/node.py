@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
@@ -52,7 +53,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
-        self.get_logger().info(f"results go to {self._run.finisher.folder}")
+        self._log(f"results go to {self._run.finisher.folder}")
 
     def finish(self) -> bool:
         """Evaluate what is left, and write everything; returns whether it was written."""
@@ -65,12 +66,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def _write(self) -> bool:
         for each in self._picture.close():
-            self.get_logger().warning(each)
+            self._log(each, warn=True)
         troubles = self._run.close()
         for each in troubles:
-            self.get_logger().error(each)
+            self._log_error(each)
         if not self._run.has_pairs:
-            self.get_logger().error(self._run.why_no_pair())
+            self._log_error(self._run.why_no_pair())
             return False
         return self._run.finisher.finish(quiet=False) and not troubles
 
@@ -307,11 +308,15 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def _log(self, text: str, *, warn: bool = False) -> None:
         self._line.clear()
-        logger = self.get_logger()
+        logger, line = self.get_logger(), one_line(text)
         if warn:  # rclpy wants one severity of each line of code
-            logger.warning(text)
+            logger.warning(line)
         else:
-            logger.info(text)
+            logger.info(line)
+
+    def _log_error(self, text: str) -> None:
+        self._line.clear()
+        self.get_logger().error(one_line(text))
 
     def _complain(self) -> None:
         """Say once what is wrong with the disk, and that it is well again."""

@@ -8,6 +8,7 @@ import shutil
 import stat
 import sys
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.reports import Snapshot
 
@@ -27,7 +28,7 @@ class StatusLine:
         if not self._watched:
             return
         width = shutil.get_terminal_size().columns
-        text = "  |  ".join(parts)
+        text = one_line("  |  ".join(parts))
         text = text if len(text) < width else text[: width - 2] + "…"
         self._write(_BEGIN_ANEW + text)
         self._shown = True

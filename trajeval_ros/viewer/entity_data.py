@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.viewer import colours
@@ -142,7 +143,7 @@ def event(text: str, *, warn: bool) -> Any:
     """Return a line of the log."""
     rerun, _ = sdk()
     level = rerun.TextLogLevel.WARN if warn else rerun.TextLogLevel.INFO
-    return rerun.TextLog(text, level=level)
+    return rerun.TextLog(one_line(text), level=level)
 
 
 def summary(markdown: str) -> Any:

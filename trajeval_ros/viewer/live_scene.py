@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
@@ -58,7 +59,7 @@ class LiveScene:
 
     def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
         """Begin, for a run of that title and estimates of these names."""
-        self._title = title
+        self._title = one_line(title)
         self._recording: Any = None
         self._gauge, self._up = gauge, Z_UP
         self._estimates = {

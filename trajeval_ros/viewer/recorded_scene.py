@@ -74,7 +74,7 @@ def write_recording(
             ),
         )
         try:
-            recording.send_recording_name(", ".join(names))
+            recording.send_recording_name(", ".join(each.name for each in estimates))
             _draw(recording, evaluations, consistencies, estimates, origin)
             flush_to(temporary, recording)
         finally:

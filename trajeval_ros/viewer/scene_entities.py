@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.sdk import sdk
 
@@ -70,15 +71,15 @@ class EstimateEntities:
     """Where one estimate is drawn.
 
     Attributes:
-        name: What it is called.
+        name: What it is called, as it can be shown.
         colour: Of its lines.
     """
 
     def __init__(self, name: str, place: int) -> None:
         """Give the estimate at a place in the list its entities."""
         rerun, _ = sdk()
-        self.name, self.colour = name, colours.of_estimate(place)
-        self._part = rerun.escape_entity_path_part(name)
+        self.name, self.colour = one_line(name), colours.of_estimate(place)
+        self._part = rerun.escape_entity_path_part(self.name)
         self.frame = f"{WORLD}/estimate/{self._part}"
         self.path = PathEntities.below(self.frame)
         self.by_error = f"{self.frame}/by_error"

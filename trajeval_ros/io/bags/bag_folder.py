@@ -9,7 +9,9 @@ from pathlib import Path
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.metadata import Metadata, read_metadata
 
-_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_METADATA = "metadata.yaml"
+_COMPRESSED = ".zstd"
+_ENDINGS = (".mcap", ".db3", f".mcap{_COMPRESSED}", f".db3{_COMPRESSED}")
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class BagFolder:
             (file for ending in _ENDINGS for file in path.glob(f"*{ending}")),
             key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
         )
-        described, metadata = path / "metadata.yaml", None
+        described, metadata = path / _METADATA, None
         notes: tuple[str, ...] = ()
         damage: tuple[str, ...] = ()
         if described.exists():
@@ -47,14 +49,52 @@ class BagFolder:
                 metadata = read_metadata(described)
             except InputError as error:
                 notes = (f"{error}; {described.name} was not used",)
+        listed: set[str] = set()
         if metadata is not None:
-            missing = [each for each in metadata.files if not (path / each).exists()]
-            damage = tuple(f"{described} names {each}, which is missing" for each in missing)
-            files = [file for file in files if file.name in metadata.files] or files
-        if not files:
+            said, damage = _judged(path, metadata)
+            notes += said
+            listed = {each.name for each in metadata.files}
+            wanted = set(map(_plain, listed))
+            files = [file for file in files if _plain(file.name) in wanted] or files
+        kept = _without_copies(files, listed)
+        if metadata is None:
+            notes += tuple(
+                f"{file} was not read, since {file.name}{_COMPRESSED} holds the same"
+                for file in files
+                if file not in kept
+            )
+        if not kept:
             why = "; ".join(damage) or "it holds no *.mcap or *.db3"
             raise InputError(f"{path} is a directory without a bag: {why}")
-        return cls(tuple(files), metadata, notes, damage)
+        return cls(tuple(kept), metadata, notes, damage)
+
+
+def _plain(name: str) -> str:
+    """Return a file's name without compression: a player leaves a decompressed copy beside it."""
+    return name.removesuffix(_COMPRESSED)
+
+
+def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
+    """Return each file once: as it is listed, else as it was recorded."""
+    by_plain = {
+        _plain(each.name): each for each in sorted(files, key=lambda each: each.name in listed)
+    }
+    return [file for file in files if by_plain[_plain(file.name)] is file]
+
+
+def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return notes and damage: what the metadata names and the folder doesn't hold."""
+    there = {_plain(each.name) for each in folder.iterdir()}
+    missing = [each.written for each in metadata.files if _plain(each.name) not in there]
+    outside = [each.written for each in metadata.files if each.leads_out]
+    notes = [
+        f"{folder / _METADATA} names {each}, which is outside of the bag's folder; only files in "
+        "the folder are read"
+        for each in outside[:1]
+    ]
+    return tuple(notes), tuple(
+        f"{folder / _METADATA} names {each}, which is missing" for each in missing
+    )
 
 
 def _split(name: str) -> list[str]:

@@ -1,0 +1,60 @@
+"""Hosts that the file of a comparison may make this machine ask: those that its user names.
+
+Else a file from elsewhere could make this machine ask any host, with its user's credentials.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+
+from trajeval_ros.exceptions import InputError, SettingsError
+
+_HOST = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]*)://([^/]+)")
+_OF_THIS_MACHINE = ("file", "local", "memory")
+
+
+def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
+    """Return hosts, or buckets, as `SCHEME://HOST`.
+
+    Raises:
+        SettingsError: One is written otherwise.
+    """
+    hosts = set()
+    for text in texts:
+        match = _HOST.fullmatch(text.removesuffix("/"))
+        if match is None:
+            raise SettingsError(
+                f"--allow-remote {text} is no host; write SCHEME://HOST, as in s3://bucket"
+            )
+        hosts.add(_name(match))
+    return frozenset(hosts)
+
+
+def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
+    """Check that a URL is of this machine, or of a host that is allowed.
+
+    Args:
+        url: May hold placeholders, but none in an allowed host.
+        allowed: As of `parse_hosts`.
+        where: What names the URL.
+
+    Raises:
+        InputError: It is of another host.
+    """
+    if "::" in url:  # fsspec would ask each of them
+        raise InputError(f"{where}: {url} is a chain of URLs; name one without '::'")
+    if url.partition("://")[0].lower() in _OF_THIS_MACHINE:
+        return
+    match = _HOST.match(url)
+    if match is None:
+        raise InputError(f"{where}: {url} names no host; write it as in s3://bucket/file")
+    if _name(match) not in allowed:
+        raise InputError(
+            f"{where} names {url}, which is not on this machine; if you trust the file, add "
+            f"--allow-remote {_name(match)}"
+        )
+
+
+def _name(match: re.Match[str]) -> str:
+    return f"{match[1].lower()}://{match[2]}"
