@@ -107,7 +107,7 @@ def trajectory(
         bool,
         typer.Option(
             "--synchronise",
-            help="Keep what pairs with the reference, and save the reference row by row beside it.",
+            help="Keep what pairs with the reference, and save its states in the same rows, too.",
             rich_help_panel=options.PAIR,
         ),
     ] = False,
@@ -190,9 +190,9 @@ def trajectory(
 
         trajeval trajectory vio.txt --reference gt.csv --gauge yaw --synchronise --save-as tum
 
-    A minute of it, 10 poses a second, as odometry for RViz or Foxglove:
+    A minute of it, 10 poses a second, for Foxglove:
 
-        trajeval trajectory vio.txt --start 30 --end +60 --rate 10 --save-as mcap --message Odometry
+        trajeval trajectory vio.txt --start 30 --end +60 --rate 10 --save-as mcap
 
     A camera's trajectory (KITTI) in ROS's axes:
 
@@ -240,7 +240,9 @@ def trajectory(
         files_of(output, ["any"], save_as)  # a format that is none is told before reading
     wanted = [each for source in sources for each in each_topic(source)]
     # In one call, which opens a bag once for all that is in it.
-    read = _read([*wanted, *([] if reference is None else [reference])], strict=strict)
+    others = [] if reference is None else [reference]
+    names = [*names_of(wanted), *("reference" for _ in others)]
+    read = _read([*wanted, *others], names, strict=strict)
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []
@@ -267,8 +269,7 @@ def parse_motion(text: str) -> tuple[float, float]:
     return distance_m, math.radians(angle_deg)
 
 
-def _read(sources: Sequence[str], *, strict: bool) -> list[Trajectory]:
-    names = names_of(sources)
+def _read(sources: Sequence[str], names: Sequence[str], *, strict: bool) -> list[Trajectory]:
     with progress(f"reading {', '.join(names)}") as advance:
         found = read_many(sources, advance=advance, strict=strict)
     return [dataclasses.replace(each, name=name) for each, name in zip(found, names, strict=True)]

@@ -1,4 +1,4 @@
-"""ROS's axes and a camera's: x forward, y left, z up, against x right, y down, z forward (REP-103).
+"""ROS's axes (x forward, y left, z up) and a camera's (x right, y down, z forward): REP-103.
 
 A trajectory has two sets of axes: those of its fixed frame, and those of the body.
 """

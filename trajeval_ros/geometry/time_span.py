@@ -93,8 +93,8 @@ class TimeSpan:
             inside &= stamps <= end - offset_ns
         if not inside.any():
             raise InputError(
-                f"it has no pose in the time span: its stamps are from {_seconds(stamps.min())} to "
-                f"{_seconds(stamps.max())} s"
+                "it has no pose in the time span: its stamps are from "
+                f"{_seconds(stamps.min())} to {_seconds(stamps.max())} s"
             )
         return trajectory[inside]
 

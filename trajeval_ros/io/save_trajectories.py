@@ -68,6 +68,11 @@ def save_trajectories(
     """
     paths = files_of(folder, [each.name for each in trajectories], kind)
     require_one_of(message, MESSAGES, "message")
+    for each in trajectories if message == _TF else ():
+        if each.quaternions is None:
+            raise InputError(
+                f"{each.name} has no orientations, so it is no transform; save another message"
+            )
     for path in paths:
         if path.exists():
             raise InputError(f"{path} exists already; remove it, or give another --output")

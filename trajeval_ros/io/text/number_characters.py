@@ -23,10 +23,13 @@ _ZERO, _POINT, _MINUS = np.frombuffer(b"0.-", dtype=np.uint8)
 _POWERS: Indices = 10 ** np.arange(19, dtype=np.int64)
 _FLOAT_POWERS: Floats = np.array([float(10**power) for power in range(23)])
 _SPLITTER = 2.0**27 + 1.0  # halves a float's 53 bits
-_GROUP = 5  # digits that are looked up at once
-_DIGITS: Characters = (
-    np.arange(10**_GROUP)[:, None] // 10 ** np.arange(_GROUP - 1, -1, -1) % 10 + _ZERO
-).astype(np.uint8)
+_GROUP = 4  # digits that are looked up at once, as one number of four bytes
+_DIGITS = (
+    (np.arange(10**_GROUP)[:, None] // 10 ** np.arange(_GROUP - 1, -1, -1) % 10 + _ZERO)
+    .astype(np.uint8)
+    .view(np.uint32)[:, 0]
+)
+_GROUP_SIZE = np.uint64(10**_GROUP)
 # Of 17 digits D with exponent e (d.ddd * 10**e); repr writes other floats with an exponent, or
 # they are so large that the powers above don't reach.
 _SMALLEST, _LARGEST = 1e-4, 1e15
@@ -117,11 +120,11 @@ def _fixed(digits: Indices, exponents: Indices) -> Characters:
     unit = _POWERS[np.minimum(places, 18)]  # more than all digits, where e < 0
     whole = digits // unit
     rest = digits - whole * unit
-    below = _POWERS[np.maximum(places - 10, 0)]
+    below = _POWERS[np.maximum(places - 12, 0)]
     first = rest // below
-    second = (rest - first * below) * _POWERS[20 - np.maximum(places, 10)]
-    first *= _POWERS[np.maximum(10 - places, 0)]
-    fraction = np.concatenate([_digits(first, 10), _digits(second, 10)], axis=1)
+    second = (rest - first * below) * _POWERS[20 - np.maximum(places, 12)]
+    first *= _POWERS[np.maximum(12 - places, 0)]
+    fraction = np.concatenate([_digits(first, 12), _digits(second, 8)], axis=1)
     wanted = np.maximum(_FRACTION - _trailing_zeros(fraction), 1)
     used = int(wanted.max(initial=1))
     fraction = fraction[:, :used] * (np.arange(used) < wanted[:, None])
@@ -151,11 +154,13 @@ def _whole(numbers: NDArray[np.int64] | NDArray[np.uint64], width: int) -> Chara
 def _digits(numbers: NDArray[np.int64] | NDArray[np.uint64], width: int) -> Characters:
     """Return the last `width` digits (N, width) of numbers >= 0."""
     groups = -(-width // _GROUP)
-    characters = np.empty((len(numbers), groups * _GROUP), dtype=np.uint8)
+    words = np.empty((len(numbers), groups), dtype=np.uint32)
+    rest = numbers.astype(np.uint64)
     for group in range(groups - 1, -1, -1):
-        numbers, last = np.divmod(numbers, numbers.dtype.type(10**_GROUP))
-        characters[:, group * _GROUP : (group + 1) * _GROUP] = _DIGITS[last]
-    return characters[:, groups * _GROUP - width :]
+        above = rest // _GROUP_SIZE  # by a constant, which numpy does without dividing
+        words[:, group] = _DIGITS[rest - above * _GROUP_SIZE]
+        rest = above
+    return words.view(np.uint8)[:, groups * _GROUP - width :]
 
 
 def _absolute(numbers: Stamps) -> NDArray[np.uint64]:
