@@ -8,7 +8,7 @@ from decimal import Decimal, InvalidOperation
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
-_LATEST_S = 9_000_000_000  # what nanoseconds in int64 can hold
+_LATEST_S = 4_000_000_000  # a sum of two is still within nanoseconds of int64
 
 
 @dataclass(frozen=True)

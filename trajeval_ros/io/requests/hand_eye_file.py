@@ -45,7 +45,7 @@ def read_similarity(path: Path) -> Similarity:
     """
     message = read_mapping(path, _WHAT)
     scale = message.pop("scale", 1.0)
-    if not isinstance(scale, (int, float)) or not 0.0 < scale < math.inf:
+    if type(scale) not in (int, float) or not 0.0 < scale <= LARGEST:
         raise InputError(f"{path}: scale must be a number above zero, not {scale!r}")
     rigid = _transform(message, path)
     return Similarity(lie.to_matrix(rigid.rotation_xyzw), rigid.lever_m, float(scale))
