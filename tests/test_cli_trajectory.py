@@ -75,6 +75,19 @@ def test_transformed_there_and_back(tmp_path: Path) -> None:
     assert main(["trajectory", EST, "--transform-right", str(tmp_path / "move.yaml")]) == 2
 
 
+@pytest.mark.parametrize("scale", ["-1.0", "0", ".inf", ".nan", "true", "twice"])
+def test_a_scale_is_a_number_above_zero(
+    scale: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "move.yaml"
+    path.write_text(
+        "transform:\n  translation: {x: 1.0, y: 2.0, z: -3.0}\n"
+        f"  rotation: {{x: 0.0, y: 0.0, z: 0.0, w: 1.0}}\nscale: {scale}\n"
+    )
+    assert main(["trajectory", EST, "--transform-left", str(path)]) == 2
+    assert "scale must be a number above zero" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -34,7 +34,7 @@ _GROUP_SIZE = np.uint64(10**_GROUP)
 # they are so large that the powers above don't reach.
 _SMALLEST, _LARGEST = 1e-4, 1e15
 _LONGEST = 24  # characters of a float
-_WHOLE, _FRACTION = 15, 20  # digits before and behind the point
+_FRACTION = 20  # digits behind the point
 
 
 def close_up(blocks: list[Characters]) -> bytes:
