@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from trajeval_ros.batch.config import plan_of
 from trajeval_ros.cli.app import main
+from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.sources import read_trajectory
 
 PAIR = Path(__file__).parent / "data/parity/pairs/drone_loop"
@@ -134,3 +136,15 @@ def test_a_part_of_the_time_is_evaluated(
     )
     assert results[0]["provenance"]["settings"]["time_span"] is not None
     assert results[1]["provenance"]["settings"]["time_span"] is None
+
+
+def test_a_comparison_takes_a_part_of_the_time(tmp_path: Path) -> None:
+    whole = f"folder: {PAIR.parent}\ngroundtruth: '{{sequence}}/gt.txt'\n"
+    whole += "runs: {vio: '{sequence}/est.txt'}\nsequences: [drone_loop]\n"
+    config = tmp_path / "runs.yaml"
+    config.write_text(f"{whole}start: 5\nend: '+10'\n")
+    request = plan_of(config, {}).request
+    assert request.time_span == TimeSpan(5 * 10**9, 15 * 10**9)
+    config.write_text(whole)
+    assert plan_of(config, {}).request.fingerprint != request.fingerprint
+    assert plan_of(config, {"start": "5", "end": "15"}).request.fingerprint == request.fingerprint
