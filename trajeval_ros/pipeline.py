@@ -26,6 +26,7 @@ from trajeval_ros.diagnosis.vertical import require_vertical, without_vertical
 from trajeval_ros.diagnosis.warnings import warnings_of
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.text_tables import html_table
+from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.upright import upright
@@ -54,6 +55,8 @@ class Request:
         covariances: Which covariances of the estimate to judge, and by which groundtruth noise.
         span_ns: First and last stamp, in the groundtruth's clock, of the estimate's states to
             evaluate; None for all.
+        time_span: The part of the groundtruth's time to evaluate, counted from its first stamp;
+            both sides are cut to it. None for all.
         lengths_of_groundtruth: Whether lengths in percent are shares of the whole groundtruth's
             path, the same for all estimates, instead of the matched path.
         up: The axes that point up in the groundtruth's frame and in the estimates', such as "z"
@@ -71,6 +74,7 @@ class Request:
     covariances: CovarianceRequest = field(default_factory=CovarianceRequest)
     span_ns: tuple[int, int] | None = None
     lengths_of_groundtruth: bool = False
+    time_span: TimeSpan | None = None
     up: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
@@ -247,9 +251,16 @@ def run(
         raise InputError("there is no estimate to evaluate; give at least one")
     if request.up is not None:
         groundtruth, *estimates = _with_up(request.up, groundtruth, *estimates)
+    first_ns = int(groundtruth.stamps.min()) if len(groundtruth) else 0
+    if request.time_span is not None:
+        with _named(groundtruth):
+            groundtruth = request.time_span.cut(groundtruth, first_ns)
     runs: list[RunOutcome] = []
     for estimate in estimates:
         with _named(estimate):
+            if request.time_span is not None:
+                offset_ns = round(request.protocol.association.time_offset_s * NANOSECONDS)
+                estimate = request.time_span.cut(estimate, first_ns, offset_ns)
             same_as = runs[0].calibrated if runs else None
             runs.append(_run(groundtruth, estimate, request, same_as))
     used = runs[0].evaluation.groundtruth
@@ -277,7 +288,7 @@ def run_pairs(
             "pairs are made with a fixed time offset; set time_offset for the live evaluator, or "
             "evaluate a bag with --time-offset auto"
         )
-    if request.is_continuous or request.span_ns is not None:
+    if request.is_continuous or request.span_ns is not None or request.time_span is not None:
         raise SettingsError(
             "likelihoods and time spans need the whole groundtruth, and a live run keeps pairs "
             "alone; evaluate a bag"

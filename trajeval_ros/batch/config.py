@@ -18,7 +18,7 @@ from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline import Request
 
 # Words whose value may be a number, or a list of values, in YAML.
-_NUMBERS = ("align_states", "time_offset")
+_NUMBERS = ("align_states", "time_offset", "start", "end")
 _LISTS = ("lengths", "groundtruth_noise")
 _KEYS = (
     "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span", *WORDS,

@@ -14,6 +14,7 @@ from trajeval_ros import __version__
 from trajeval_ros.cli.compare import compare
 from trajeval_ros.cli.compare_association import compare_association
 from trajeval_ros.cli.demo import demo
+from trajeval_ros.cli.edit_trajectories import trajectory
 from trajeval_ros.cli.evaluate import evaluate
 from trajeval_ros.cli.finish import finish
 from trajeval_ros.cli.gauge_study import gauge_study
@@ -45,6 +46,7 @@ app.command()(gauge_study)
 app.command()(info)
 app.command(cls=RosCommand)(replay)
 app.command()(simulate)
+app.command()(trajectory)
 app.command()(view)
 
 _INTERRUPTED = 130

@@ -55,6 +55,8 @@ def compare(
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
     up: options.UpOption = None,
+    start: options.StartOption = None,
+    end: options.EndOption = None,
     common_time_span: Annotated[
         bool | None,
         typer.Option(
@@ -157,6 +159,8 @@ def compare(
         "covariance": covariance,
         "rotation_covariance_frame": rotation_covariance_frame,
         "up": up,
+        "start": start,
+        "end": end,
     }
     plan = plan_of(
         target, said, common_time_span=common_time_span, allow_remote=allow_remote or ()

@@ -44,6 +44,8 @@ def evaluate(
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
     up: options.UpOption = None,
+    start: options.StartOption = None,
+    end: options.EndOption = None,
     json: options.JsonOption = None,
     output: Annotated[
         Path | None,
@@ -117,6 +119,8 @@ def evaluate(
             "covariance": covariance,
             "rotation_covariance_frame": rotation_covariance_frame,
             "up": up,
+            "start": start,
+            "end": end,
         }
     )
     requirements = [Requirement.parse(text) for text in require or []]

@@ -197,6 +197,23 @@ UpOption = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
+StartOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="S|@STAMP",
+        help="Use only what is from then on: seconds after the first stamp of the groundtruth (or "
+        "reference; without one, of each source), as in 10.5, or a stamp, as in @1403636580.5.",
+        rich_help_panel=INPUT,
+    ),
+]
+EndOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="S|@STAMP|+S",
+        help="Use only what is up to then: as --start, or +30 for 30 s after the start.",
+        rich_help_panel=INPUT,
+    ),
+]
 StrictOption = Annotated[
     bool,
     typer.Option(

@@ -24,6 +24,8 @@ NANOSECONDS = 1_000_000_000
 LARGEST = 1e12
 _SHORTEST = 1e-6  # of a quaternion
 _UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; rounding is far less
+# Of the squared length of a quaternion that was normalised: of its elements, and of the sum.
+_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 # Reasons for dropping what was no state of its own, and counts in no coverage.
 NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
 # Shapes of a row of each column.
@@ -169,7 +171,7 @@ class Trajectory:
                 for name, value in columns.items()
             }
         if quaternion_rows is not None:
-            quaternion_rows = lie.normalized(quaternion_rows)
+            quaternion_rows = _at_length_one(quaternion_rows)
         trajectory = cls(stamps, position_rows, quaternion_rows, **columns)  # type: ignore[arg-type]
         return dataclasses.replace(
             trajectory, dropped=add_counts(trajectory.dropped, dropped)
@@ -298,6 +300,15 @@ class Trajectory:
                 f"{name} has positions that are not finite, or beyond {LARGEST:g} m; drop those "
                 "states"
             )
+
+
+def _at_length_one(quaternions: Floats) -> Floats:
+    """Return quaternions (N, 4) of length 1; those that were normalised before keep their digits.
+
+    So what is written is read back to the bit.
+    """
+    excess = np.abs(np.einsum("ni,ni->n", quaternions, quaternions) - 1.0)
+    return np.where((excess <= _ROUNDING)[:, None], quaternions, lie.normalized(quaternions))
 
 
 def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:

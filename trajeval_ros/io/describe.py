@@ -31,6 +31,8 @@ class TrajectorySummary:
         first_ns: Earliest stamp.
         last_ns: Latest stamp.
         path_length_m: Length of its path.
+        mean_speed_mps: Length of its path by its duration; 0 without stamps.
+        largest_speed_mps: Along the fastest step between two states; 0 without stamps.
         frame: Fixed frame, "" if unknown.
         child_frame: Frame of the body, "" if unknown.
         holds: What else than positions it has.
@@ -48,6 +50,8 @@ class TrajectorySummary:
     first_ns: int = 0
     last_ns: int = 0
     path_length_m: float = 0.0
+    mean_speed_mps: float = 0.0
+    largest_speed_mps: float = 0.0
     frame: str = ""
     child_frame: str = ""
     holds: tuple[str, ...] = ()
@@ -102,7 +106,7 @@ def describe(source: str, *, advance: Advance | None = None) -> Description:
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
     trajectory = read_trajectory(source, advance=advance)
-    return Description(parts.path, (_summarize(source, trajectory),))
+    return Description(parts.path, (summarize(source, trajectory),))
 
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
@@ -134,7 +138,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
             if topic in posed:
                 try:
                     trajectory = trajectory_of(bag, posed[topic])
-                    trajectories.append(_summarize(name, trajectory))
+                    trajectories.append(summarize(name, trajectory))
                 except InputError as error:
                     trajectories.append(
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))
@@ -157,8 +161,13 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), (*notes, *damage))
 
 
-def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
-    """Return a trajectory in a few numbers."""
+def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
+    """Return a trajectory in a few numbers.
+
+    Args:
+        source: What names it.
+        trajectory: As it was read: its first note is its format.
+    """
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
     columns = {
@@ -172,6 +181,9 @@ def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
     dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
     unstamped = not trajectory.stamped
+    travelled = ordered.travelled
+    speeds = np.zeros(0) if unstamped else np.diff(travelled) / steps
+    still = unstamped or len(ordered) < 2
     return TrajectorySummary(
         source=source,
         kind=kind,
@@ -179,7 +191,9 @@ def _summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),
         first_ns=int(ordered.stamps[0]),
         last_ns=int(ordered.stamps[-1]),
-        path_length_m=ordered.path_length_m,
+        path_length_m=float(travelled[-1]),
+        mean_speed_mps=0.0 if still else float(travelled[-1]) / ordered.duration_s,
+        largest_speed_mps=float(speeds.max(initial=0.0)),
         frame=ordered.frame,
         child_frame=ordered.child_frame,
         holds=holds,

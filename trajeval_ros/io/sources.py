@@ -139,6 +139,22 @@ def read_many(
     ]
 
 
+def each_topic(source: str) -> list[str]:
+    """Return a source, or for a bag without a topic one source for each topic with poses.
+
+    Raises:
+        InputError: There is no such file, or no such topic in the bag.
+    """
+    parts = parse_source(source)
+    if not parts.is_bag or parts.topic:
+        return [source]
+    from trajeval_ros.io.bags.bag import Bag
+
+    with _naming(parts.path), Bag(parts.path, None) as bag:
+        topics = [topic.name for topic in bag.topics if topic.holds_poses and topic.count]
+    return [f"{source}:{topic}" for topic in topics] or [source]
+
+
 def _same_bag(path: Any) -> str:
     """Return a name that is the same however the path of a bag is spelled."""
     return os.path.realpath(path) if isinstance(path, Path) else str(path)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import percent
 from trajeval_ros.formatting.text_tables import html_table
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.flattening import flattened
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
@@ -436,13 +436,6 @@ def _have_rotations(pairs: Association) -> bool:
 
 
 def _on_plane(trajectory: Trajectory) -> Trajectory:
-    """Return the states projected on the xy plane: no height, and the heading alone."""
-    flat = np.array([1.0, 1.0, 0.0])
-    quaternions = trajectory.quaternions
-    return dataclasses.replace(
-        trajectory,
-        positions=trajectory.positions * flat,
-        quaternions=None if quaternions is None else lie.normalized(lie.heading(quaternions)),
-        velocities=None if trajectory.velocities is None else trajectory.velocities * flat,
-        matrices=None,
-    )
+    """Return the states projected on the xy plane; their covariances, for weights, as they are."""
+    flat = flattened(trajectory, "xy")
+    return dataclasses.replace(flat, covariances=trajectory.covariances)

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.bags.encode_messages import (
+    encode_odometry,
+    encode_pose_stamped,
+    encode_transforms,
+)
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, encode_path
 from trajeval_ros.io.temporary import temporary_folder
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
+from trajeval_ros.io.writing import refused_by_disk
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TRANSFORM_TOPIC = "/tf"
+Storage = Literal["mcap", "sqlite3"]
+
+_Serialised = tuple[str, str, Stamps, Iterable[memoryview]]
 
 
 def write_bag(
     path: Path,
     topics: Mapping[str, tuple[Trajectory, str]],
-    storage: Literal["mcap", "sqlite3"] = "mcap",
+    storage: Storage = "mcap",
+    transforms: Sequence[Trajectory] = (),
 ) -> None:
     """Write a bag directory; it appears under its name when it is complete.
 
@@ -31,36 +42,57 @@ def write_bag(
     Args:
         path: The directory, which must not exist yet; its parent must.
         topics: Trajectory and message type by topic. The type is `nav_msgs/msg/Odometry` (with
-            velocity and covariance, zeros where the trajectory has none) or
-            `geometry_msgs/msg/PoseStamped`.
+            velocity and covariance, zeros where the trajectory has none),
+            `geometry_msgs/msg/PoseStamped`, or `nav_msgs/msg/Path` (one message with all poses).
         storage: The file format inside.
+        transforms: Trajectories to write to `/tf`, of their child frames in their frames.
 
     Raises:
         InputError: The path exists, a type is unknown, or a stamp is before 1970 or after 2038.
     """
     if path.exists():
         raise InputError(f"{path} exists already; choose another name or remove it")
-    for topic, (trajectory, message_type) in topics.items():
-        if message_type not in (ODOMETRY, POSE_STAMPED):
+    types = (ODOMETRY, POSE_STAMPED, PATH_TYPE)
+    for topic, (_, message_type) in topics.items():
+        if message_type not in types:
             raise InputError(
-                f"{topic} can't be written as {message_type}; use {ODOMETRY} or {POSE_STAMPED}"
+                f"{topic} can't be written as {message_type}; use {' or '.join(types)}"
             )
-        if len(trajectory) and not (
-            trajectory.stamps.min() >= 0 and trajectory.stamps.max() < 2**31 * NANOSECONDS
-        ):
+    written = {topic: trajectory for topic, (trajectory, _) in topics.items()}
+    for topic, each in (*written.items(), *((TRANSFORM_TOPIC, each) for each in transforms)):
+        if len(each) and not (each.stamps.min() >= 0 and each.stamps.max() < 2**31 * NANOSECONDS):
             raise InputError(f"{topic} has stamps that ROS can't hold: before 1970 or after 2038")
     try:
         with temporary_folder(path.name, path.parent) as folder:
             complete = folder / path.name
-            _write(complete, topics, storage)
+            _write(complete, _serialised(topics, transforms), storage)
             complete.rename(path)
     except OSError as error:
         raise InputError(f"{path} can't be written: {error.strerror or error}") from error
 
 
-def _write(
-    path: Path, topics: Mapping[str, tuple[Trajectory, str]], storage: Literal["mcap", "sqlite3"]
+def write_mcap(
+    path: Path,
+    topics: Mapping[str, tuple[Trajectory, str]],
+    transforms: Sequence[Trajectory] = (),
 ) -> None:
+    """Write an MCAP file alone, whole or not at all; what it holds is as in `write_bag`.
+
+    Raises:
+        InputError: As `write_bag`.
+    """
+    if path.exists():
+        raise InputError(f"{path} exists already; choose another name or remove it")
+    with (
+        refused_by_disk(str(path)),
+        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder,
+    ):
+        bag = Path(folder) / path.stem
+        write_bag(bag, topics, "mcap", transforms)
+        (bag / f"{path.stem}.mcap").rename(path)
+
+
+def _write(path: Path, messages: Sequence[_Serialised], storage: Storage) -> None:
     """Write all messages, merged by time."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -68,65 +100,67 @@ def _write(
     store = get_typestore(Stores.ROS2_JAZZY)
     plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
     with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connections, messages, stamps = [], [], []
-        for topic, (trajectory, message_type) in topics.items():
-            connections.append(writer.add_connection(topic, message_type, typestore=store))
-            ordered = trajectory.in_order()
-            messages.append(_messages(store, ordered, message_type))
-            stamps.append(ordered.stamps)
-        owners = np.repeat(np.arange(len(stamps)), [len(each) for each in stamps])
-        times = np.concatenate([*stamps, np.zeros(0, dtype=np.int64)])
-        for row in np.argsort(times, kind="stable").tolist():
-            owner = owners[row]
-            writer.write(connections[owner], int(times[row]), next(messages[owner]))
+        types = {topic: message_type for topic, message_type, *_ in messages}
+        connections = {
+            topic: writer.add_connection(topic, message_type, typestore=store)
+            for topic, message_type in types.items()
+        }
+        owners = np.repeat(np.arange(len(messages)), [len(stamps) for _, _, stamps, _ in messages])
+        times = np.concatenate([*(each[2] for each in messages), np.zeros(0, dtype=np.int64)])
+        order = np.argsort(times, kind="stable")
+        sources = [(connections[topic], iter(payloads)) for topic, _, _, payloads in messages]
+        for owner, time in zip(owners[order].tolist(), times[order].tolist(), strict=True):
+            connection, payloads = sources[owner]
+            writer.write(connection, time, next(payloads))
 
 
-def _messages(
-    store: Typestore, trajectory: Trajectory, message_type: str
-) -> Iterator[bytes | memoryview]:
-    """Yield the serialised messages of a trajectory, one per state."""
-    types = store.types
-    Pose = types["geometry_msgs/msg/Pose"]
-    Point = types["geometry_msgs/msg/Point"]
-    Quaternion = types["geometry_msgs/msg/Quaternion"]
-    Vector3 = types["geometry_msgs/msg/Vector3"]
-    count = len(trajectory)
+def _serialised(
+    topics: Mapping[str, tuple[Trajectory, str]], transforms: Sequence[Trajectory]
+) -> list[_Serialised]:
+    """Return topic, type, times and messages of each trajectory."""
+    found: list[_Serialised] = []
+    for topic, (unordered, message_type) in topics.items():
+        trajectory = unordered.in_order()
+        stamps, frame = trajectory.stamps, trajectory.frame
+        if message_type == PATH_TYPE:
+            payload = encode_path(
+                stamps, trajectory.positions, _poses(trajectory)[:, 3:], trajectory.frame
+            )
+            found.append((topic, message_type, stamps[-1:], [memoryview(payload)]))
+            continue
+        if message_type == POSE_STAMPED:
+            rows = encode_pose_stamped(stamps, _poses(trajectory), frame)
+        else:
+            covariances = trajectory.covariances
+            rows = encode_odometry(
+                stamps,
+                _poses(trajectory),
+                np.zeros((1, 36)) if covariances is None else covariances.reshape(-1, 36),
+                _body_velocities(trajectory),
+                (frame, trajectory.child_frame),
+            )
+        found.append((topic, message_type, stamps, map(memoryview, rows)))
+    for each in transforms:
+        trajectory = each.in_order()
+        rows = encode_transforms(
+            trajectory.stamps, _poses(trajectory), (trajectory.frame, trajectory.child_frame)
+        )
+        found.append((TRANSFORM_TOPIC, TRANSFORMS, trajectory.stamps, map(memoryview, rows)))
+    return found
+
+
+def _poses(trajectory: Trajectory) -> Floats:
+    """Return positions and quaternions (N, 7), identities if the latter are unknown."""
     quaternions = trajectory.quaternions
     if quaternions is None:
-        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    velocities = _body_velocities(trajectory)
-    covariances = np.zeros((count, 36))
-    if trajectory.covariances is not None:
-        covariances = trajectory.covariances.reshape(count, 36)
-    nothing = np.zeros(36)
-    for row in range(count):
-        pose: Any = Pose(Point(*trajectory.positions[row]), Quaternion(*quaternions[row]))
-        header = _header(types, int(trajectory.stamps[row]), trajectory.frame)
-        if message_type == POSE_STAMPED:
-            message = types[POSE_STAMPED](header, pose)
-        else:
-            linear = Vector3(*velocities[row])
-            twist = types["geometry_msgs/msg/Twist"](linear, Vector3(0.0, 0.0, 0.0))
-            message = types[ODOMETRY](
-                header,
-                trajectory.child_frame,
-                types["geometry_msgs/msg/PoseWithCovariance"](pose, covariances[row]),
-                types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing),
-            )
-        yield store.serialize_cdr(message, message_type)
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(trajectory), 1))
+    return np.hstack([trajectory.positions, quaternions])
 
 
-def _body_velocities(trajectory: Trajectory) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _body_velocities(trajectory: Trajectory) -> Floats:
     """Return the velocities (N, 3) in the body, as Odometry wants them; zeros if unknown."""
     if trajectory.velocities is None:
         return np.zeros((len(trajectory), 3))
     if trajectory.rotations is None:
         return trajectory.velocities
     return np.asarray(trajectory.rotations.inv().apply(trajectory.velocities))
-
-
-def _header(types: Mapping[str, Any], stamp: int, frame: str) -> Any:
-    """Return a std_msgs/Header."""
-    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    time = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
-    return types["std_msgs/msg/Header"](time, frame)

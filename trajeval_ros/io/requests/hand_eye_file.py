@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
@@ -32,6 +34,24 @@ def read_hand_eye(path: Path) -> HandEye:
         InputError: The file can't be read, or is no transform.
     """
     message = read_mapping(path, _WHAT)
+    return _transform(message, path)
+
+
+def read_similarity(path: Path) -> Similarity:
+    """Read a transformation from a file of the same kind; `scale: 2.0` in it makes it a Sim(3).
+
+    Raises:
+        InputError: The file can't be read, or is no transform.
+    """
+    message = read_mapping(path, _WHAT)
+    scale = message.pop("scale", 1.0)
+    if type(scale) not in (int, float) or not 0.0 < scale <= LARGEST:
+        raise InputError(f"{path}: scale must be a number above zero, not {scale!r}")
+    rigid = _transform(message, path)
+    return Similarity(lie.to_matrix(rigid.rotation_xyzw), rigid.lever_m, float(scale))
+
+
+def _transform(message: dict[str, Any], path: Path) -> HandEye:
     require_known(message, ("header", "child_frame_id", "transform"), str(path))
     header = _mapping(message.get("header", {}), f"{path}: header")
     require_known(header, ("stamp", "frame_id", "seq"), f"{path}: header")

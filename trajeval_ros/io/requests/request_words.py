@@ -10,6 +10,7 @@ from typing import Any
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.io.requests.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.metrics.settings import protocol_from
@@ -37,6 +38,8 @@ WORDS: dict[str, type] = {
     "covariance": str,
     "rotation_covariance_frame": str,
     "up": str,
+    "start": str,
+    "end": str,
 }
 
 
@@ -58,6 +61,7 @@ def request_from(words: Mapping[str, Any]) -> Request:
     covariance = given.pop("covariance", NONE)
     frame = given.pop("rotation_covariance_frame", "world")
     up = given.pop("up", None)
+    time_span = TimeSpan.parse(given.pop("start", None), given.pop("end", None))
     name = given.pop("protocol", "default")
     protocol = protocol_from(
         read_protocol(Path(name)) if is_protocol_file(name) else name,
@@ -72,7 +76,13 @@ def request_from(words: Mapping[str, Any]) -> Request:
             "add --covariance message, --covariance FILE.npz or --association continuous"
         )
     covariances = _covariances(covariance, frame, None if continuous else noise)
-    return Request(protocol, calibration, covariances, up=None if up is None else parse_up(up))
+    return Request(
+        protocol,
+        calibration,
+        covariances,
+        time_span=time_span,
+        up=None if up is None else parse_up(up),
+    )
 
 
 def _calibration(time_offset: str | None, hand_eye: str) -> CalibrationRequest:

@@ -27,7 +27,7 @@ SCHEMA = "trajeval/1"
 def result_of(outcome: Outcome) -> dict[str, Any]:
     """Return the result of evaluating one or more estimates against one groundtruth."""
     groundtruth, runs = outcome.groundtruth, outcome.runs
-    protocol = runs[0].evaluation.protocol
+    protocol, time_span = runs[0].evaluation.protocol, outcome.request.time_span
     inputs = {
         each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
     }
@@ -55,6 +55,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
                 "lengths": [str(length) for length in protocol.lengths],
                 "selection": dataclasses.asdict(protocol.selection),
                 "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
+                "time_span": None if time_span is None else dataclasses.asdict(time_span),
             },
             "inputs": inputs,
         },

@@ -1,0 +1,59 @@
+"""Several trajectories as one: parts of a run that were recorded apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory, add_counts
+
+_ROWS = (
+    "positions", "quaternions", "velocities", "gyroscope_biases", "accelerometer_biases",
+    "covariances",
+)  # fmt: skip
+
+
+def merged(parts: Sequence[Trajectory]) -> Trajectory:
+    """Return all states, sorted by stamp, with the columns that all parts have.
+
+    Args:
+        parts: In one frame, each with stamps. Of equal stamps the first part's state is kept.
+
+    Raises:
+        InputError: One has no stamps, or they are in frames of different names.
+    """
+    first = parts[0]
+    for part in parts:
+        if not part.stamped:
+            raise InputError(f"{part.name} has no stamps, so it can't be merged with others")
+        for word in ("frame", "child_frame"):
+            one, other = getattr(first, word), getattr(part, word)
+            if one and other and one != other:
+                raise InputError(
+                    f"{first.name} and {part.name} can't be merged: the {word} of one is {one}, "
+                    f"of the other {other}"
+                )
+        if part.up.name != first.up.name:
+            raise InputError(
+                f"{first.name} and {part.name} can't be merged: {first.up} is up in one, and "
+                f"{part.up} in the other; turn one with --world-axes first"
+            )
+    columns: dict[str, Any] = {}
+    for name in _ROWS:
+        found = [column for part in parts if (column := getattr(part, name)) is not None]
+        columns[name] = np.concatenate(found) if len(found) == len(parts) else None
+    return dataclasses.replace(
+        first,
+        stamps=np.concatenate([part.stamps for part in parts]),
+        frames=None,
+        matrices=None,
+        dropped=add_counts(*(part.dropped for part in parts)),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+        damage=tuple(dict.fromkeys(line for part in parts for line in part.damage)),
+        conflicts=tuple(dict.fromkeys(line for part in parts for line in part.conflicts)),
+        **columns,
+    ).in_order()

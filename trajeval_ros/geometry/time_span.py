@@ -1,0 +1,119 @@
+"""A part of a trajectory's time, as a user says it: from when to when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+_LATEST_S = 4_000_000_000  # a sum of two is still within nanoseconds of int64
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """From when to when, both included.
+
+    Attributes:
+        start_ns: Nanoseconds after the first stamp, or a stamp; None for the beginning.
+        end_ns: Likewise; None for the end.
+        absolute_start: Whether `start_ns` is a stamp.
+        absolute_end: Whether `end_ns` is one.
+
+    Example:
+        >>> from trajeval_ros.geometry.time_span import TimeSpan
+        >>> TimeSpan.parse("10", "+30").stamps(first_ns=5_000_000_000)
+        (15000000000, 45000000000)
+    """
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+    absolute_start: bool = False
+    absolute_end: bool = False
+
+    @classmethod
+    def parse(cls, start: str | None, end: str | None) -> TimeSpan | None:
+        """Read "10" (seconds after the first stamp), "@1403636580.5" (a stamp) or an end "+30".
+
+        Args:
+            start: None for the beginning.
+            end: None for the end; "+30" is 30 seconds after the start.
+
+        Returns:
+            None if neither is given.
+
+        Raises:
+            SettingsError: They are no times, or the end is before the start.
+        """
+        if start is None and end is None:
+            return None
+        start_ns, absolute_start = (None, False) if start is None else _time(start, "start")
+        if end is None:
+            return cls(start_ns, None, absolute_start)
+        end_ns, absolute_end = _time(end, "end")
+        if end.strip().startswith("+"):
+            end_ns, absolute_end = end_ns + (start_ns or 0), absolute_start
+        if start_ns is not None and absolute_start is absolute_end and end_ns < start_ns:
+            raise SettingsError(f"the end {end} is before the start {start}")
+        return cls(start_ns, end_ns, absolute_start, absolute_end)
+
+    def stamps(self, first_ns: int) -> tuple[int | None, int | None]:
+        """Return the first and the last stamp, None where it is open.
+
+        Args:
+            first_ns: The stamp that times are counted from.
+        """
+        start, end = self.start_ns, self.end_ns
+        if start is not None and not self.absolute_start:
+            start += first_ns
+        if end is not None and not self.absolute_end:
+            end += first_ns
+        return start, end
+
+    def cut(self, trajectory: Trajectory, first_ns: int, offset_ns: int = 0) -> Trajectory:
+        """Return the states within.
+
+        Args:
+            trajectory: States with stamps.
+            first_ns: The stamp that times are counted from.
+            offset_ns: Added to the trajectory's stamps, for the comparison alone.
+
+        Raises:
+            InputError: It has no stamps, or no state within.
+        """
+        if not trajectory.stamped:
+            raise InputError("it has no stamps, so it can't be cut by time")
+        start, end = self.stamps(first_ns)
+        stamps = trajectory.stamps
+        inside = stamps == stamps
+        if start is not None:
+            inside &= stamps >= start - offset_ns
+        if end is not None:
+            inside &= stamps <= end - offset_ns
+        if not inside.any():
+            raise InputError(
+                "it has no pose in the time span: its stamps are from "
+                f"{_seconds(stamps.min())} to {_seconds(stamps.max())} s"
+            )
+        return trajectory[inside]
+
+
+def _time(text: str, what: str) -> tuple[int, bool]:
+    """Return nanoseconds, and whether they are a stamp."""
+    absolute = text.strip().startswith("@")
+    try:
+        seconds = Decimal(text.strip().removeprefix("@"))
+    except InvalidOperation:
+        seconds = Decimal("nan")
+    if not (seconds.is_finite() and abs(seconds) < _LATEST_S) or (seconds < 0 and not absolute):
+        raise SettingsError(
+            f"can't read the {what} {text!r}; write seconds after the first stamp as in 10.5, a "
+            "stamp in seconds as in @1403636580.5"
+            + (", or seconds after the start as in +30" if what == "end" else "")
+        )
+    return round(seconds * NANOSECONDS), absolute
+
+
+def _seconds(stamp: int) -> str:
+    return f"{Decimal(int(stamp)) / NANOSECONDS:.3f}"

@@ -1,0 +1,122 @@
+"""Poses as CDR messages, all of a trajectory at once.
+
+The names of frames don't change, so that all messages have one layout: a row of bytes each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+
+Messages = NDArray[np.uint8]
+_ENCAPSULATION = np.array([0, 1, 0, 0], dtype=np.uint8)  # little-endian CDR
+
+
+class _MessageLayout:
+    """Where the fields of a message are; alignment counts from behind the encapsulation."""
+
+    def __init__(self) -> None:
+        self._end = 4
+        self._fields: dict[str, tuple[np.dtype[np.void], int]] = {}
+        self._texts: dict[str, bytes] = {}
+
+    def add(self, name: str, kind: str, shape: tuple[int, ...] = (), alignment: int = 4) -> None:
+        """Add numbers of one kind."""
+        start = 4 - (-(self._end - 4) // alignment * alignment)
+        field = np.dtype((kind, shape))
+        self._fields[name] = field, start
+        self._end = start + field.itemsize
+
+    def add_text(self, name: str, text: str) -> None:
+        """Add a string, the same in all messages."""
+        letters = text.encode() + b"\0"
+        self.add(f"{name} length", "<u4")
+        self.add(name, "u1", (len(letters),), alignment=1)
+        self._texts[name] = letters
+
+    def messages(self, count: int) -> tuple[Messages, NDArray[np.void]]:
+        """Return messages (count, size) whose numbers are zeros, and a view of their fields."""
+        rows = np.zeros((count, self._end), dtype=np.uint8)
+        rows[:, :4] = _ENCAPSULATION
+        names, fields = list(self._fields), list(self._fields.values())
+        kind = np.dtype(
+            {
+                "names": names,
+                "formats": [field for field, _ in fields],
+                "offsets": [start for _, start in fields],
+                "itemsize": self._end,
+            }
+        )
+        view = rows.view(kind)[:, 0]
+        for name, letters in self._texts.items():
+            view[f"{name} length"] = len(letters)
+            view[name] = np.frombuffer(letters, dtype=np.uint8)
+        return rows, view
+
+
+def encode_pose_stamped(stamps: Stamps, poses: Floats, frame: str) -> Messages:
+    """Return geometry_msgs/PoseStamped (N, size) of poses (N, 7): position, quaternion xyzw."""
+    layout = _with_header(frame)
+    layout.add("pose", "<f8", (7,), alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["pose"] = _times(stamps), poses
+    return rows
+
+
+def encode_odometry(
+    stamps: Stamps,
+    poses: Floats,
+    covariances: Floats,
+    body_velocities: Floats,
+    frames: tuple[str, str],
+) -> Messages:
+    """Return nav_msgs/Odometry (N, size) without angular velocities.
+
+    Args:
+        stamps: (N,).
+        poses: (N, 7), position and quaternion xyzw.
+        covariances: (N, 36) of the poses.
+        body_velocities: (N, 3) in the body.
+        frames: Of the fixed frame and of the body.
+    """
+    layout = _with_header(frames[0])
+    layout.add_text("child", frames[1])
+    for name, size in (("pose", 7), ("covariance", 36), ("linear", 3), ("rest", 3 + 36)):
+        layout.add(name, "<f8", (size,), alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["pose"] = _times(stamps), poses
+    fields["covariance"], fields["linear"] = covariances, body_velocities
+    return rows
+
+
+def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
+    """Return tf2_msgs/TFMessage (N, size) with one transform each, of poses (N, 7).
+
+    Args:
+        stamps: (N,).
+        poses: Of the child in the parent.
+        frames: Parent and child.
+    """
+    layout = _MessageLayout()
+    layout.add("count", "<u4")
+    layout = _with_header(frames[0], layout)
+    layout.add_text("child", frames[1])
+    layout.add("pose", "<f8", (7,), alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["count"], fields["stamp"], fields["pose"] = 1, _times(stamps), poses
+    return rows
+
+
+def _with_header(frame: str, before: _MessageLayout | None = None) -> _MessageLayout:
+    layout = before or _MessageLayout()
+    layout.add("stamp", "<i4", (2,))
+    layout.add_text("frame", frame)
+    return layout
+
+
+def _times(stamps: Stamps) -> NDArray[np.int64]:
+    """Return seconds and nanoseconds (N, 2)."""
+    return np.stack(np.divmod(stamps, NANOSECONDS), axis=1)

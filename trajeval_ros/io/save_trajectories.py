@@ -1,0 +1,128 @@
+"""Trajectories to files of a format, all in one call."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.text.text_writer import write_euroc, write_kitti, write_tum
+from trajeval_ros.io.writing import refused_by_disk
+
+_TEXT: dict[str, tuple[str, Callable[[Path, Trajectory], None]]] = {
+    "tum": (".txt", write_tum),
+    "kitti": (".txt", write_kitti),
+    "euroc": (".csv", write_euroc),
+}
+_BAGS = {"mcap": ".mcap", "rosbag2": ""}
+FORMATS = (*_TEXT, *_BAGS)
+_TF = "tf"
+MESSAGES = {
+    "PoseStamped": "geometry_msgs/msg/PoseStamped",
+    "Odometry": "nav_msgs/msg/Odometry",
+    "Path": "nav_msgs/msg/Path",
+    _TF: "tf2_msgs/msg/TFMessage",
+}
+_NO_FILE = re.compile(r"[^\w.+-]+")
+_NO_TOPIC = re.compile(r"[^A-Za-z0-9_/]")
+_DIGIT_FIRST = re.compile("/(?=[0-9])")  # which no part of a topic's name may be
+_WORLD = "map"  # where a transform needs a parent, and nothing names one
+
+
+def files_of(folder: Path, names: Sequence[str], kind: str) -> list[Path]:
+    """Return the files that saving makes: one for each name, or one bag for all.
+
+    Args:
+        folder: Where they are.
+        names: Of the trajectories, all different.
+        kind: One of `FORMATS`.
+
+    Raises:
+        SettingsError: There is no such format.
+    """
+    require_one_of(kind, FORMATS, "format")
+    stems = [_NO_FILE.sub("_", name).strip("_") or "trajectory" for name in names]
+    if kind in _BAGS:
+        return [folder / f"{stems[0] if len(stems) == 1 else 'trajectories'}{_BAGS[kind]}"]
+    return [folder / f"{stem}{_TEXT[kind][0]}" for stem in _distinct(stems)]
+
+
+def save_trajectories(
+    folder: Path, trajectories: Sequence[Trajectory], kind: str, message: str = "PoseStamped"
+) -> list[Path]:
+    """Write trajectories, each file whole or not at all, and return the files.
+
+    Args:
+        folder: Made if need be.
+        trajectories: With names, all different.
+        kind: One of `FORMATS`; `mcap` is a file, `rosbag2` a folder with sqlite3 inside.
+        message: One of `MESSAGES`, for bags. The topic is the source's, or named as the
+            trajectory; `tf` writes all to /tf.
+
+    Raises:
+        InputError: A file exists already, or can't be written.
+        SettingsError: There is no such format or message.
+    """
+    paths = files_of(folder, [each.name for each in trajectories], kind)
+    require_one_of(message, MESSAGES, "message")
+    for each in trajectories if message == _TF else ():
+        if each.quaternions is None:
+            raise InputError(
+                f"{each.name} has no orientations, so it is no transform; save another message"
+            )
+    for path in paths:
+        if path.exists():
+            raise InputError(f"{path} exists already; remove it, or give another --output")
+    with refused_by_disk(f"the folder {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+    if kind in _TEXT:
+        for path, trajectory in zip(paths, trajectories, strict=True):
+            _TEXT[kind][1](path, trajectory)
+        return paths
+    from trajeval_ros.io.bags.write_bag import write_bag, write_mcap
+
+    transforms = _as_transforms(trajectories) if message == _TF else []
+    topics = {}
+    if message != _TF:
+        named = zip(_topics(trajectories), trajectories, strict=True)
+        topics = {topic: (each, MESSAGES[message]) for topic, each in named}
+    if kind == "mcap":
+        write_mcap(paths[0], topics, transforms)
+    else:
+        write_bag(paths[0], topics, "sqlite3", transforms)
+    return paths
+
+
+def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
+    """Return a topic for each: that it was read from, where that tells them apart."""
+    sources = [each.source.rpartition(":")[2] for each in trajectories]
+    own = all(source.startswith("/") and "." not in source for source in sources)
+    names = (
+        sources
+        if own and len(set(sources)) == len(sources)
+        else [each.name for each in trajectories]
+    )
+    words = [_NO_TOPIC.sub("_", name).strip("/") or "trajectory" for name in names]
+    return [_DIGIT_FIRST.sub("/_", f"/{word}") for word in _distinct(words)]
+
+
+def _as_transforms(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return them with frames: a child has one parent, so that children's names differ."""
+    children = [each.child_frame for each in trajectories]
+    if "" in children or len(set(children)) < len(children):
+        children = _distinct([_NO_TOPIC.sub("_", each.name).strip("/") for each in trajectories])
+    return [
+        dataclasses.replace(each, frame=each.frame or _WORLD, child_frame=child)
+        for each, child in zip(trajectories, children, strict=True)
+    ]
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Return the names, with a number where one was there before."""
+    return [
+        name if name not in names[:place] else f"{name}_{place + 1}"
+        for place, name in enumerate(names)
+    ]

@@ -1,0 +1,114 @@
+"""Trajectories to text files that other programs read: TUM, KITTI, EuRoC/ASL.
+
+Stamps keep every nanosecond and floats every bit. What a format has no column for is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.text.number_characters import (
+    Characters,
+    close_up,
+    constant,
+    of_floats,
+    of_integers,
+    of_seconds,
+)
+from trajeval_ros.io.writing import write_whole
+
+_BLOCK = 1 << 13  # rows whose characters are held at once
+_TUM_HEADER = "# timestamp [s] tx ty tz qx qy qz qw\n"
+_EUROC_GROUPS = {
+    "positions": [f"p_RS_R_{axis} [m]" for axis in "xyz"],
+    "quaternions": [f"q_RS_{element} []" for element in "wxyz"],
+    "velocities": [f"v_RS_R_{axis} [m s^-1]" for axis in "xyz"],
+    "gyroscope_biases": [f"b_w_RS_S_{axis} [rad s^-1]" for axis in "xyz"],
+    "accelerometer_biases": [f"b_a_RS_S_{axis} [m s^-2]" for axis in "xyz"],
+}
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write `t x y z qx qy qz qw` in seconds and metres; identity where there are no rotations.
+
+    Raises:
+        InputError: The file can't be written.
+    """
+    values = np.hstack([trajectory.positions, _quaternions(trajectory)])
+    _write(path, _TUM_HEADER, trajectory, values, of_seconds, b" ")
+
+
+def write_euroc(path: Path, trajectory: Trajectory) -> None:
+    """Write CSV with EuRoC's names: nanoseconds, position, quaternion (w first), what else it has.
+
+    Raises:
+        InputError: The file can't be written.
+    """
+    groups = {
+        name: column for name in _EUROC_GROUPS if (column := getattr(trajectory, name)) is not None
+    }
+    header = ",".join(
+        ["timestamp [ns]", *(each for name in groups for each in _EUROC_GROUPS[name])]
+    )
+    if "quaternions" in groups:
+        groups["quaternions"] = groups["quaternions"][:, [3, 0, 1, 2]]
+    values = np.hstack(list(groups.values()))
+    _write(path, f"#{header}\n", trajectory, values, of_integers, b",")
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> None:
+    """Write 3 x 4 matrices row by row, and the stamps beside them in STEM_times.txt.
+
+    The axes are the trajectory's own; KITTI's are a camera's.
+
+    Raises:
+        InputError: A file can't be written.
+    """
+    matrices = trajectory.matrices
+    if matrices is None:
+        matrices = lie.to_matrix(_quaternions(trajectory))
+    poses = np.concatenate([matrices, trajectory.positions[:, :, None]], axis=2)
+    if trajectory.stamped:
+        no_values = np.empty((len(trajectory), 0))
+        times = path.with_name(f"{path.stem}_times.txt")
+        _write(times, "", trajectory, no_values, of_seconds, b" ")
+    _write(path, "", trajectory, poses.reshape(-1, 12), None, b" ")
+
+
+def _quaternions(trajectory: Trajectory) -> Floats:
+    if trajectory.quaternions is not None:
+        return trajectory.quaternions
+    return np.tile([0.0, 0.0, 0.0, 1.0], (len(trajectory), 1))
+
+
+def _write(
+    path: Path,
+    header: str,
+    trajectory: Trajectory,
+    values: Floats,
+    stamp_characters: Callable[[np.ndarray[tuple[int], np.dtype[np.int64]]], Characters] | None,
+    separator: bytes,
+) -> None:
+    def lines() -> Iterator[bytes]:
+        yield header.encode()
+        for start in range(0, len(values), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            part = values[rows]
+            columns = [of_floats(column) for column in part.T]
+            if stamp_characters is not None:
+                columns.insert(0, stamp_characters(trajectory.stamps[rows]))
+            between = constant(separator, len(part))
+            blocks = [block for column in columns for block in (column, between)]
+            yield close_up([*blocks[:-1], constant(b"\n", len(part))])
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            file.writelines(lines())
+
+    write_whole(path, write)

@@ -1,0 +1,225 @@
+"""Trajectories changed before they are looked at or saved: what, and in which order."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError, require_one_of
+from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.geometry.flattening import PLANES, flattened
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.merging import merged
+from trajeval_ros.geometry.optical_axes import AXES, with_body_axes, with_world_axes
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.thinning import at_rate, by_motion, evenly
+from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.upright import between_own_axes, upright
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.metrics.evaluation import align_pairs
+from trajeval_ros.metrics.protocol import Protocol
+
+
+@dataclass(frozen=True, eq=False)
+class Editing:
+    """What to change, in the order of these attributes; None or False leaves it.
+
+    Frames come before thinning, so that an alignment uses every state, and distances of a motion
+    filter are those of what is saved.
+
+    Attributes:
+        time_span: Which part of the time; counted from the reference's first stamp, or from each
+            trajectory's own without a reference.
+        merge: Make one trajectory of all.
+        world_axes: Axes of the fixed frame, see `optical_axes`.
+        body_axes: Axes of the body, likewise.
+        right: Pose of the wanted body in the one that moves: T <- T T_right.
+        left: Pose of the frame in the wanted one, with a scale: T <- T_left T.
+        align: Protocol by which to align to the reference.
+        synchronise: How states are paired with the reference's, to keep only those in pairs.
+        plane: One of `PLANES` to project on.
+        motion: Least distance (m) and angle (rad) between states, see `by_motion`.
+        rate_hz: At most so many states a second.
+        poses: At most so many states, evenly spread.
+    """
+
+    time_span: TimeSpan | None = None
+    merge: bool = False
+    world_axes: str | None = None
+    body_axes: str | None = None
+    right: Similarity | None = None
+    left: Similarity | None = None
+    align: Protocol | None = None
+    synchronise: AssociationRule | None = None
+    plane: str | None = None
+    motion: tuple[float, float] | None = None
+    rate_hz: float | None = None
+    poses: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what can't be meant.
+
+        Raises:
+            SettingsError: It can't.
+        """
+        for axes in (self.world_axes, self.body_axes):
+            if axes is not None:
+                require_one_of(axes, AXES, "axes")
+        if self.plane is not None:
+            require_one_of(self.plane, PLANES, "plane")
+        if self.right is not None and self.right.scale != 1.0:
+            raise SettingsError(
+                "a scale on the right changes no position; leave it out, or transform on the left"
+            )
+        if self.motion is not None and not (min(self.motion) >= 0.0 and max(self.motion) > 0.0):
+            raise SettingsError("a motion filter needs a distance and an angle, one above zero")
+        if self.rate_hz is not None and not 0.0 < self.rate_hz < np.inf:
+            raise SettingsError(f"the rate must be above 0 Hz, not {self.rate_hz}")
+        if self.poses is not None and self.poses < 1:
+            raise SettingsError(f"the number of poses must be above 0, not {self.poses}")
+
+
+@dataclass(frozen=True, eq=False)
+class Edited:
+    """A trajectory as it was changed.
+
+    Attributes:
+        trajectory: Its states.
+        reference: The reference's states in the same rows, if it was synchronised; else None.
+        alignment: How it was aligned; None if it wasn't.
+    """
+
+    trajectory: Trajectory
+    reference: Trajectory | None = None
+    alignment: Alignment | None = None
+
+
+def edit(
+    trajectories: Sequence[Trajectory], reference: Trajectory | None, editing: Editing
+) -> list[Edited]:
+    """Return trajectories as they are wanted.
+
+    Args:
+        trajectories: Each with a name.
+        reference: What to align and to synchronise to, in its own frame; None for nothing.
+        editing: What to change.
+
+    Raises:
+        InputError: One can't be changed so; the message begins with its name.
+        SettingsError: A reference is needed and missing.
+    """
+    if reference is None and (editing.align is not None or editing.synchronise is not None):
+        raise SettingsError("there is nothing to align or synchronise to; give --reference SOURCE")
+    if reference is not None:
+        reference = reference.in_order()
+    parts = []
+    for each in trajectories:
+        with _named(each):
+            parts.append(_cut(each.in_order(), reference, editing.time_span))
+    if editing.merge:
+        parts = [merged(parts)]
+    results = []
+    for each in parts:
+        with _named(each):
+            results.append(_edit(each, reference, editing))
+    return results
+
+
+def _edit(trajectory: Trajectory, reference: Trajectory | None, editing: Editing) -> Edited:
+    trajectory = _in_wanted_frames(trajectory, editing)
+    alignment = partner = None
+    if reference is not None and editing.align is not None:
+        trajectory, alignment = aligned_to(reference, trajectory, editing.align)
+    if reference is not None and editing.synchronise is not None:
+        pairs = associate(reference, trajectory, editing.synchronise)
+        trajectory, partner = pairs.estimate, pairs.groundtruth
+    if editing.plane is not None:
+        trajectory = flattened(trajectory, editing.plane)
+        partner = None if partner is None else flattened(partner, editing.plane)
+    rows = _kept(trajectory, editing)
+    return Edited(trajectory[rows], None if partner is None else partner[rows], alignment)
+
+
+def _cut(
+    trajectory: Trajectory, reference: Trajectory | None, span: TimeSpan | None
+) -> Trajectory:
+    if span is None:
+        return trajectory
+    counted_from = trajectory if reference is None else reference
+    return span.cut(trajectory, int(counted_from.stamps[0]))
+
+
+def _in_wanted_frames(trajectory: Trajectory, editing: Editing) -> Trajectory:
+    if editing.world_axes is not None:
+        trajectory = with_world_axes(trajectory, editing.world_axes)
+    if editing.body_axes is not None:
+        trajectory = with_body_axes(trajectory, editing.body_axes)
+    if editing.right is not None:
+        if trajectory.quaternions is None:
+            raise InputError("it has no orientations, so it can't be transformed on the right")
+        pose = HandEye(editing.right.rotation_xyzw, editing.right.translation)
+        trajectory = pose.inverse().of_body(trajectory)
+    if editing.left is not None:
+        trajectory = editing.left.trajectory(trajectory)
+    return trajectory
+
+
+def aligned_to(
+    reference: Trajectory, trajectory: Trajectory, protocol: Protocol
+) -> tuple[Trajectory, Alignment]:
+    """Return all states in the reference's frame, and how they came there.
+
+    Args:
+        reference: In its own frame, which the result is in.
+        trajectory: In its own.
+        protocol: Gauge, association, and which states decide; as in an evaluation.
+
+    Raises:
+        InputError: There are no pairs.
+        DegenerateGeometryError: They don't determine what the gauge leaves open.
+    """
+    truth, estimate = reference, trajectory
+    if protocol.is_upright:
+        truth, estimate = upright(truth), upright(estimate)
+    if protocol.gauge is Gauge.PLANAR:
+        truth, estimate = flattened(truth, "xy"), flattened(estimate, "xy")
+    pairs = associate(truth, estimate, protocol.association)
+    alignment = align_pairs(pairs, protocol)
+    similarity = alignment.similarity
+    if protocol.is_upright:
+        similarity = between_own_axes(similarity, reference.up, trajectory.up)
+    moved = dataclasses.replace(
+        similarity.trajectory(trajectory), frame=reference.frame, up=reference.up
+    )
+    return moved, alignment
+
+
+def _kept(trajectory: Trajectory, editing: Editing) -> Indices:
+    rows = np.arange(len(trajectory))
+    if editing.motion is not None:
+        rows = by_motion(trajectory, *editing.motion)
+    if editing.rate_hz is not None:
+        if not trajectory.stamped:
+            raise InputError("it has no stamps, so it has no rate to be thinned to")
+        rows = rows[at_rate(trajectory.stamps[rows], editing.rate_hz)]
+    if editing.poses is not None:
+        rows = rows[evenly(len(rows), editing.poses)]
+    return rows
+
+
+@contextlib.contextmanager
+def _named(trajectory: Trajectory) -> Iterator[None]:
+    """Say which trajectory an error is about."""
+    try:
+        yield
+    except TrajevalError as error:
+        if str(error).startswith(trajectory.name):
+            raise
+        raise type(error)(f"{trajectory.name}: {error}") from error
