@@ -85,9 +85,9 @@ def write_mcap(
         raise InputError(f"{path} exists already; choose another name or remove it")
     with (
         refused_by_disk(str(path)),
-        tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder,
+        temporary_folder(path.name, path.parent) as folder,
     ):
-        bag = Path(folder) / path.stem
+        bag = folder / path.stem
         write_bag(bag, topics, "mcap", transforms)
         (bag / f"{path.stem}.mcap").rename(path)
 

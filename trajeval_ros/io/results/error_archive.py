@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.io.npz_file import write_arrays
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
 from trajeval_ros.pipeline import RunOutcome
+
+if TYPE_CHECKING:  # it imports scipy.stats
+    from trajeval_ros.consistency.result import Consistency
 
 SCHEMA = "trajeval-errors/1"
 
