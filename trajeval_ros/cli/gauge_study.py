@@ -47,7 +47,10 @@ def gauge_study(
     ] = 15.0,
     profile: Annotated[
         str,
-        typer.Option(help="The sensors: paper (errors of Table II's size), euroc, overconfident."),
+        typer.Option(
+            help="Simulated sensors: paper (errors of Table II's size), euroc, stereo (paper's "
+            "and a second camera), overconfident."
+        ),
     ] = "paper",
     trials: Annotated[
         int, typer.Option(metavar="N", help="Solves for each configuration and gauge.")

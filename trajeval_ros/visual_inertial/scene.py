@@ -61,6 +61,8 @@ PROFILES = {
     # Errors of the paper's Table II, and its number of iterations; the paper states no noise.
     "paper": SensorProfile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
     "euroc": SensorProfile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
+    # The baseline is EuRoC's.
+    "stereo": SensorProfile(Camera(150.0, 320, 240, baseline_m=0.11), ImuNoise(7e-4, 1e-2), 50),
     "overconfident": SensorProfile(Camera(315.0, 640, 480), _GOOD_IMU, 50, honest=False),
 }
 
@@ -87,7 +89,7 @@ class Scene:
         flown: The same at the IMU's rate, from 0 s to the last keyframe, without landmarks.
         keyframe_of: (M,) keyframe of each observation.
         landmark_of: (M,) landmark of each observation.
-        pixels: (M, 2).
+        pixels: (M, r).
         angular_velocities: (N - 1, m, 3) between keyframes, rad/s.
         accelerations: (N - 1, m, 3), m/s^2.
         camera_in_body: (3, 3).

@@ -146,13 +146,15 @@ class _Linearised:
     normal: NormalEquations
     cost: float
     prior: Floats  # (4,), gradient of the prior
+    weight: float  # of the prior
 
     @property
     def curvature(self) -> Floats:
-        """Diagonal of J^T J, (9N + 3K,), without the prior's share."""
-        motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2)
+        """Diagonal of J^T J, (9N + 3K,)."""
+        motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2).ravel()
+        motion[GAUGE_INDICES] += self.weight
         landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
-        return np.concatenate([motion.ravel(), landmarks.ravel()])
+        return np.concatenate([motion, landmarks.ravel()])
 
     @property
     def gradient(self) -> Floats:
@@ -180,7 +182,7 @@ class _Descent:
         normal = self.problem.normal_equations(state)
         residual = _from_reference(state)
         cost = normal.cost + 0.5 * self.weight * float(residual @ residual)
-        return _Linearised(normal, cost, self.weight * residual)
+        return _Linearised(normal, cost, self.weight * residual, self.weight)
 
     def cost(self, state: State) -> float:
         residual = _from_reference(state)
