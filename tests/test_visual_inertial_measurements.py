@@ -181,9 +181,14 @@ def test_an_imu_leaves_yaw_and_translation_open(profile: str) -> None:
     assert _nullity(hessian * units * units[:, None]) == 4
 
 
+@pytest.mark.parametrize(("keyframes", "track"), [(4, None), (40, 2)])
 @pytest.mark.parametrize("weight", [10.0, 1e5])
-def test_prior_takes_part_in_the_damping(weight: float) -> None:
-    scene = _scene()
+def test_prior_takes_part_in_the_damping(weight: float, keyframes: int, track: int | None) -> None:
+    """Short tracks are eliminated and factorised by sparse and banded forms: the same step."""
+    scene = make_scene(
+        shape("arc"), "random", PROFILES["paper"], 1,
+        keyframes=keyframes, landmarks=30, track=track,
+    )  # fmt: skip
     problem, start = scene.noise_free(), scene.disturbed(np.random.default_rng(1))
     # The first step of Levenberg-Marquardt, with the prior as four more residuals.
     normal = problem.normal_equations(start)

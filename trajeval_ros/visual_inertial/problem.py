@@ -129,6 +129,7 @@ class Problem:
         # Where the camera's centre is in its own axes.
         self._offset = np.zeros(3) if lever_arm is None else camera_in_body.T @ lever_arm
         self._whiten = np.linalg.inv(np.linalg.cholesky(preintegrated.covariances))
+        self.longest_track = _longest_track(keyframe_of, landmark_of, landmarks)
         # Products with these sum over the observations of a keyframe, and of a landmark.
         self._of_keyframe = _indicator(keyframe_of, self.keyframes)
         self._of_landmark = _indicator(landmark_of, landmarks)
@@ -228,6 +229,10 @@ class Problem:
             landmark_of=self.landmark_of,
         )
 
+    def points(self, state: State) -> Floats:
+        """Return the observed landmarks (M, 3) in the camera at its keyframe, metres."""
+        return self._points(state)[1]
+
     def _points(self, state: State) -> tuple[Floats, Floats]:
         """Return the rays from body to landmark in the world, and the landmarks in the camera.
 
@@ -261,6 +266,14 @@ class Problem:
             axis=1,
         )
         return np.einsum("nij,nj->ni", self._whiten, errors), turn, speed, shift
+
+
+def _longest_track(keyframe_of: Indices, landmark_of: Indices, landmarks: int) -> int:
+    """Return from first to last how many keyframes a landmark couples at most, two at least."""
+    first, last = np.full(landmarks, np.iinfo(np.int64).max), np.zeros(landmarks, dtype=np.int64)
+    np.minimum.at(first, landmark_of, keyframe_of)
+    np.maximum.at(last, landmark_of, keyframe_of)
+    return max(int((last - first).max()) + 1, 2)
 
 
 def _indicator(group_of: Indices, groups: int) -> scipy.sparse.csr_matrix:

@@ -11,6 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.initial_state import initial_state
 from trajeval_ros.visual_inertial.landmarks import draw_landmarks
 from trajeval_ros.visual_inertial.motion import Motion
 from trajeval_ros.visual_inertial.preintegration import (
@@ -22,9 +23,6 @@ from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State
 
 IMU_RATE_HZ = 200.0
-# How far off an estimator starts (gauge paper, section V-B).
-_START_POSITION_M, _START_ROTATION_DEG = 0.05, 6.0
-_START_VELOCITY_MPS, _START_LANDMARK_M = 0.05, 0.075
 
 
 @dataclass(frozen=True)
@@ -147,18 +145,7 @@ class Scene:
 
     def disturbed(self, generator: np.random.Generator) -> State:
         """Return the state that an estimator starts from (gauge paper, section V-B)."""
-        truth = self.truth
-        count = len(truth.positions)
-        turns = np.radians(_START_ROTATION_DEG) * _directions(generator, count)
-        rotations = lie.exp(turns) @ truth.rotations
-        positions = truth.positions + _START_POSITION_M * _directions(generator, count)
-        velocities = truth.velocities + generator.uniform(
-            -_START_VELOCITY_MPS, _START_VELOCITY_MPS, (count, 3)
-        )
-        landmarks = truth.landmarks + generator.uniform(
-            -_START_LANDMARK_M, _START_LANDMARK_M, truth.landmarks.shape
-        )
-        return State.at(positions, rotations, velocities, landmarks)
+        return initial_state(self.truth, generator)
 
 
 def make_scene(
@@ -250,9 +237,3 @@ def _flown(motion: Motion, times: Floats, *, honest: bool) -> State:
         steps = (velocities[:-1] + velocities[1:]) / (2.0 * IMU_RATE_HZ)
         positions = positions[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     return State.at(positions, motion.rotations(times), velocities, np.zeros((0, 3)))
-
-
-def _directions(generator: np.random.Generator, count: int) -> Floats:
-    vectors = generator.standard_normal((count, 3))
-    directions: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return directions

@@ -27,6 +27,8 @@ _LEAST_QUALITY = 1e-3
 _MOST_ITERATIONS = 50
 # A cost that changes by a smaller share hasn't changed: the step knows better.
 _ROUNDING = 1e-12
+# Of the matrix's size, up to which a banded factor is faster than a dense one.
+_BANDED_SHARE = 0.25
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
@@ -215,10 +217,26 @@ class _Descent:
         gradient[GAUGE_INDICES] += prior
         if not self.free.all():
             matrix, gradient = matrix[np.ix_(self.free, self.free)], gradient[self.free]
-        factor = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
         motion = np.zeros(len(self.free))
-        motion[self.free] = scipy.linalg.cho_solve(factor, -gradient, check_finite=False)
+        motion[self.free] = self._by_cholesky(matrix, -gradient)
         return motion
+
+    def _by_cholesky(self, matrix: Floats, right: Floats) -> Floats:
+        """Solve with a positive definite matrix: banded, if tracks are short."""
+        below = min(9 * self.problem.longest_track, len(matrix)) - 1
+        if below > _BANDED_SHARE * len(matrix):
+            factor = scipy.linalg.cho_factor(
+                matrix, lower=True, overwrite_a=True, check_finite=False
+            )
+            return np.asarray(scipy.linalg.cho_solve(factor, right, check_finite=False))
+        bands = np.zeros((below + 1, len(matrix)))
+        for place in range(below + 1):
+            bands[place, : len(matrix) - place] = np.diagonal(matrix, -place)
+        return np.asarray(
+            scipy.linalg.solveh_banded(
+                bands, right, overwrite_ab=True, lower=True, check_finite=False
+            )
+        )
 
 
 def _from_reference(state: State) -> Floats:
