@@ -7,6 +7,7 @@ JAZZY := .venv-jazzy
 ROS := .venv-ros
 COLCON := .venv-colcon
 EVO := .venv-evo
+ORACLES := .venv-oracles
 LOCK := .venv-lock
 ATHERIS := .venv-fuzz
 MUTATE := .venv-mutate
@@ -28,7 +29,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
 	bench-runs parity fuzz fuzz-bytes chaos chaos-ros mutate audit lock colcon-environment \
-	ros-environment clean test-kernels test-all test-stress
+	ros-environment clean test-kernels test-all test-stress oracles
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -47,21 +48,26 @@ test test-all test-jazzy: export OPENBLAS_NUM_THREADS := 1
 PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
 
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
-	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros"
+	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
 
 test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
-	$(VENV)/bin/$(PYTEST_ALL_CORES)
+	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not oracles"
 	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory test-ros,\
 		@echo "there are no wheels of ROS 2 for this machine: its tests are left out")
+	$(if $(wildcard $(ORACLES)/.installed),@$(MAKE) --no-print-directory oracles,\
+		@echo "the comparison with Ceres and GTSAM is left out: make oracles")
 
 test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions.
-	$(JAZZY)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros"
+	$(JAZZY)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
 
 test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmetic of other CPUs; KERNELS="Nehalem".
 	$(VENV)/bin/python tests/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	$(ALONE) $(ROS)/bin/python -m pytest -m ros
+
+oracles: $(ORACLES)/.installed ## Compare the estimator with Ceres and GTSAM, in an environment of their own.
+	OPENBLAS_NUM_THREADS=1 $(ORACLES)/bin/python -m pytest -m oracles tests/test_solver_oracles.py
 
 TARGET ?= test
 TIMES ?= 3
@@ -79,8 +85,9 @@ format: $(VENV)/.installed ## Mend style and format where a tool can.
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
 
-bench: $(VENV)/.installed $(EVO)/.installed ## Compare with evo and readers of bags, time the rest; BENCH="--only bags".
-	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape $(BENCH)
+bench: $(VENV)/.installed $(EVO)/.installed $(ORACLES)/.installed ## Compare with evo, readers of bags and GTSAM, time the rest; BENCH="--only bags".
+	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape \
+		--oracles $(ORACLES)/bin/python $(BENCH)
 
 parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by number, on pairs from a new seed; SEED=1.
 	$(VENV)/bin/python -m benchmarks.parity --evo $(EVO)/bin/evo_ape $(if $(SEED),--seed $(SEED))
@@ -137,8 +144,8 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(LOCK) $(ATHERIS) $(MUTATE) $(AUDIT) \
-		build install log dist *.egg-info \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
+		$(AUDIT) build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -207,6 +214,13 @@ $(MUTATE)/.installed: setup.py constraints.txt
 $(AUDIT)/.installed:
 	$(make_venv)
 	$(AUDIT)/bin/python -m pip install --quiet pip-audit==2.10.1
+	touch $@
+
+# Wheels for Linux and macOS.
+$(ORACLES)/.installed: setup.py constraints.txt .ci/oracles-requirements.txt
+	$(make_venv)
+	$(ORACLES)/bin/python -m pip install --quiet --constraint constraints.txt \
+		--requirement .ci/oracles-requirements.txt --editable ".[test]"
 	touch $@
 
 $(LOCK)/.installed:

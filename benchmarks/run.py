@@ -4,7 +4,7 @@ Every round runs each command once, one after the other, so that what else the m
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
 Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
-(or evo, continuous, or bags, of which --scale 0.1 makes a tenth of 7 GB)
+(or evo, continuous, estimator, or bags, of which --scale 0.1 makes a tenth of 7 GB)
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from benchmarks.process import Cost, environment, median_cost, run
 HERE = Path(__file__).parent
 BIN = Path(sys.executable).parent
 SMALL = 1_000
-PARTS = ("evo", "online", "continuous", "bags")
+PARTS = ("evo", "online", "continuous", "bags", "estimator")
 CONTINUOUS = tuple(
     (work, count)
     for work in ("matern", "wnoa", "wnoj", "likelihood")
@@ -74,6 +74,7 @@ def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--evo", required=True, type=Path, help="the program evo_ape")
+    parser.add_argument("--oracles", required=True, type=Path, help="python that has GTSAM")
     parser.add_argument("--sizes", default="10000,100000,1000000", help="poses of the pairs")
     parser.add_argument("--runs", default=3, type=int, help="rounds; the median counts")
     parser.add_argument("--only", choices=PARTS, help="one part; all by default")
@@ -298,6 +299,28 @@ def bags_part(options: argparse.Namespace) -> dict[str, Any]:
     return {"bags": json.loads(kept.read_text(encoding="utf-8"))}
 
 
+def estimator_part(
+    options: argparse.Namespace, env: Environment, console: Console
+) -> dict[str, Any]:
+    """Compare an iteration of the visual-inertial estimator with GTSAM's, in its environment."""
+    command = [str(options.oracles), "-m", "benchmarks.estimators", str(options.runs)]
+    found = json.loads(run(command, {**env, "OPENBLAS_NUM_THREADS": "1"}).output)
+    table = Table("keyframes", "visibility", box=box.SIMPLE_HEAD, title="CPU ms per iteration")
+    for heading in ("observations", "ours", "GTSAM", "x"):
+        table.add_column(heading, justify="right")
+    for row in found["rows"]:
+        table.add_row(
+            str(row["keyframes"]),
+            row["visibility"],
+            str(row["observations"]),
+            f"{row['ours_ms']:.1f}",
+            f"{row['gtsam_ms']:.1f} ({row['ordering']})",
+            f"{row['ratio']:.2f}",
+        )
+    console.print(table)
+    return {"estimator": found}
+
+
 def main() -> None:
     """Measure everything, print it, keep it."""
     options = arguments()
@@ -325,6 +348,8 @@ def main() -> None:
             results |= continuous_part(options, env, console)
         if "bags" in parts:
             results |= bags_part(options)
+        if "estimator" in parts:
+            results |= estimator_part(options, env, console)
     console.print(", ".join(f"{name} {value}" for name, value in results["machine"].items()))
     options.results.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 

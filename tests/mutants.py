@@ -141,7 +141,7 @@ def _run(tests: list[str]) -> None:
         os.dup2(nowhere.fileno(), 2)
     sys.path.insert(0, str(Path.cwd()))
     np.random.seed(0)  # noqa: NPY002  other people's
-    marks = ["-m", "not slow and not ros", "-p", "no:cacheprovider"]
+    marks = ["-m", "not slow and not ros and not oracles", "-p", "no:cacheprovider"]
     sys.exit(pytest.main(["-x", "-q", *marks, *tests]))
 
 

@@ -23,6 +23,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
+    prior_covariance,
     transform,
 )
 from trajeval_ros.visual_inertial.motion import shape
@@ -172,15 +173,12 @@ def test_prior_adds_its_own_covariance_to_that_of_fixation(weight: float) -> Non
     )
     information = reduced.matrix
     information[GAUGE_INDICES, GAUGE_INDICES] += weight
-    prior = np.linalg.inv(information)
+    prior = prior_covariance(problem, state, weight)
+    assert frobenius(prior, np.linalg.inv(information)) < 1e-8
     moved_covariance, moved = transform(
         prior, state, state.reference_rotation, state.reference_position
     )
     assert frobenius(moved_covariance, fixed_covariance(problem, moved)) < 1e-8
-    basis = state.gauge_basis[: len(prior)]
-    oblique = basis @ np.linalg.inv(basis[GAUGE_INDICES])
-    law = fixed_covariance(problem, state) + oblique @ oblique.T / weight
-    assert frobenius(prior, law) < 1e-8
 
 
 def test_says_when_landmarks_leave_more_than_the_gauge_open() -> None:
@@ -217,3 +215,26 @@ def test_refuses_scenes_that_are_none() -> None:
         make_scene(shape("arc"), "plane", paper, 0, landmarks=3)
     with pytest.raises(DegenerateGeometryError, match="seen by 3"):
         make_scene(shape("arc", 200.0), "random", paper, 0, keyframes=5, track=1)
+
+
+def test_sparse_and_dense_elimination_are_one() -> None:
+    scene = make_scene(
+        shape("arc"), "random", PROFILES["paper"], 1, keyframes=40, landmarks=60, track=2
+    )
+    problem, state = scene.noise_free(), scene.truth
+    assert len(problem.pixels) < 0.15 * 40 * 60
+    normal = problem.normal_equations(state)
+    damping = np.linspace(1.0, 2.0, 9 * 40), np.linspace(1.0, 2.0, 180).reshape(60, 3)
+    reduced = reduce_landmarks(normal, *damping)
+    hessian = dense_hessian(normal) + np.diag(np.concatenate([each.ravel() for each in damping]))
+    own, cross, rest = hessian[360:, 360:], hessian[:360, 360:], hessian[:360, :360]
+    expected = rest - cross @ np.linalg.solve(own, cross.T)
+    assert relative(reduced.matrix, expected) < 1e-10
+    motion = np.linspace(-1.0, 1.0, 360)
+    step = np.linalg.solve(own, -gradient(normal)[360:] - cross.T @ motion)
+    assert relative(reduced.landmarks_after(motion), step) < 1e-9
+    # Covariances use the same elimination.
+    kept = np.setdiff1d(np.arange(540), GAUGE_INDICES)
+    inverse = np.zeros((540, 540))
+    inverse[np.ix_(kept, kept)] = np.linalg.inv(dense_hessian(normal)[np.ix_(kept, kept)])
+    assert frobenius(fixed_covariance(problem, state), inverse[:360, :360]) < 1e-6

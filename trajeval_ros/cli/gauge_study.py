@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import os
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,12 +15,15 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 
 if TYPE_CHECKING:
+    from trajeval_ros.report.gauge_report import GaugeStudy
+    from trajeval_ros.visual_inertial.examination import Examination, MeasurementModel
+    from trajeval_ros.visual_inertial.preintegration import ImuNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
     from trajeval_ros.visual_inertial.solver import GaugeHandling
-    from trajeval_ros.visual_inertial.study import Covariances, Trials
+    from trajeval_ros.visual_inertial.study import StudiedScene, Trials
 
 _SEED = 0
-_MOTION_KEYFRAMES, _MOTION_LANDMARKS = 30, 150
+_MOTION_LANDMARKS = 150
 _LAYOUTS_AND_SHAPES = [
     (layout, name) for layout in ("plane", "random") for name in ("sine", "arc", "rec")
 ]
@@ -34,8 +38,7 @@ def gauge_study(
         list[str] | None,
         typer.Option(
             metavar="SOURCE",
-            help="Fly a recorded trajectory as well, 30 keyframes of it, with simulated sensors; "
-            "repeatable.",
+            help="Fly a recorded trajectory as well, with simulated sensors; repeatable.",
         ),
     ] = None,
     start: Annotated[
@@ -47,8 +50,52 @@ def gauge_study(
     ] = 15.0,
     profile: Annotated[
         str,
-        typer.Option(help="The sensors: paper (errors of Table II's size), euroc, overconfident."),
+        typer.Option(
+            help="Simulated sensors: paper (errors of Table II's size), euroc, stereo (paper's "
+            "and a second camera), overconfident."
+        ),
     ] = "paper",
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Estimate a recording as well: feature tracks and IMU, with groundtruth; "
+            "docs/tracks.md describes the folder.",
+        ),
+    ] = None,
+    keyframes: Annotated[
+        int,
+        typer.Option(metavar="N", help="Keyframes of --motion, and at most of --tracks."),
+    ] = 30,
+    every: Annotated[
+        int, typer.Option(metavar="N", help="Every Nth image of --tracks is a keyframe.")
+    ] = 3,
+    pixel_noise: Annotated[
+        float,
+        typer.Option(
+            metavar="PX",
+            help="Standard deviation of a measured coordinate of --tracks: what the estimate "
+            "weighs it by.",
+        ),
+    ] = 1.0,
+    imu_noise: Annotated[
+        str,
+        typer.Option(
+            metavar="GYRO,ACCEL",
+            help="Noise densities of the IMU of --tracks, rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).",
+        ),
+    ] = "6e-4,2e-2",
+    gravity: Annotated[
+        float, typer.Option(metavar="G", help="Gravity where --tracks was recorded, m/s^2.")
+    ] = 9.81,
+    split_half: Annotated[
+        bool,
+        typer.Option(
+            "--split-half",
+            help="Test the covariance of --tracks without groundtruth, by estimates from halves "
+            "of the landmarks.",
+        ),
+    ] = False,
     trials: Annotated[
         int, typer.Option(metavar="N", help="Solves for each configuration and gauge.")
     ] = 50,
@@ -56,17 +103,21 @@ def gauge_study(
     """Compare gauge fixation, gauge prior and free gauge, as Zhang, Gallego and Scaramuzza did.
 
     Table II with the paper's values beside ours, the sweep of the prior's weight (Fig. 4 to 6),
-    iterations and time (Fig. 7), covariances and their transformation (Fig. 9):
+    iterations and time (Fig. 7), covariances and their transformation (Fig. 1 and 9):
 
         trajeval gauge-study --output study
 
-    With the motion of real flights, as Table III, and simulated sensors, since the paper's
-    feature tracks are not public:
+    Section VII (Table III, Fig. 10 and 11) on measured feature tracks and IMU; the paper's own
+    tracks are not public:
+
+        trajeval gauge-study --output study --tracks V1_01_tracks --split-half
+
+    With the motion of real flights, and simulated sensors:
 
         trajeval gauge-study --output study --motion MH_01.txt --motion V1_01.csv
     """
     from trajeval_ros.visual_inertial import motion as motions
-    from trajeval_ros.visual_inertial import study
+    from trajeval_ros.visual_inertial.examination import MeasurementModel
     from trajeval_ros.visual_inertial.scene import make_scene, profile_named
 
     if trials < 1:
@@ -74,28 +125,63 @@ def gauge_study(
     if output.exists() and not output.is_dir():
         raise InputError(f"{output} is a file; name a folder")
     sensors = profile_named(profile)
-    scenes = {
+    model = MeasurementModel(
+        _above_zero("--every", every),
+        keyframes,
+        _above_zero("--pixel-noise", pixel_noise),
+        _imu_noise(imu_noise),
+        _above_zero("--gravity", gravity),
+        split_half,
+    )
+    measured, examined = _examined(tracks, model)
+    scenes: dict[str, StudiedScene] = {
         f"{name} {layout}": make_scene(motions.shape(name), layout, sensors, _SEED)
         for layout, name in _LAYOUTS_AND_SHAPES
     }
-    scenes |= _recorded(motion or [], start, duration, sensors)
-    outcome = {name: _compared(name, scene, trials) for name, scene in scenes.items()}
-    swept = scenes["sine plane"]
-    with progress("prior weights") as advance:
-        weights = study.SWEEP_WEIGHTS
-        done = iter(range(1, len(weights) + 1))
-        sweep = study.sweep(swept, trials, lambda: advance(next(done), len(weights)), weights)
-    figured = ["sine random", *(name for name in scenes if name.startswith("motion of "))]
-    matrices = {name: study.covariances(scenes[name]) for name in figured}
+    scenes |= _recorded(motion or [], start, duration, sensors, keyframes)
+    if examined is not None:
+        scenes[measured] = examined.scene
+    study = _study(profile, trials, scenes, measured, examined)
     output.mkdir(parents=True, exist_ok=True)
-    _write(output, profile, trials, outcome, sweep, matrices)
-    if find_spec("matplotlib") is not None:
-        _draw(output, profile, trials, swept, outcome, sweep, matrices)
-    _print(output, outcome, matrices)
+    _write(output, study)
+    _print(output, study)
+
+
+def _above_zero(option: str, value: float) -> Any:
+    if not 0.0 < value < float("inf"):
+        raise SettingsError(f"{option} must be above zero, not {value:g}")
+    return value
+
+
+def _imu_noise(words: str) -> ImuNoise:
+    from trajeval_ros.visual_inertial.preintegration import ImuNoise
+
+    try:
+        gyroscope, accelerometer = (float(word) for word in words.split(","))
+    except ValueError:
+        raise SettingsError(
+            f"--imu-noise must be two numbers, as 6e-4,2e-2, not {words!r}"
+        ) from None
+    return ImuNoise(
+        _above_zero("--imu-noise", gyroscope), _above_zero("--imu-noise", accelerometer)
+    )
+
+
+def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:
+    """Return the configuration's name and what was found of it; "" and None without a folder."""
+    from trajeval_ros.io.tracks.tracks_folder import read_tracks_folder
+    from trajeval_ros.visual_inertial.examination import examine
+
+    if folder is None:
+        if model.is_split:
+            raise SettingsError("--split-half needs --tracks: it tests measured data")
+        return "", None
+    recording = read_tracks_folder(folder)
+    return f"tracks of {recording.name}", examine(recording, model)
 
 
 def _recorded(
-    sources: list[str], start: float, duration: float, sensors: SensorProfile
+    sources: list[str], start: float, duration: float, sensors: SensorProfile, keyframes: int
 ) -> dict[str, Scene]:
     import dataclasses
 
@@ -112,13 +198,47 @@ def _recorded(
             "random",
             sensors,
             _SEED,
-            keyframes=_MOTION_KEYFRAMES,
+            keyframes=keyframes,
             landmarks=_MOTION_LANDMARKS,
         )
     return scenes
 
 
-def _compared(name: str, scene: Scene, trials: int) -> dict[GaugeHandling, Trials]:
+def _study(
+    profile: str,
+    trials: int,
+    scenes: dict[str, StudiedScene],
+    measured: str,
+    examined: Examination | None,
+) -> GaugeStudy:
+    from trajeval_ros.report.gauge_report import SWEPT, GaugeStudy
+    from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, covariances, paths
+
+    figured = ["sine random", *(name for name in scenes if " of " in name)]
+    return GaugeStudy(
+        profile,
+        trials,
+        {name: scene.truth for name, scene in scenes.items()},
+        {name: _compared(name, scene, trials) for name, scene in scenes.items()},
+        {
+            name: _swept(name, scenes[name], trials)
+            for name in (SWEPT, *([measured] if measured else []))
+        },
+        paths(scenes[SWEPT], PATH_WEIGHTS),
+        {
+            name: (
+                covariances(scenes[name], is_converged=False),
+                covariances(scenes[name], is_converged=True),
+            )
+            for name in figured
+        },
+        measured,
+        examined,
+        os.environ.get("OPENBLAS_NUM_THREADS", ""),
+    )
+
+
+def _compared(name: str, scene: StudiedScene, trials: int) -> dict[GaugeHandling, Trials]:
     from trajeval_ros.visual_inertial.study import compare
 
     with progress(f"{name}, {trials} trials") as advance:
@@ -126,106 +246,43 @@ def _compared(name: str, scene: Scene, trials: int) -> dict[GaugeHandling, Trial
         return compare(scene, trials, lambda: advance(next(done), trials))
 
 
-def _write(
-    folder: Path,
-    profile: str,
-    trials: int,
-    outcome: dict[str, dict[GaugeHandling, Trials]],
-    sweep: list[Trials],
-    matrices: dict[str, Covariances],
-) -> None:
-    from trajeval_ros.formatting.text_tables import markdown_table
+def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
+    from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS, sweep
+
+    with progress(f"{name}, prior weights") as advance:
+        done = iter(range(1, len(SWEEP_WEIGHTS) + 1))
+        count = len(SWEEP_WEIGHTS)
+        return sweep(scene, trials, lambda: advance(next(done), count), SWEEP_WEIGHTS)
+
+
+def _write(folder: Path, study: GaugeStudy) -> None:
     from trajeval_ros.io.json_file import json_text
-    from trajeval_ros.io.writing import write_text
-    from trajeval_ros.report import gauge_tables
-    from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS
+    from trajeval_ros.io.writing import write_text, write_whole
+    from trajeval_ros.report import canvas
 
-    numbers = {
-        "profile": profile,
-        "trials": trials,
-        "sensors": "simulated",
-        "configurations": {
-            name: {handling.value: _listed(each) for handling, each in of_gauge.items()}
-            for name, of_gauge in outcome.items()
-        },
-        "prior_weight_sweep": {
-            "configuration": "sine plane",
-            "weights": list(SWEEP_WEIGHTS),
-            "trials": [_listed(each) for each in sweep],
-        },
-        "covariance_difference": {name: each.difference for name, each in matrices.items()},
-    }
-    write_text(folder / "study.json", json_text(numbers, indent=1))
-    lines = [
-        f"Root mean square errors after alignment by the first keyframe (yaw and translation), "
-        f"means over {trials} trials: p [m] / φ [deg] / v [m/s]; profile `{profile}`. All sensors "
-        "are simulated, also those along recorded motions. The paper's values are those of its "
-        "Tables II and III, whose noise and, for the recordings, feature tracks are not public.\n",
-        *markdown_table(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(outcome)),
-        "",
-        "Relative Frobenius difference between the transformed free-gauge covariance, eq. (12), "
-        "and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on V1_01):\n",
-        *markdown_table(
-            ["configuration", "difference"],
-            [[name, f"{100 * each.difference:.3f} %"] for name, each in matrices.items()],
-        ),
-        "",
-    ]
-    write_text(folder / "tables.md", "\n".join(lines))
+    write_text(folder / "study.json", json_text(study.numbers(), indent=1))
+    write_text(folder / "tables.md", study.tables())
+    if find_spec("matplotlib") is not None:
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
+        with canvas.house_style():
+            for file, figure in study.figures().items():
+                write_whole(folder / file, functools.partial(canvas.save, figure))
 
 
-def _listed(trials: Trials) -> dict[str, Any]:
-    return {name: column.tolist() for name, column in vars(trials).items()}
-
-
-def _draw(
-    folder: Path,
-    profile: str,
-    trials: int,
-    swept: Scene,
-    outcome: dict[str, dict[GaugeHandling, Trials]],
-    sweep: list[Trials],
-    matrices: dict[str, Covariances],
-) -> None:
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    from trajeval_ros.io.writing import write_whole
-    from trajeval_ros.report import canvas, gauge_figures
-    from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, SWEEP_WEIGHTS, paths
-
-    what = f"simulated sensors, profile {profile}, {trials} trials"
-    with canvas.house_style():
-        figures = {
-            "prior_weight.png": gauge_figures.prior_weight(
-                SWEEP_WEIGHTS, sweep, f"sine plane, {what}"
-            ),
-            "prior_paths.png": gauge_figures.prior_paths(
-                PATH_WEIGHTS,
-                paths(swept, PATH_WEIGHTS),
-                f"sine plane, one trial, profile {profile}",
-            ),
-            "cost.png": gauge_figures.cost(outcome, what),
-        }
-        for name, each in matrices.items():
-            file = f"covariances_{name.removeprefix('motion of ').replace(' ', '_')}.png"
-            figures[file.replace("/", "_")] = gauge_figures.covariance_matrices(each, name)
-        for file, figure in figures.items():
-            write_whole(folder / file, functools.partial(canvas.save, figure))
-
-
-def _print(
-    folder: Path,
-    outcome: dict[str, dict[GaugeHandling, Trials]],
-    matrices: dict[str, Covariances],
-) -> None:
+def _print(folder: Path, study: GaugeStudy) -> None:
     from trajeval_ros.report.console import console, show
     from trajeval_ros.report.gauge_tables import accuracy_table
 
     terminal = console()
-    show(terminal, accuracy_table(outcome))
-    for name, each in matrices.items():
+    for line in study.lines():
+        terminal.print(line)
+    show(terminal, accuracy_table(study.compared))
+    for name, (stopped, converged) in study.covariances.items():
         terminal.print(
             f"{name}: the free gauge's covariance, transformed, differs by "
-            f"{100 * each.difference:.3f} % from that of fixation"
+            f"{100 * stopped.difference:.3f} % from that of fixation, and by "
+            f"{100 * converged.difference:.1g} % at the minimum"
         )
-    terminal.print("All sensors are simulated, also those along recorded motions.")
+    terminal.print(study.sensors)
+    terminal.print(study.timing)
     terminal.print(f"tables.md, study.json and figures are in {folder}", soft_wrap=True)

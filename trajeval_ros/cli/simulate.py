@@ -55,11 +55,12 @@ def simulate(
     profile: Annotated[
         str,
         typer.Option(
-            metavar="drift|paper|euroc|overconfident",
+            metavar="drift|paper|euroc|stereo|overconfident",
             help="drift: a kinematic model without covariance. The others: a visual-inertial "
-            "estimator with covariance, honest with the sensors of the gauge paper or of EuRoC "
-            "(at most 1800 s), or too sure of itself (at most 10 s): residuals look fine, and the "
-            "joint NEES is several times its degrees of freedom.",
+            "estimator with covariance, honest with the sensors of the gauge paper, the same and "
+            "a second camera (stereo), or those of EuRoC (at most 1800 s), or too sure of itself "
+            "(at most 10 s): residuals look fine, and the joint NEES is several times its degrees "
+            "of freedom.",
         ),
     ] = _DRIFT,
     runs: Annotated[

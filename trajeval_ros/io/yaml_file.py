@@ -10,6 +10,7 @@ from typing import Any
 from trajeval_ros.exceptions import InputError
 
 _LARGEST, _LARGEST_GENERATED = 1_000_000, 1 << 24  # bytes
+_OPENCV_HEAD = "%YAML:1.0"  # EuRoC's files have it, too; the standard's directive has no colon
 
 
 def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[str, Any]:
@@ -36,7 +37,12 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is no YAML: {error}") from error
     try:
-        first = next(iter(YAML(typ="safe", pure=not is_generated).load_all(text)), None)
+        first = next(
+            iter(
+                YAML(typ="safe", pure=not is_generated).load_all(text.removeprefix(_OPENCV_HEAD))
+            ),
+            None,
+        )
     except Exception as error:  # YAML's own are a dozen kinds, and deep nesting has another
         line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
         mark = getattr(error, "problem_mark", None)

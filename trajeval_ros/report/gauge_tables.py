@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.formatting.numbers import NOTHING
@@ -32,7 +32,9 @@ HEADINGS = (
     *(handling.value for handling in GaugeHandling),
     *(f"paper, {handling.value}" for handling in _PAPER_HANDLINGS),
     f"iterations: {', '.join(handling.value for handling in GaugeHandling)}",
+    "ms per iteration",
 )
+SWEEP_HEADINGS = ("weight", *METRICS.values(), "iterations")
 
 
 def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list[list[str]]:
@@ -46,13 +48,28 @@ def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list
             ),
             *_paper(name),
             " / ".join(f"{trials[handling].iterations.mean():.2f}" for handling in GaugeHandling),
+            " / ".join(
+                f"{1e3 * trials[handling].seconds_per_iteration:.2f}" for handling in GaugeHandling
+            ),
         ]
         for name, trials in outcome.items()
     ]
 
 
+def sweep_rows(weights: Sequence[float], sweep: Sequence[Trials]) -> list[list[str]]:
+    """Return a row for each weight of the prior: means over its trials."""
+    return [
+        [
+            f"{weight:g}",
+            *(f"{getattr(trials, metric).mean():.5f}" for metric in METRICS),
+            f"{trials.iterations.mean():.2f}",
+        ]
+        for weight, trials in zip(weights, sweep, strict=True)
+    ]
+
+
 def _paper(name: str) -> list[str]:
-    known = next((values for key, values in PAPER.items() if key in name), None)
+    known = next((values for key, values in PAPER.items() if key.lower() in name.lower()), None)
     if known is None:
         return [NOTHING, NOTHING]
     return [" / ".join(f"{value:.4g}" for value in values) for values in known]
@@ -63,14 +80,18 @@ def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Tab
     table = new_table(
         "RMSE after alignment by the first keyframe, means over trials",
         ["configuration", "gauge"],
-        [*METRICS.values(), "paper (p / φ / v)", "iterations"],
+        [*METRICS.values(), "paper (p / φ / v)", "iterations", "ms each"],
     )
     for name, trials in outcome.items():
         paper = dict(zip(_PAPER_HANDLINGS, _paper(name), strict=True))
         for place, handling in enumerate(GaugeHandling):
             each = trials[handling]
             rmse = [f"{getattr(each, metric).mean():.5f}" for metric in METRICS]
-            beside = [paper.get(handling, ""), f"{each.iterations.mean():.2f}"]
+            beside = [
+                paper.get(handling, ""),
+                f"{each.iterations.mean():.2f}",
+                f"{1e3 * each.seconds_per_iteration:.2f}",
+            ]
             add_rows(table, [["" if place else name, handling.value, *rmse, *beside]])
         table.add_section()
     return table

@@ -1,4 +1,4 @@
-"""A pinhole camera that sits in the body's origin, and what it sees."""
+"""A pinhole camera, or a stereo pair of them, and what it sees."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 class Camera:
     """Intrinsics, noise and range. The principal point is the image's centre.
 
+    A pixel is (r,): u and v, and of a stereo pair those of the second camera after them, which
+    differs by a translation along the first one's x axis (tutorial, eq. 3).
+
     Attributes:
         focal_px: Focal length, pixels.
         width: Of the image, pixels.
@@ -23,6 +26,7 @@ class Camera:
         noise_px: Standard deviation of a measured coordinate, pixels.
         nearest_m: Depth from which on a point is seen.
         farthest_m: Depth up to which a point is seen.
+        baseline_m: Where the second camera of a stereo pair is, None for a single camera.
     """
 
     focal_px: float
@@ -31,20 +35,28 @@ class Camera:
     noise_px: float = 1.0
     nearest_m: float = 0.3
     farthest_m: float = 30.0
+    baseline_m: float | None = None
 
     @property
     def centre(self) -> Floats:
         """Principal point (2,), pixels."""
         return np.array([self.width / 2.0, self.height / 2.0])
 
+    def slopes(self, points: Floats) -> Floats:
+        """Return x / z and y / z of points (..., 3), (..., c, 2) in the c cameras' frames."""
+        centres = np.zeros((1 if self.baseline_m is None else 2, 2))
+        centres[1:, 0] = self.baseline_m
+        slopes: Floats = (points[..., None, :2] - centres) / points[..., None, 2:]
+        return slopes
+
     def pixels(self, points: Floats) -> Floats:
-        """Project points in the camera's frame, (..., 3) to (..., 2)."""
-        projected: Floats = self.focal_px * points[..., :2] / points[..., 2:] + self.centre
-        return projected
+        """Project points in the camera's frame, (..., 3) to (..., r)."""
+        projected = self.focal_px * self.slopes(points) + self.centre
+        return projected.reshape(*points.shape[:-1], -1)
 
     def rays(self, pixels: Floats) -> Floats:
-        """Return the points of depth 1 (..., 3), in the camera's frame, behind pixels (..., 2)."""
-        plane = (pixels - self.centre) / self.focal_px
+        """Return the points of depth 1 (..., 3), in the camera's frame, behind pixels (..., r)."""
+        plane = (pixels[..., :2] - self.centre) / self.focal_px
         return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
 
     def sees(self, points: Floats) -> Booleans:
@@ -52,7 +64,8 @@ class Camera:
         depth = points[..., 2]
         in_range = (depth > self.nearest_m) & (depth < self.farthest_m)
         # A point behind the camera is projected at depth 1, so that nothing divides by zero.
-        pixels = self.pixels(np.where(in_range[..., None], points, 1.0))
+        slopes = self.slopes(np.where(in_range[..., None], points, 1.0))
+        pixels = self.focal_px * slopes + self.centre
         inside = (pixels >= 0.0) & (pixels < [self.width, self.height])
-        seen: Booleans = in_range & inside.all(axis=-1)
+        seen: Booleans = in_range & inside.all(axis=(-2, -1))
         return seen

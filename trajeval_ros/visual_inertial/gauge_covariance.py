@@ -65,6 +65,23 @@ def free_covariance(problem: Problem, state: State) -> Floats:
     return (covariance + covariance.T) / 2.0
 
 
+def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
+    """Return the covariance with the gauge prior of eq. (11).
+
+    The prior adds its own uncertainty along the gauge's directions to that of gauge fixation,
+    whatever was measured: C + V V^T / w, where V moves the state by one metre or radian of what
+    the prior holds.
+
+    Raises:
+        DegenerateGeometryError: More than the gauge's four directions are open.
+    """
+    fixed = fixed_covariance(problem, state)
+    basis = state.gauge_basis[: len(fixed)]
+    along = basis @ np.linalg.inv(basis[GAUGE_INDICES])
+    covariance: Floats = fixed + along @ along.T / weight
+    return covariance
+
+
 def transform(
     covariance: Floats, state: State, rotation: Floats, position: Floats
 ) -> tuple[Floats, State]:

@@ -9,6 +9,7 @@ from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import (
     inverse_landmark_factors,
     require_seen_landmarks,
+    sparse_half,
 )
 from trajeval_ros.visual_inertial.state import State
 
@@ -23,16 +24,8 @@ def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
     """
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
-    inverse = inverse_landmark_factors(normal, 0.0)
-    half = normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
-    # In order of keyframes, as a block-sparse matrix wants its rows.
-    order = np.lexsort((normal.landmark_of, normal.keyframe_of))
-    starts = np.searchsorted(normal.keyframe_of[order], np.arange(problem.keyframes + 1))
-    blocks = scipy.sparse.bsr_matrix(
-        (half[order], normal.landmark_of[order], starts),
-        shape=(6 * problem.keyframes, 3 * problem.landmarks),
-    )
-    shared = (blocks @ blocks.T).tocoo()
+    half = sparse_half(normal, inverse_landmark_factors(normal, 0.0))
+    shared = (half @ half.T).tocoo()
     direct = _motion_blocks(normal)
     rows, columns = (9 * (index // 6) + index % 6 for index in (shared.row, shared.col))
     eliminated = scipy.sparse.coo_matrix((shared.data, (rows, columns)), shape=direct.shape)

@@ -42,7 +42,7 @@ def draw_landmarks(
 
     Returns:
         Landmarks (K, 3), and of M observations the keyframe (M,), the landmark (M,) and the
-        noise-free pixels (M, 2), in order of landmarks.
+        noise-free pixels (M, r), in order of landmarks.
 
     Raises:
         SettingsError: Unknown layout.

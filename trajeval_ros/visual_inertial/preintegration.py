@@ -52,7 +52,7 @@ class Preintegrated:
 def preintegrate(
     angular_velocities: Floats,
     accelerations: Floats,
-    step_s: float,
+    steps_s: float | Floats,
     noise: ImuNoise,
     scheme: str = "middle",
 ) -> Preintegrated:
@@ -61,17 +61,19 @@ def preintegrate(
     Args:
         angular_velocities: (I, m, 3), rad/s, in the body.
         accelerations: (I, m, 3), specific force, m/s^2, in the body.
-        step_s: Time between samples.
+        steps_s: For how long each sample holds, (I, m) or one for all. Intervals with fewer than
+            m samples are filled up with samples that hold for 0 s.
         noise: Densities; a sample's standard deviation is the density / sqrt(step).
         scheme: `middle`, or `start` to turn accelerations by the attitude before the sample.
     """
     intervals, samples, _ = angular_velocities.shape
-    turns = angular_velocities * step_s
+    held = np.broadcast_to(np.asarray(steps_s, dtype=np.float64), (intervals, samples))
+    turns = angular_velocities * held[:, :, None]
     steps = lie.exp(turns)
-    jacobians = lie.left_jacobian(-turns) * step_s
+    jacobians = lie.left_jacobian(-turns) * held[:, :, None, None]
     if scheme == "middle":
         halves = lie.exp(turns / 2.0)
-        half_jacobians = lie.left_jacobian(-turns / 2.0) * (step_s / 2.0)
+        half_jacobians = lie.left_jacobian(-turns / 2.0) * (held[:, :, None, None] / 2.0)
     else:
         halves = np.broadcast_to(np.eye(3), steps.shape)
         half_jacobians = np.zeros_like(steps)
@@ -84,10 +86,14 @@ def preintegrate(
     velocity, position = np.zeros((intervals, 3)), np.zeros((intervals, 3))
     covariance = np.zeros((intervals, 9, 9))
     transition = np.broadcast_to(np.eye(9), covariance.shape).copy()
-    transition[:, 6:9, 3:6] = np.eye(3) * step_s
     input_ = np.zeros((intervals, 9, 6))
-    variances = np.repeat([noise.gyroscope**2, noise.accelerometer**2], 3) / step_s
+    densities = np.repeat([noise.gyroscope**2, noise.accelerometer**2], 3)
     for k in range(samples):
+        step_s = held[:, k, None, None]
+        variances = np.divide(
+            densities, step_s, out=np.zeros_like(input_[:, :1]), where=step_s > 0
+        )
+        transition[:, 6:9, 3:6] = np.eye(3) * step_s
         transition[:, 0:3, 0:3] = np.swapaxes(steps[:, k], 1, 2)
         input_[:, 0:3, 0:3] = jacobians[:, k]
         gain = rotation @ by_attitude[:, k]
@@ -100,8 +106,7 @@ def preintegrate(
         covariance = transition @ covariance @ np.swapaxes(transition, 1, 2)
         covariance += (input_ * variances) @ np.swapaxes(input_, 1, 2)
         force = np.einsum("nij,nj->ni", rotation, forces[:, k])
-        position = position + velocity * step_s + force * (step_s**2 / 2.0)
-        velocity = velocity + force * step_s
+        position = position + velocity * step_s[:, 0] + force * (step_s[:, 0] ** 2 / 2.0)
+        velocity = velocity + force * step_s[:, 0]
         rotation = rotation @ steps[:, k]
-    durations = np.full(intervals, samples * step_s)
-    return Preintegrated(durations, rotation, velocity, position, covariance)
+    return Preintegrated(held.sum(axis=1), rotation, velocity, position, covariance)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
@@ -26,8 +27,8 @@ class ReprojectionErrors(NamedTuple):
     `by_point` [d]x with d the `rays`.
 
     Attributes:
-        residuals: (M, 2).
-        by_point: (M, 2, 3).
+        residuals: (M, r).
+        by_point: (M, r, 3).
         rays: (M, 3), from keyframe to landmark, in the world, metres.
     """
 
@@ -92,29 +93,49 @@ class Problem:
         landmark_of: Indices,
         landmarks: int,
         preintegrated: Preintegrated,
+        *,
+        lever_arm: Floats | None = None,
+        weights: Floats | None = None,
+        gravity: Floats = GRAVITY,
     ) -> None:
         """Keep the measurements.
 
         Args:
             camera: Intrinsics and noise.
             camera_in_body: (3, 3) rotation.
-            pixels: (M, 2) measured.
+            pixels: (M, r) measured.
             keyframe_of: (M,) which keyframe saw it.
             landmark_of: (M,) which landmark it saw.
             landmarks: Number of landmarks K.
             preintegrated: N - 1 intervals between keyframes.
+            lever_arm: (3,) the camera's centre in the body, metres; None for the body's origin.
+            weights: (M, r, r) multiply each reprojection error before it is divided by the
+                camera's noise; None for errors that weigh the same.
+            gravity: (3,) in the world, along z, m/s^2.
+
+        Raises:
+            InputError: Nothing was observed, or from one keyframe alone.
         """
+        if not len(pixels) or not len(preintegrated.durations_s):
+            raise InputError(
+                f"{len(pixels)} observations from {len(preintegrated.durations_s) + 1} keyframes "
+                "leave nothing to estimate; select more keyframes, or more tracks"
+            )
         self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
         self.keyframe_of, self.landmark_of = keyframe_of, landmark_of
         self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
         self.preintegrated = preintegrated
+        self.weights, self.gravity = weights, gravity
+        # Where the camera's centre is in its own axes.
+        self._offset = np.zeros(3) if lever_arm is None else camera_in_body.T @ lever_arm
         self._whiten = np.linalg.inv(np.linalg.cholesky(preintegrated.covariances))
+        self.longest_track = _longest_track(keyframe_of, landmark_of, landmarks)
         # Products with these sum over the observations of a keyframe, and of a landmark.
         self._of_keyframe = _indicator(keyframe_of, self.keyframes)
         self._of_landmark = _indicator(landmark_of, landmarks)
 
     def residuals(self, state: State) -> tuple[Floats, Floats]:
-        """Return the whitened errors of camera (M, 2) and IMU (N - 1, 9)."""
+        """Return the whitened errors of camera (M, r) and IMU (N - 1, 9)."""
         _, points = self._points(state)
         return self._reprojection(points), self._inertial_errors(state)[0]
 
@@ -130,8 +151,13 @@ class Problem:
         scale = self.camera.focal_px / self.camera.noise_px / points[:, 2]
         # f [[1/z, 0, -x/z^2], [0, 1/z, -y/z^2]] times the rotation into the camera.
         turned = to_camera[self.keyframe_of]
-        slope = points[:, :2] / points[:, 2:]
-        by_point = scale[:, None, None] * (turned[:, :2] - slope[:, :, None] * turned[:, None, 2])
+        slopes = self.camera.slopes(points)[..., None]
+        by_camera = scale[:, None, None, None] * (
+            turned[:, None, :2] - slopes * turned[:, None, None, 2]
+        )
+        by_point = by_camera.reshape(len(points), -1, 3)
+        if self.weights is not None:
+            by_point = self.weights @ by_point
         return ReprojectionErrors(self._reprojection(points), by_point, rays)
 
     def inertial(self, state: State) -> InertialErrors:
@@ -203,22 +229,30 @@ class Problem:
             landmark_of=self.landmark_of,
         )
 
+    def points(self, state: State) -> Floats:
+        """Return the observed landmarks (M, 3) in the camera at its keyframe, metres."""
+        return self._points(state)[1]
+
     def _points(self, state: State) -> tuple[Floats, Floats]:
-        """Return the rays in the world, and the landmarks in the camera that sees them."""
+        """Return the rays from body to landmark in the world, and the landmarks in the camera.
+
+        How a landmark moves in the camera when the state does depends on the rays alone: the
+        lever arm has no part in it.
+        """
         rays = state.landmarks[self.landmark_of] - state.positions[self.keyframe_of]
         cameras = (state.rotations @ self.camera_in_body)[self.keyframe_of]
-        return rays, np.einsum("mji,mj->mi", cameras, rays)
+        return rays, np.einsum("mji,mj->mi", cameras, rays) - self._offset
 
     def _reprojection(self, points: Floats) -> Floats:
         errors: Floats = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
-        return errors
+        return errors if self.weights is None else np.einsum("mij,mj->mi", self.weights, errors)
 
     def _inertial_errors(self, state: State) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the whitened errors, and the unwhitened terms that Jacobians need."""
         measured = self.preintegrated
         durations = measured.durations_s[:, None]
         earlier, later = state.rotations[:-1], state.rotations[1:]
-        fall = GRAVITY * durations
+        fall = self.gravity * durations
         speed = np.diff(state.velocities, axis=0) - fall
         shift = np.diff(state.positions, axis=0) - (state.velocities[:-1] + fall / 2.0) * durations
         into = np.swapaxes(earlier, 1, 2)
@@ -232,6 +266,14 @@ class Problem:
             axis=1,
         )
         return np.einsum("nij,nj->ni", self._whiten, errors), turn, speed, shift
+
+
+def _longest_track(keyframe_of: Indices, landmark_of: Indices, landmarks: int) -> int:
+    """Return from first to last how many keyframes a landmark couples at most, two at least."""
+    first, last = np.full(landmarks, np.iinfo(np.int64).max), np.zeros(landmarks, dtype=np.int64)
+    np.minimum.at(first, landmark_of, keyframe_of)
+    np.maximum.at(last, landmark_of, keyframe_of)
+    return max(int((last - first).max()) + 1, 2)
 
 
 def _indicator(group_of: Indices, groups: int) -> scipy.sparse.csr_matrix:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.arrays import Floats
@@ -12,6 +13,8 @@ from trajeval_ros.visual_inertial.problem import NormalEquations
 
 # Pivots below this share of a landmark's largest are rounding (seen once, or without parallax).
 _ROUNDING = 1e-13
+# Where keyframes see a smaller share of the landmarks, sparse products are faster than dense ones.
+_SPARSE_SHARE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,14 +24,15 @@ class ReducedSystem:
     Attributes:
         matrix: (9N, 9N), H_mm - W V^-1 W^T.
         gradient: (9N,), g_m - W V^-1 g_l.
-        half: (6N, 3K), W L^-T with V = L L^T; rows are positions and rotations.
+        half: (6N, 3K), W L^-T with V = L L^T; rows are positions and rotations. Sparse if few
+            landmarks are seen from each keyframe.
         inverse: (K, 3, 3), L^-1.
         pull: (3K,), L^-1 g_l.
     """
 
     matrix: Floats
     gradient: Floats
-    half: Floats
+    half: Floats | scipy.sparse.bsr_matrix
     inverse: Floats
     pull: Floats
 
@@ -67,19 +71,40 @@ def reduce_landmarks(
     """
     count, landmarks = len(normal.diagonal), len(normal.landmark)
     inverse = inverse_landmark_factors(normal, landmark_damping)
-    by_block = np.zeros((count, landmarks, 6, 3))
-    by_block[normal.keyframe_of, normal.landmark_of] = (
-        normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
-    )
-    half = by_block.transpose(0, 2, 1, 3).reshape(6 * count, 3 * landmarks)
+    if len(normal.cross) < _SPARSE_SHARE * count * landmarks:
+        half = sparse_half(normal, inverse)
+        product = (half @ half.T).toarray()
+    else:
+        by_block = np.zeros((count, landmarks, 6, 3))
+        by_block[normal.keyframe_of, normal.landmark_of] = _half_blocks(normal, inverse)
+        half = by_block.transpose(0, 2, 1, 3).reshape(6 * count, 3 * landmarks)
+        product = half @ half.T
     pull = np.einsum("kij,kj->ki", inverse, normal.landmark_gradient).ravel()
     matrix = motion_matrix(normal)
     poses = matrix.reshape(count, 9, count, 9)[:, :6, :, :6]
-    poses -= (half @ half.T).reshape(count, 6, count, 6)
+    poses -= product.reshape(count, 6, count, 6)
     matrix[np.diag_indices(9 * count)] += motion_damping
     gradient = normal.motion_gradient.copy()
     gradient[:, :6] -= (half @ pull).reshape(count, 6)
     return ReducedSystem(matrix, gradient.ravel(), half, inverse, pull)
+
+
+def sparse_half(normal: NormalEquations, inverse: Floats) -> scipy.sparse.bsr_matrix:
+    """Return W L^-T (6N, 3K) of blocks (6, 3), from L^-1 (K, 3, 3) of each landmark."""
+    count, landmarks = len(normal.diagonal), len(normal.landmark)
+    # In order of keyframes, as a block-sparse matrix wants its rows.
+    order = np.lexsort((normal.landmark_of, normal.keyframe_of))
+    starts = np.searchsorted(normal.keyframe_of[order], np.arange(count + 1))
+    blocks = _half_blocks(normal, inverse)[order]
+    return scipy.sparse.bsr_matrix(
+        (blocks, normal.landmark_of[order], starts), shape=(6 * count, 3 * landmarks)
+    )
+
+
+def _half_blocks(normal: NormalEquations, inverse: Floats) -> Floats:
+    """Return the blocks (M, 6, 3) of W L^-T, by observation."""
+    blocks: Floats = normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
+    return blocks
 
 
 def inverse_landmark_factors(normal: NormalEquations, damping: Floats | float) -> Floats:

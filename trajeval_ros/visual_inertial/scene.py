@@ -11,6 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.initial_state import initial_state
 from trajeval_ros.visual_inertial.landmarks import draw_landmarks
 from trajeval_ros.visual_inertial.motion import Motion
 from trajeval_ros.visual_inertial.preintegration import (
@@ -22,9 +23,6 @@ from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State
 
 IMU_RATE_HZ = 200.0
-# How far off an estimator starts (gauge paper, section V-B).
-_START_POSITION_M, _START_ROTATION_DEG = 0.05, 6.0
-_START_VELOCITY_MPS, _START_LANDMARK_M = 0.05, 0.075
 
 
 @dataclass(frozen=True)
@@ -61,6 +59,8 @@ PROFILES = {
     # Errors of the paper's Table II, and its number of iterations; the paper states no noise.
     "paper": SensorProfile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
     "euroc": SensorProfile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
+    # The baseline is EuRoC's.
+    "stereo": SensorProfile(Camera(150.0, 320, 240, baseline_m=0.11), ImuNoise(7e-4, 1e-2), 50),
     "overconfident": SensorProfile(Camera(315.0, 640, 480), _GOOD_IMU, 50, honest=False),
 }
 
@@ -87,7 +87,7 @@ class Scene:
         flown: The same at the IMU's rate, from 0 s to the last keyframe, without landmarks.
         keyframe_of: (M,) keyframe of each observation.
         landmark_of: (M,) landmark of each observation.
-        pixels: (M, 2).
+        pixels: (M, r).
         angular_velocities: (N - 1, m, 3) between keyframes, rad/s.
         accelerations: (N - 1, m, 3), m/s^2.
         camera_in_body: (3, 3).
@@ -145,18 +145,7 @@ class Scene:
 
     def disturbed(self, generator: np.random.Generator) -> State:
         """Return the state that an estimator starts from (gauge paper, section V-B)."""
-        truth = self.truth
-        count = len(truth.positions)
-        turns = np.radians(_START_ROTATION_DEG) * _directions(generator, count)
-        rotations = lie.exp(turns) @ truth.rotations
-        positions = truth.positions + _START_POSITION_M * _directions(generator, count)
-        velocities = truth.velocities + generator.uniform(
-            -_START_VELOCITY_MPS, _START_VELOCITY_MPS, (count, 3)
-        )
-        landmarks = truth.landmarks + generator.uniform(
-            -_START_LANDMARK_M, _START_LANDMARK_M, truth.landmarks.shape
-        )
-        return State.at(positions, rotations, velocities, landmarks)
+        return initial_state(self.truth, generator)
 
 
 def make_scene(
@@ -248,9 +237,3 @@ def _flown(motion: Motion, times: Floats, *, honest: bool) -> State:
         steps = (velocities[:-1] + velocities[1:]) / (2.0 * IMU_RATE_HZ)
         positions = positions[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     return State.at(positions, motion.rotations(times), velocities, np.zeros((0, 3)))
-
-
-def _directions(generator: np.random.Generator, count: int) -> Floats:
-    vectors = generator.standard_normal((count, 3))
-    directions: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return directions

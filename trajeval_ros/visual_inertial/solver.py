@@ -27,6 +27,8 @@ _LEAST_QUALITY = 1e-3
 _MOST_ITERATIONS = 50
 # A cost that changes by a smaller share hasn't changed: the step knows better.
 _ROUNDING = 1e-12
+# Of the matrix's size, up to which a banded factor is faster than a dense one.
+_BANDED_SHARE = 0.25
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
@@ -146,13 +148,15 @@ class _Linearised:
     normal: NormalEquations
     cost: float
     prior: Floats  # (4,), gradient of the prior
+    weight: float  # of the prior
 
     @property
     def curvature(self) -> Floats:
-        """Diagonal of J^T J, (9N + 3K,), without the prior's share."""
-        motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2)
+        """Diagonal of J^T J, (9N + 3K,)."""
+        motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2).ravel()
+        motion[GAUGE_INDICES] += self.weight
         landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
-        return np.concatenate([motion.ravel(), landmarks.ravel()])
+        return np.concatenate([motion, landmarks.ravel()])
 
     @property
     def gradient(self) -> Floats:
@@ -180,7 +184,7 @@ class _Descent:
         normal = self.problem.normal_equations(state)
         residual = _from_reference(state)
         cost = normal.cost + 0.5 * self.weight * float(residual @ residual)
-        return _Linearised(normal, cost, self.weight * residual)
+        return _Linearised(normal, cost, self.weight * residual, self.weight)
 
     def cost(self, state: State) -> float:
         residual = _from_reference(state)
@@ -213,10 +217,26 @@ class _Descent:
         gradient[GAUGE_INDICES] += prior
         if not self.free.all():
             matrix, gradient = matrix[np.ix_(self.free, self.free)], gradient[self.free]
-        factor = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
         motion = np.zeros(len(self.free))
-        motion[self.free] = scipy.linalg.cho_solve(factor, -gradient, check_finite=False)
+        motion[self.free] = self._by_cholesky(matrix, -gradient)
         return motion
+
+    def _by_cholesky(self, matrix: Floats, right: Floats) -> Floats:
+        """Solve with a positive definite matrix: banded, if tracks are short."""
+        below = min(9 * self.problem.longest_track, len(matrix)) - 1
+        if below > _BANDED_SHARE * len(matrix):
+            factor = scipy.linalg.cho_factor(
+                matrix, lower=True, overwrite_a=True, check_finite=False
+            )
+            return np.asarray(scipy.linalg.cho_solve(factor, right, check_finite=False))
+        bands = np.zeros((below + 1, len(matrix)))
+        for place in range(below + 1):
+            bands[place, : len(matrix) - place] = np.diagonal(matrix, -place)
+        return np.asarray(
+            scipy.linalg.solveh_banded(
+                bands, right, overwrite_ab=True, lower=True, check_finite=False
+            )
+        )
 
 
 def _from_reference(state: State) -> Floats:

@@ -1,0 +1,1 @@
+"""Recordings of feature tracks and an IMU, with groundtruth."""

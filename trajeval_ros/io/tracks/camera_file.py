@@ -1,0 +1,77 @@
+"""A camera's calibration: EuRoC's sensor.yaml, which this package's camera.yaml is, too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.yaml_file import read_mapping
+from trajeval_ros.visual_inertial.lens import Lens
+from trajeval_ros.visual_inertial.sensor_recording import CalibratedCamera
+
+# What Kalibr, OpenCV and ROS call the two.
+_DISTORTIONS = {
+    "radial-tangential": "radial-tangential",
+    "radtan": "radial-tangential",
+    "plumb_bob": "radial-tangential",
+    "equidistant": "equidistant",
+    "equi": "equidistant",
+    "kannala-brandt": "equidistant",
+}
+_ROTATION_TOLERANCE = 1e-3
+
+
+def read_camera(path: Path) -> CalibratedCamera:
+    """Read intrinsics, distortion and extrinsics.
+
+    Raises:
+        InputError: A value is missing, or a model is none of those that are known.
+    """
+    values = read_mapping(path, "calibration of a camera")
+    model, distortion = values.get("camera_model"), values.get("distortion_model")
+    if model != "pinhole" or distortion not in _DISTORTIONS:
+        raise InputError(
+            f"{path}: camera_model {model!r} with distortion_model {distortion!r} is not known; "
+            "use pinhole with radial-tangential or equidistant"
+        )
+    if "T_BS" not in values:
+        raise InputError(
+            f"{path} has no T_BS, the camera's pose in the IMU's frame (4 x 4, row by row): "
+            "without its lever arm, positions are wrong and no residual shows it"
+        )
+    pose = _pose(path, values["T_BS"])
+    width, height = _numbers(path, values, "resolution", 2)
+    intrinsics = _numbers(path, values, "intrinsics", 4)
+    coefficients = _numbers(path, values, "distortion_coefficients", 4)
+    if min(*intrinsics[:2], width, height) <= 0.0:
+        raise InputError(f"{path}: focal lengths and resolution must be above zero")
+    lens = Lens(intrinsics[:2], intrinsics[2:], _DISTORTIONS[distortion], coefficients)
+    return CalibratedCamera(lens, int(width), int(height), pose[:3, :3], pose[:3, 3])
+
+
+def _pose(path: Path, value: Any) -> Floats:
+    data = {"T_BS": value["data"] if isinstance(value, Mapping) and "data" in value else value}
+    pose = _numbers(path, data, "T_BS", 16).reshape(4, 4)
+    rotation = pose[:3, :3]
+    if (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE
+        or np.linalg.det(rotation) < 0.0
+        or (pose[3] != [0.0, 0.0, 0.0, 1.0]).any()
+    ):
+        raise InputError(f"{path}: T_BS is no rigid motion; its 16 numbers stand row by row")
+    return pose
+
+
+def _numbers(path: Path, values: Mapping[str, Any], name: str, count: int) -> Floats:
+    try:
+        numbers = np.array(values.get(name), dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise InputError(f"{path}: {name} must be {count} numbers")
+    return numbers

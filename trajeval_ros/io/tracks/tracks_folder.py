@@ -1,0 +1,153 @@
+"""A folder with feature tracks, IMU, groundtruth and calibration: docs/tracks.md.
+
+EuRoC's own layout is recognised: `mav0/imu0/data.csv`, `mav0/cam0/sensor.yaml` and
+`mav0/state_groundtruth_estimate0/data.csv`, with the tracks beside the images they are of.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.text.decimals import RowError, parse_rows
+from trajeval_ros.io.text.head import read_head
+from trajeval_ros.io.text.reader import read_text
+from trajeval_ros.io.text.stamps import to_nanoseconds
+from trajeval_ros.io.tracks.camera_file import read_camera
+from trajeval_ros.visual_inertial.sensor_recording import SensorRecording, one_instant_each
+
+# By preference: names of this package's own format, then those of EuRoC.
+_NAMES = {
+    "tracks": ("tracks*.csv", "mav0/cam0/tracks*.csv"),
+    "IMU samples": ("imu*.csv", "mav0/imu0/data.csv"),
+    "groundtruth": ("groundtruth*.csv", "mav0/state_groundtruth_estimate0/data.csv"),
+    "camera": ("cam*.yaml", "mav0/cam0/sensor.yaml"),
+}
+_LARGEST = 1 << 30  # bytes
+
+
+def read_tracks_folder(folder: Path) -> SensorRecording:
+    """Read a recording.
+
+    Raises:
+        InputError: A file is missing, is there twice, or can't be what its name says.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder; name one with tracks, IMU and groundtruth")
+    paths = {what: _only(folder, what) for what in _NAMES}
+    imu_path, tracks_path = paths["IMU samples"], paths["tracks"]
+    imu_stamps, samples = _read_rows(imu_path, "stamp_ns,wx,wy,wz,ax,ay,az")
+    if (np.diff(imu_stamps) <= 0).any():
+        place = int(np.argmax(np.diff(imu_stamps) <= 0))
+        raise InputError(
+            f"{imu_path}: the stamp after {imu_stamps[place]} ns doesn't rise; sort the samples "
+            "and remove repeated ones"
+        )
+    seen_stamps, tracks = _read_rows(tracks_path, "stamp_ns,track,u,v")
+    image_stamps, image_of = one_instant_each(seen_stamps)
+    track_of = _track_names(tracks_path, tracks[:, 0])
+    _require_once(tracks_path, np.column_stack([image_of, track_of]), seen_stamps)
+    notes = []
+    joined = len(np.unique(seen_stamps)) - len(image_stamps)
+    if joined:
+        notes.append(
+            "stamps of tracks that differ from another by less than 1 us, taken for the same "
+            f"image: {joined}"
+        )
+    groundtruth, made_up = _groundtruth(paths["groundtruth"])
+    return SensorRecording(
+        name=folder.resolve().name,
+        camera=read_camera(paths["camera"]),
+        imu_stamps=imu_stamps,
+        angular_velocities=samples[:, :3],
+        accelerations=samples[:, 3:],
+        image_stamps=image_stamps,
+        image_of=image_of,
+        track_of=track_of,
+        pixels=tracks[:, 1:],
+        groundtruth=groundtruth,
+        notes=(*notes, *made_up),
+    )
+
+
+def _only(folder: Path, what: str) -> Path:
+    """Return the one file of the folder that has what."""
+    for pattern in _NAMES[what]:
+        found = sorted(folder.glob(pattern))
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError(
+                f"{folder} has {len(found)} files of {what} ({found[0].name}, {found[1].name}); "
+                "leave one of them there"
+            )
+    raise InputError(
+        f"{folder} has no file of {what}: it needs {' or '.join(_NAMES[what])}; docs/tracks.md "
+        "describes the folder"
+    )
+
+
+def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
+    """Return the stamps (n,) and the other columns (n, c - 1) of a table."""
+    columns = names.count(",") + 1
+    if path.stat().st_size > _LARGEST:
+        raise InputError(f"{path} is far too large; cut out a part of the recording")
+    start = read_head(path).start
+    content = path.read_bytes()
+    try:
+        rows = parse_rows(content[start:], columns, 0)
+    except RowError as error:
+        line = content[:start].count(b"\n") + error.line + 1
+        raise InputError(
+            f"{path}, line {line}: {error.reason}; it needs the columns {names}"
+        ) from None
+    assert rows.stamps is not None
+    usable = rows.timed & np.isfinite(rows.values).all(axis=1)
+    if len(usable) < 2 or not usable.all():
+        where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
+        raise InputError(f"{path}: {where}; it needs the columns {names}")
+    try:
+        return to_nanoseconds(rows.stamps, said_nanoseconds=True)[0], rows.values
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _track_names(path: Path, column: Floats) -> Stamps:
+    if (column != np.rint(column)).any():
+        raise InputError(f"{path}: tracks are named by whole numbers, the second column")
+    return column.astype(np.int64)
+
+
+def _require_once(path: Path, sightings: Stamps, stamps: Stamps) -> None:
+    """Refuse a track that is in one image twice."""
+    _, first, counts = np.unique(sightings, axis=0, return_index=True, return_counts=True)
+    if counts.max() > 1:
+        place = int(first[counts.argmax()])
+        raise InputError(
+            f"{path}: track {sightings[place, 1]} is {counts.max()} times in the image at "
+            f"{stamps[place]} ns; keep one of them"
+        )
+
+
+def _groundtruth(path: Path) -> tuple[Trajectory, list[str]]:
+    """Return the groundtruth, with velocities, and what of it was made up."""
+    read = read_text(path)
+    if read.quaternions is None or not read.stamped or len(read) < 3:
+        raise InputError(f"{path} needs stamps, positions and orientations of at least 3 poses")
+    order = np.argsort(read.stamps, kind="stable")
+    truth, notes = read[order], []
+    if (np.diff(truth.stamps) == 0).any():
+        raise InputError(f"{path} repeats stamps; remove the repeated rows")
+    if truth.velocities is None:
+        velocities = np.gradient(truth.positions, truth.seconds - truth.seconds[0], axis=0)
+        truth = dataclasses.replace(truth, velocities=velocities)
+        notes.append("groundtruth has no velocity: positions were differentiated")
+    if truth.gyroscope_biases is None or truth.accelerometer_biases is None:
+        notes.append("groundtruth has no biases of both sensors: the IMU is taken as it is")
+        truth = dataclasses.replace(truth, gyroscope_biases=None, accelerometer_biases=None)
+    return truth, notes

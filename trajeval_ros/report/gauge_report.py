@@ -1,0 +1,166 @@
+"""All that `trajeval gauge-study` writes: tables.md, study.json and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.formatting.escaping import markdown_text
+from trajeval_ros.formatting.text_tables import markdown_table
+from trajeval_ros.report import gauge_figures, gauge_scenes, gauge_tables
+from trajeval_ros.report.measured_lines import measured_lines, measured_numbers
+from trajeval_ros.visual_inertial.examination import Examination
+from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
+from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.study import (
+    PATH_WEIGHTS,
+    SWEEP_WEIGHTS,
+    Covariances,
+    Trials,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SWEPT = "sine plane"
+
+
+@dataclass(frozen=True, eq=False)
+class GaugeStudy:
+    """What was solved.
+
+    Attributes:
+        profile: Of the simulated sensors.
+        trials: Solves for each configuration and gauge.
+        states: Truth of each configuration: keyframes and landmarks.
+        compared: Of each configuration.
+        sweeps: Trials by `SWEEP_WEIGHTS`, of some configurations.
+        paths: Iterations by `PATH_WEIGHTS` in one trial of the configuration `SWEPT`.
+        covariances: Of some configurations: as Ceres stops, and at the minimum.
+        measured: The configuration with measured sensors, if there is one.
+        examined: What its data and residuals say.
+        blas_threads: As the environment sets them, "" if it doesn't.
+    """
+
+    profile: str
+    trials: int
+    states: dict[str, State]
+    compared: dict[str, dict[GaugeHandling, Trials]]
+    sweeps: dict[str, list[Trials]]
+    paths: list[Trace]
+    covariances: dict[str, tuple[Covariances, Covariances]]
+    measured: str
+    examined: Examination | None
+    blas_threads: str
+
+    @property
+    def sensors(self) -> str:
+        """Which sensors are simulated, in a sentence."""
+        if self.measured:
+            return f"Sensors are simulated but for {self.measured}, where they are measured."
+        return "All sensors are simulated, also those along recorded motions."
+
+    @property
+    def timing(self) -> str:
+        """On what times were taken, in a sentence."""
+        if self.blas_threads == "1":
+            return "Times are on one thread of linear algebra, the ways in turns."
+        return (
+            "Times are on as many threads of linear algebra as the library likes, the ways in "
+            "turns; OPENBLAS_NUM_THREADS=1 gives those of one."
+        )
+
+    def lines(self) -> list[str]:
+        """Return what is said of measured data; nothing if there is none."""
+        return [] if self.examined is None else measured_lines(self.measured, self.examined)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return study.json's content."""
+        return {
+            "profile": self.profile,
+            "trials": self.trials,
+            "blas_threads": self.blas_threads or None,
+            "sensors": {
+                name: "measured" if name == self.measured else "simulated"
+                for name in self.compared
+            },
+            "configurations": {
+                name: {handling.value: _listed(each) for handling, each in of_gauge.items()}
+                for name, of_gauge in self.compared.items()
+            },
+            "prior_weight_sweep": {
+                "weights": list(SWEEP_WEIGHTS),
+                "trials": {
+                    name: [_listed(each) for each in trials]
+                    for name, trials in self.sweeps.items()
+                },
+            },
+            "covariance_difference": {
+                name: {"as_ceres_stops": stopped.difference, "converged": converged.difference}
+                for name, (stopped, converged) in self.covariances.items()
+            },
+            "examination": None if self.examined is None else measured_numbers(self.examined),
+        }
+
+    def tables(self) -> str:
+        """Return tables.md's content."""
+        parts = [
+            "Root mean square errors after alignment by the first keyframe (yaw and "
+            f"translation), means over {self.trials} trials: p [m] / φ [deg] / v [m/s]; profile "
+            f"`{self.profile}`. {markdown_text(self.sensors)} {self.timing} The paper's values "
+            "are those of its Tables II and III; its noise, segments and feature tracks are not "
+            "public.\n",
+            *markdown_table(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(self.compared)),
+            "",
+            "Relative Frobenius difference between the transformed free-gauge covariance, eq. "
+            "(12), and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on "
+            "V1_01): where Ceres stops, and at the minimum:\n",
+            *markdown_table(
+                ["configuration", "as Ceres stops", "converged"],
+                [
+                    [name, *(f"{100 * each.difference:.2g} %" for each in pair)]
+                    for name, pair in self.covariances.items()
+                ],
+            ),
+        ]
+        if self.examined is not None:
+            parts += [
+                "",
+                f"The prior's weight on {markdown_text(self.measured)}:\n",
+                *markdown_table(
+                    gauge_tables.SWEEP_HEADINGS,
+                    gauge_tables.sweep_rows(SWEEP_WEIGHTS, self.sweeps[self.measured]),
+                ),
+                "",
+                *(f"* {markdown_text(line)}" for line in self.lines()),
+            ]
+        return "\n".join([*parts, ""])
+
+    def figures(self) -> dict[str, Figure]:
+        """Return the figures by the names of their files."""
+        what = f"profile {self.profile}, {self.trials} trials"
+        figures = {
+            "scenes.png": gauge_scenes.scenes(self.states),
+            "cost.png": gauge_figures.cost(self.compared, what),
+            "prior_paths.png": gauge_figures.prior_paths(
+                PATH_WEIGHTS, self.paths, f"{SWEPT}, one trial, profile {self.profile}"
+            ),
+        }
+        for name, trials in self.sweeps.items():
+            file = "prior_weight.png" if name == SWEPT else f"prior_weight_{_file_name(name)}.png"
+            title = f"{name}, {what if name == SWEPT else f'{self.trials} trials'}"
+            figures[file] = gauge_figures.prior_weight(SWEEP_WEIGHTS, trials, title)
+        for name, (stopped, converged) in self.covariances.items():
+            file = _file_name(name)
+            figures[f"covariances_{file}.png"] = gauge_figures.covariance_matrices(stopped, name)
+            figures[f"gauges_{file}.png"] = gauge_scenes.gauges(converged, self.states[name], name)
+        return figures
+
+
+def _listed(trials: Trials) -> dict[str, Any]:
+    return {name: column.tolist() for name, column in vars(trials).items()}
+
+
+def _file_name(configuration: str) -> str:
+    plain = configuration.removeprefix("motion of ").removeprefix("tracks of ")
+    return plain.replace(" ", "_").replace("/", "_")

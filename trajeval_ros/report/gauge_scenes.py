@@ -1,0 +1,95 @@
+"""Figures 1 and 3 of the gauge paper: one estimate in two gauges, and the scenes, from above."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.report import canvas
+from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.study import Covariances
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS = 3
+_PANEL_IN = 2.5
+_LARGEST_SHARE = 0.25  # of the path's extent, that the largest ellipse is drawn as
+_FACTORS = (1, 2, 3, 5, 8)
+_FARTHEST_PERCENTILE = 98.0  # of landmarks: a few far ones would shrink all others
+
+
+def gauges(covariances: Covariances, state: State, title: str) -> Figure:
+    """Draw the positions' ellipses of the free gauge and of fixation: Fig. 1.
+
+    Args:
+        covariances: Of the motion.
+        state: The keyframes that they are drawn at.
+        title: Of the figure.
+    """
+    ellipses = {
+        "free gauge": _ellipses(covariances.free),
+        "gauge fixation": _ellipses(covariances.fixed),
+    }
+    extent_m = float(np.ptp(state.positions[:, :2], axis=0).max())
+    largest_m = max(float(np.abs(each).max()) for each in ellipses.values())
+    factor = _readable(_LARGEST_SHARE * extent_m / largest_m)
+    figure = canvas.new_figure(6.4, 3.4, layout="constrained")
+    figure.suptitle(f"{title}: position, {factor:g} σ, from above")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, (name, outlines) in zip(panels, ellipses.items(), strict=True):
+        axes.plot(*state.positions[:, :2].T, color="0.4", marker="o", markersize=2.5)
+        for centre, outline in zip(state.positions[:, :2], outlines, strict=True):
+            axes.plot(*(centre[:, None] + factor * outline), color=canvas.COLOURS[0], alpha=0.6)
+        axes.plot(*state.positions[0, :2], color=canvas.COLOURS[1], marker="s", markersize=5)
+        axes.set_title(name)
+        # One scale for both: ellipses are there to be compared.
+        _from_above(axes, "box")
+    return figure
+
+
+def scenes(states: Mapping[str, State]) -> Figure:
+    """Draw keyframes and landmarks of each configuration: Fig. 3."""
+    rows = -(-len(states) // _COLUMNS)
+    figure = canvas.new_figure(_COLUMNS * _PANEL_IN, rows * _PANEL_IN, layout="constrained")
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    for axes, (name, state) in zip(panels, states.items(), strict=False):
+        middle = state.positions[:, :2].mean(axis=0)
+        away = np.linalg.norm(state.landmarks[:, :2] - middle, axis=1)
+        near = state.landmarks[away <= np.percentile(away, _FARTHEST_PERCENTILE)]
+        axes.scatter(*near[:, :2].T, s=3, color="0.6", linewidths=0)
+        axes.plot(*state.positions[:, :2].T, color=canvas.COLOURS[0], marker="o", markersize=2)
+        axes.plot(*state.positions[0, :2], color=canvas.COLOURS[1], marker="s", markersize=4)
+        axes.set_title(name)
+        _from_above(axes, "datalim")
+    for axes in panels[len(states) :]:
+        axes.set_visible(False)
+    return figure
+
+
+def _from_above(axes: Axes, adjustable: Literal["box", "datalim"]) -> None:
+    axes.set_aspect("equal", adjustable=adjustable)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def _ellipses(covariance: Floats) -> Floats:
+    """Return the outlines (N, 2, points) of one standard deviation in x and y."""
+    count = len(covariance) // 9
+    each = np.arange(count)
+    blocks = covariance.reshape(count, 9, count, 9)[each, :2, each, :2]
+    variances, axes = np.linalg.eigh(blocks)
+    roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
+    angles = np.linspace(0.0, 2.0 * np.pi, 65)
+    outlines: Floats = roots @ np.stack([np.cos(angles), np.sin(angles)])
+    return outlines
+
+
+def _readable(factor: float) -> float:
+    """Return the largest 1, 2, 3, 5 or 8 times a power of ten that is not above a factor."""
+    power = 10.0 ** np.floor(np.log10(factor))
+    return float(max(each for each in _FACTORS if each * power <= factor) * power)

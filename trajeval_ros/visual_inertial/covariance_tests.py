@@ -1,0 +1,121 @@
+"""Whether an estimate from measured data is as sure as it should be: NEES per degree of freedom.
+
+Against groundtruth, if that is good enough; without, by halves of the landmarks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, transform
+from trajeval_ros.visual_inertial.keyframe_selection import KeyframeSelection
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
+from trajeval_ros.visual_inertial.state import State
+
+_TOLERANCE = 1e-9
+_FEWEST_PER_HALF = 20
+_LEAST_VARIANCE = 1e-6  # of the scaled covariance, whose diagonal is 1
+
+
+def groundtruth_nees(
+    truth: State, state: State, covariance: Floats, noise: tuple[float, float, float]
+) -> float:
+    """Return the joint NEES of all poses over its degrees of freedom, 6N - 4.
+
+    Args:
+        truth: Groundtruth of the keyframes.
+        state: The estimate, in any gauge.
+        covariance: (9N, 9N) of the estimate, in any gauge.
+        noise: Standard deviations of groundtruth: position (m), rotation (rad), velocity (m/s)
+            per axis, white.
+    """
+    carried, moved = transform(covariance, state, truth.rotations[0], truth.positions[0])
+    reference = truth.referred_to(truth.rotations[0], truth.positions[0])
+    # Groundtruth's own noise is in the gauge of nothing: aligned, it becomes Q N Q'.
+    basis = moved.gauge_basis[: len(carried)]
+    project = np.eye(len(carried))
+    project[:, GAUGE_INDICES] -= basis @ np.linalg.inv(basis[GAUGE_INDICES])
+    variances = np.tile(np.repeat(np.square(noise), 3), len(truth.positions))
+    whole = carried + (project * variances) @ project.T
+    return _nees(_difference(moved, reference), whole)
+
+
+def split_half_nees(
+    selection: KeyframeSelection, state: State, splits: int, generator: np.random.Generator
+) -> Floats:
+    """Return the NEES of the poses of two estimates over its degrees of freedom, (splits,).
+
+    Each split gives either half of the landmarks, at random, to an estimate of its own. Both use
+    the IMU, so that with P of each and H the IMU's information, their difference has the
+    covariance P1 + P2 - P1 H P2 - P2 H P1. What both share (calibration, time, the IMU's noise)
+    doesn't show.
+
+    Raises:
+        InputError: Too few landmarks for halves.
+    """
+    return np.array([_split_nees(selection, state, generator) for _ in range(splits)])
+
+
+def _split_nees(
+    selection: KeyframeSelection, state: State, generator: np.random.Generator
+) -> float:
+    first = generator.permutation(selection.landmarks) < selection.landmarks // 2
+    if selection.landmarks // 2 < _FEWEST_PER_HALF:
+        raise InputError(
+            f"{selection.landmarks} landmarks are too few to be split into halves; "
+            f"{2 * _FEWEST_PER_HALF} are needed"
+        )
+    estimates, covariances, jacobians = [], [], []
+    for chosen in (first, ~first):
+        half, left = selection.kept(chosen[selection.landmark_of])
+        start = dataclasses.replace(state, landmarks=state.landmarks[left])
+        problem = half.problem()
+        estimate = solve(
+            problem, start, GaugeHandling.FIXATION, function_tolerance=_TOLERANCE
+        ).state
+        estimates.append(estimate)
+        covariances.append(fixed_covariance(problem, estimate))
+        jacobians.append(_inertial_jacobian(problem, estimate))
+    ours, theirs = covariances
+    # Each with its own Jacobian of the IMU: with one for both, rounding makes it indefinite.
+    common = (ours @ jacobians[0].T) @ (jacobians[1] @ theirs)
+    return _nees(_difference(*estimates), ours + theirs - common - common.T)
+
+
+def _inertial_jacobian(problem: Problem, state: State) -> Floats:
+    """Return the derivative (9N - 9, 9N) of the IMU's residuals by the motion."""
+    _, before, after = problem.inertial(state)
+    jacobian = np.zeros((len(before), 9, problem.keyframes, 9))
+    each = np.arange(len(before))
+    jacobian[each, :, each], jacobian[each, :, each + 1] = before, after
+    return jacobian.reshape(9 * len(before), -1)
+
+
+def _difference(state: State, reference: State) -> Floats:
+    """Return the perturbation (9N,) of the motion that leads from one state to another."""
+    turns = lie.log(state.rotations @ np.swapaxes(reference.rotations, 1, 2))
+    turns[0] = state.first_turn - reference.first_turn
+    parts = (state.positions - reference.positions, turns, state.velocities - reference.velocities)
+    return np.concatenate(parts, axis=1).ravel()
+
+
+def _nees(error: Floats, covariance: Floats) -> float:
+    """Return e' C^-1 e / dof of the poses, without what the gauge holds.
+
+    Directions that next to nothing is uncertain in, since the IMU knows them and both estimates
+    have the same one, are left out: rounding is as large as their variance.
+    """
+    poses = np.arange(len(error)).reshape(-1, 9)[:, :6].ravel()
+    free = np.setdiff1d(poses, GAUGE_INDICES)
+    matrix = covariance[np.ix_(free, free)]
+    units = 1.0 / np.sqrt(np.diagonal(matrix))
+    variances, directions = np.linalg.eigh(matrix * units * units[:, None])
+    squares = np.square(directions.T @ (error[free] * units))
+    known = variances > _LEAST_VARIANCE
+    return float(np.mean(squares[known] / variances[known]))

@@ -1,0 +1,256 @@
+"""Keyframes of a recording, and what was measured at and between them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.landmarks import FEWEST_VIEWS
+from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.sensor_recording import (
+    SAME_INSTANT_NS,
+    SensorRecording,
+    at_instants,
+)
+from trajeval_ros.visual_inertial.state import State
+
+FEWEST_KEYFRAMES = 3
+NEAREST_M, FARTHEST_M = 0.2, 30.0
+_LONGEST_GAP_S = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeSelection:
+    """N keyframes, K landmarks and M observations.
+
+    Pixels are those of an ideal pinhole camera of the same focal length; `weights`, d measured
+    pixel / d ideal pixel, take errors back to the image that was measured.
+
+    Attributes:
+        camera: The ideal camera; its noise is that of measured pixels.
+        camera_in_body: (3, 3) rotation.
+        lever_arm: (3,) the camera's centre in the body, metres.
+        truth: Groundtruth of the keyframes, without landmarks.
+        pixels: (M, 2).
+        weights: (M, 2, 2).
+        keyframe_of: (M,).
+        landmark_of: (M,).
+        landmarks: K.
+        preintegrated: Of the N - 1 intervals.
+        gravity: (3,) in the world, m/s^2.
+        notes: What was left out, one sentence each.
+    """
+
+    camera: Camera
+    camera_in_body: Floats
+    lever_arm: Floats
+    truth: State
+    pixels: Floats
+    weights: Floats
+    keyframe_of: Indices
+    landmark_of: Indices
+    landmarks: int
+    preintegrated: Preintegrated
+    gravity: Floats
+    notes: tuple[str, ...]
+
+    def problem(self) -> Problem:
+        """Return the estimation problem."""
+        return Problem(
+            self.camera,
+            self.camera_in_body,
+            self.pixels,
+            self.keyframe_of,
+            self.landmark_of,
+            self.landmarks,
+            self.preintegrated,
+            lever_arm=self.lever_arm,
+            weights=self.weights,
+            gravity=self.gravity,
+        )
+
+    def with_noise(self, pixel_noise: float) -> KeyframeSelection:
+        """Return the same measurements with another standard deviation of pixels."""
+        return dataclasses.replace(
+            self, camera=dataclasses.replace(self.camera, noise_px=pixel_noise)
+        )
+
+    def kept(self, wanted: Booleans) -> tuple[KeyframeSelection, Indices]:
+        """Return a part of the observations, and which landmarks (K',) it still sees.
+
+        Landmarks that too few keyframes see go, too.
+        """
+        views = np.bincount(self.landmark_of[wanted], minlength=self.landmarks)
+        wanted = wanted & (views >= FEWEST_VIEWS)[self.landmark_of]
+        left, landmark_of = np.unique(self.landmark_of[wanted], return_inverse=True)
+        part = dataclasses.replace(
+            self,
+            pixels=self.pixels[wanted],
+            weights=self.weights[wanted],
+            keyframe_of=self.keyframe_of[wanted],
+            landmark_of=landmark_of,
+            landmarks=len(left),
+        )
+        return part, left
+
+    @property
+    def gravity_felt(self) -> Floats:
+        """Gravity (3,) in the world by groundtruth and IMU, m/s^2.
+
+        The cheapest check of frames, biases and extrinsics: groundtruth's change of velocity
+        without what the IMU measured of it.
+        """
+        felt = np.diff(self.truth.velocities, axis=0) - np.einsum(
+            "nij,nj->ni", self.truth.rotations[:-1], self.preintegrated.velocities
+        )
+        mean: Floats = (felt / self.preintegrated.durations_s[:, None]).mean(axis=0)
+        return mean
+
+    @property
+    def drift_against_gyroscope_deg(self) -> float:
+        """How far groundtruth and gyroscope disagree on the rotation from first to last."""
+        turned = np.eye(3)
+        for step in self.preintegrated.rotations:
+            turned = turned @ step
+        rotations = self.truth.rotations
+        return float(np.degrees(np.linalg.norm(lie.log(rotations[-1].T @ rotations[0] @ turned))))
+
+
+def select(
+    recording: SensorRecording,
+    every: int,
+    most: int,
+    pixel_noise: float,
+    imu_noise: ImuNoise,
+    gravity: Floats,
+) -> KeyframeSelection:
+    """Return keyframes of a recording with all tracks that at least three of them see.
+
+    Args:
+        recording: The measurements.
+        every: Every so many images is a keyframe.
+        most: So many keyframes at most, the first ones.
+        pixel_noise: Standard deviation of a measured coordinate, pixels.
+        imu_noise: Densities.
+        gravity: (3,) in the world, m/s^2.
+
+    Raises:
+        InputError: Too few images, no groundtruth at a keyframe, or a gap in the IMU's samples.
+    """
+    images, outside = _usable_images(recording)
+    chosen = images[::every][:most]
+    if len(chosen) < FEWEST_KEYFRAMES:
+        raise InputError(
+            f"{recording.name}: {len(images)} of {len(recording.image_stamps)} images lie in the "
+            f"time of IMU and groundtruth, and every {every}. of them makes {len(chosen)} "
+            f"keyframes; at least {FEWEST_KEYFRAMES} are needed"
+        )
+    stamps = recording.image_stamps[chosen]
+    groundtruth = recording.groundtruth
+    poses = groundtruth[at_instants(groundtruth.stamps, stamps, "groundtruth")]
+    joined = np.count_nonzero(poses.stamps != stamps)
+    assert poses.quaternions is not None
+    assert poses.velocities is not None
+    rotations = lie.to_matrix(poses.quaternions)
+    truth = State.at(poses.positions, rotations, poses.velocities, np.zeros((0, 3)))
+
+    order = np.full(len(recording.image_stamps), -1)
+    order[chosen] = np.arange(len(chosen))
+    keyframe_of = order[recording.image_of]
+    at_keyframe = keyframe_of >= 0
+    pixels, (names, landmark_of) = (
+        recording.pixels[at_keyframe],
+        np.unique(recording.track_of[at_keyframe], return_inverse=True),
+    )
+    device = recording.camera
+    plane, derivative = device.lens.undistorted(pixels)
+    focal_px = float(np.sqrt(np.prod(device.lens.focal_px)))
+    camera = Camera(focal_px, device.width, device.height, pixel_noise, NEAREST_M, FARTHEST_M)
+    invertible: Booleans = np.isfinite(plane[:, 0])
+    notes = []
+    if joined:
+        notes.append(
+            f"keyframes whose stamps differ from those of groundtruth by less than 1 us: {joined}"
+        )
+    if outside:
+        notes.append(f"images outside of the time of IMU or groundtruth, left out: {outside}")
+    if not invertible.all():
+        notes.append(
+            "observations where the distortion can't be inverted, left out: "
+            f"{np.count_nonzero(~invertible)} of {len(plane)}"
+        )
+    whole = KeyframeSelection(
+        camera=camera,
+        camera_in_body=device.rotation,
+        lever_arm=device.lever_arm,
+        truth=truth,
+        pixels=plane * focal_px + camera.centre,
+        weights=derivative / focal_px,
+        keyframe_of=keyframe_of[at_keyframe],
+        landmark_of=landmark_of,
+        landmarks=len(names),
+        preintegrated=_between(recording, stamps, imu_noise),
+        gravity=gravity,
+        notes=tuple(notes),
+    )
+    return whole.kept(invertible)[0]
+
+
+def _usable_images(recording: SensorRecording) -> tuple[Indices, int]:
+    """Return the images in the time of IMU and groundtruth, and how many are not."""
+    stamps = recording.image_stamps
+    known = (recording.imu_stamps, recording.groundtruth.stamps)
+    first = max(int(column[0]) for column in known) - SAME_INSTANT_NS
+    last = min(int(column[-1]) for column in known) + SAME_INSTANT_NS
+    inside = np.flatnonzero((stamps >= first) & (stamps <= last))
+    return inside, len(stamps) - len(inside)
+
+
+def _between(recording: SensorRecording, keyframes: Stamps, noise: ImuNoise) -> Preintegrated:
+    """Return the IMU's samples between keyframes, without biases, as one measurement each.
+
+    Over a step it measures the mean of the samples at both ends: half a step of delay is visible
+    in the residuals. Keyframes between samples have steps of their own.
+    """
+    stamps = recording.imu_stamps
+    begin, end = keyframes[:-1], keyframes[1:]
+    # The samples of an interval, without those at the keyframes' instants.
+    first = np.searchsorted(stamps, begin + SAME_INSTANT_NS, side="right")
+    last = np.searchsorted(stamps, end - SAME_INSTANT_NS, side="left")
+    places = first[:, None] + np.arange(int((last - first).max()))
+    inner = np.where(
+        places < last[:, None], stamps[np.minimum(places, len(stamps) - 1)], end[:, None]
+    )
+    seconds = (np.column_stack([begin, inner, end]) - keyframes[0]) / NANOSECONDS
+    during = stamps[max(int(first[0]) - 1, 0) : int(last[-1]) + 1]
+    gaps = np.diff(during) / NANOSECONDS
+    if gaps.max() > _LONGEST_GAP_S:
+        raise InputError(
+            f"{recording.name}: the IMU is silent for {gaps.max():.2f} s after "
+            f"{during[gaps.argmax()]} ns; choose another part"
+        )
+    sampled = (stamps - keyframes[0]) / NANOSECONDS
+    truth = recording.groundtruth
+    known = (truth.stamps - keyframes[0]) / NANOSECONDS
+    held = []
+    for samples, biases in (
+        (recording.angular_velocities, truth.gyroscope_biases),
+        (recording.accelerations, truth.accelerometer_biases),
+    ):
+        if biases is not None:
+            samples = samples - _interpolated(sampled, known, biases)
+        nodes = _interpolated(seconds.ravel(), sampled, samples).reshape(*seconds.shape, 3)
+        held.append((nodes[:, :-1] + nodes[:, 1:]) / 2.0)
+    return preintegrate(held[0], held[1], np.diff(seconds, axis=1), noise)
+
+
+def _interpolated(times: Floats, known: Floats, columns: Floats) -> Floats:
+    return np.stack([np.interp(times, known, column) for column in columns.T], axis=1)

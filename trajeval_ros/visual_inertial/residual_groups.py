@@ -1,0 +1,90 @@
+"""What residuals say of the noise that was assumed: by group, and along tracks.
+
+The total chi-square says nothing of the IMU: its residuals are a few percent of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.state import State
+
+
+@dataclass(frozen=True)
+class ResidualGroup:
+    """Residuals of one kind.
+
+    Attributes:
+        name: Of what.
+        count: How many.
+        redundancy: How many of them the estimate doesn't use up: the count without the diagonal
+            of the hat matrix.
+        chi2: Sum of the squared whitened residuals.
+    """
+
+    name: str
+    count: int
+    redundancy: float
+    chi2: float
+
+    @property
+    def ratio(self) -> float:
+        """chi2 / redundancy: 1 where the noise is as assumed, on average."""
+        return self.chi2 / self.redundancy
+
+
+def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
+    """Return camera, and rotation, velocity and position of the IMU, at a minimum.
+
+    Raises:
+        DegenerateGeometryError: More than the gauge's four directions are open.
+    """
+    visual, _ = problem.residuals(state)
+    errors, before, after = problem.inertial(state)
+    count = problem.keyframes
+    covariance = fixed_covariance(problem, state).reshape(count, 9, count, 9)
+    each, next_ = np.arange(count - 1), np.arange(1, count)
+    shared = np.concatenate([before, after], axis=2)
+    joint = np.block(
+        [
+            [covariance[each, :, each], covariance[each, :, next_]],
+            [covariance[next_, :, each], covariance[next_, :, next_]],
+        ]
+    )
+    used = np.einsum("nij,njk,nik->ni", shared, joint, shared)
+    # The hat matrix's trace is the number of parameters, without the gauge's four.
+    parameters = 9 * count + 3 * problem.landmarks - 4
+    by_camera = visual.size - (parameters - float(used.sum()))
+    groups = [ResidualGroup("pixels", visual.size, by_camera, float(np.vdot(visual, visual)))]
+    for place, name in enumerate(("IMU rotation", "IMU velocity", "IMU position")):
+        rows = slice(3 * place, 3 * place + 3)
+        of_kind = errors[:, rows]
+        redundancy = of_kind.size - float(used[:, rows].sum())
+        chi2 = float(np.vdot(of_kind, of_kind))
+        groups.append(ResidualGroup(name, of_kind.size, redundancy, chi2))
+    return groups
+
+
+def track_correlation(problem: Problem, state: State, lags: Sequence[int]) -> Floats:
+    """Return how reprojection errors of one track correlate at lags in keyframes, (lags,).
+
+    White errors give about zero. NaN where no track is that long.
+    """
+    visual, _ = problem.residuals(state)
+    errors = np.zeros((problem.landmarks, problem.keyframes, visual.shape[1]))
+    seen = np.zeros(errors.shape[:2], dtype=bool)
+    errors[problem.landmark_of, problem.keyframe_of] = visual
+    seen[problem.landmark_of, problem.keyframe_of] = True
+    correlations = []
+    for lag in lags:
+        both = seen[:, :-lag] & seen[:, lag:]
+        earlier, later = errors[:, :-lag][both], errors[:, lag:][both]
+        lengths = np.linalg.norm(earlier) * np.linalg.norm(later)
+        correlations.append(np.vdot(earlier, later) / lengths if len(earlier) else np.nan)
+    return np.array(correlations)
