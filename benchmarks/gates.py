@@ -73,7 +73,7 @@ class Cell:
             z = self._trials(random, min(_CHUNK, self.comparisons - first))
             sizes = [(self.trials, self.trials)] * self.numbers
             outcome = compare(list(z), sizes, count=RELABELLINGS, random=random)
-            found += int(outcome.alarm.sum())
+            found += int((outcome.pooled | outcome.numbers.any(1)).sum())
         return found
 
     def _trials(self, random: np.random.Generator, comparisons: int) -> Floats:

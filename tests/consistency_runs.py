@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
 from trajeval_ros.geometry.gauge import Gauge
@@ -26,7 +27,7 @@ ALIGNMENTS = [
 
 
 class Aligned(NamedTuple):
-    """An aligned run: errors (N, 9), their covariance (9N, 9N), and the alignment."""
+    """An aligned run: errors (N, 6), their covariance (6N, 6N), and the alignment."""
 
     errors: np.ndarray
     covariance: np.ndarray
@@ -67,17 +68,29 @@ def aligned_run(
     estimate: Trajectory,
     covariance: np.ndarray,
 ) -> Aligned:
-    """Align a run and bring its covariance (9N, 9N) along."""
+    """Align a run and bring its poses' part of a covariance (9N, 9N) along."""
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    transformation = STransformation.of_alignment(gauge, states, truth, moved, velocities=True)
-    turned = carried(covariance, similarity, 9)
+    transformation = STransformation.of_alignment(gauge, states, truth, moved)
+    turned = carried(poses_of(covariance), similarity)
     return Aligned(
-        errors_of(truth, moved, velocities=True),
+        errors_of(truth, moved),
         transformation.covariance(turned),
         transformation,
         similarity,
     )
+
+
+def poses_of(covariance: np.ndarray) -> np.ndarray:
+    """Return the part (6N, 6N) of position and rotation of a covariance (9N, 9N)."""
+    index = (np.arange(0, len(covariance), 9)[:, None] + np.arange(6)).ravel()
+    return covariance[np.ix_(index, index)]
+
+
+def band_of_mean(dof: float, runs: int) -> tuple[float, float]:
+    """Return between what the mean NEES / dof of honest runs falls, 999 times of 1000."""
+    low, high = chi2.interval(0.999, dof * runs)
+    return low / dof / runs, high / dof / runs
 
 
 def some_covariance(information: np.ndarray) -> np.ndarray:

@@ -6,14 +6,13 @@ import functools
 
 import numpy as np
 import pytest
-from consistency_runs import ALIGNMENTS, alignment_of
+from consistency_runs import ALIGNMENTS, alignment_of, band_of_mean
 from scipy.spatial.transform import Rotation
 from visual_inertial_scenes import frobenius
 
 from trajeval_ros.consistency import joint_covariance
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
-from trajeval_ros.consistency.nees import chi_square_band
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.flight import Flight, Odometry, fly
@@ -105,7 +104,7 @@ def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
             dof = judged.joint.dof
             shares[gauge, states].append(judged.joint.nees / dof)
     assert 0.75 < np.mean(means) < 1.33  # each of few degrees of freedom
-    low, high = chi_square_band(dof, 0.999, RUNS)
+    low, high = band_of_mean(dof, RUNS)
     for values in shares.values():
         assert low < np.mean(values) < high
 
@@ -124,7 +123,7 @@ def test_states_without_groundtruth_and_a_late_start_are_handled(
     judged = judge_joint(aligned, _joint(odometry), "run")
     assert judged.joint is not None
     assert judged.joint.dof == 6 * len(matched) - 4
-    low, high = chi_square_band(judged.joint.dof, 0.9999)
+    low, high = band_of_mean(judged.joint.dof, 1)
     assert low < judged.joint.nees / judged.joint.dof < high
     monkeypatch.setattr("trajeval_ros.consistency.joint_covariance.MOST_DENSE", 0)
     sparse = judge_joint(aligned, _joint(odometry), "run")

@@ -182,22 +182,27 @@ class Slow:
         self.told.append(count)
 
 
-def test_who_hands_over_never_waits_and_drops_are_counted_and_told() -> None:
+def test_who_hands_over_never_waits_and_drops_are_counted_and_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     sink, drawn = Slow(), []
     stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
     for each in range(5000):
         stream.put(lambda each=each: drawn.append(each))
     assert stream.dropped > 2000
-    assert not stream.close(patience_s=0.2)
+    monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", 0.2)
+    assert not stream.close()
     sink.free.set()
-    assert stream.close(patience_s=PATIENCE_S)
+    monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", PATIENCE_S)
+    assert stream.close()
     assert len(drawn) == 5000 - stream.dropped
     assert drawn == list(range(len(drawn)))
     assert sink.told[-1:] in ([], [stream.dropped])
 
 
-def test_drops_are_told_while_it_goes_on() -> None:
+def test_drops_are_told_while_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", PATIENCE_S)
     sink = Slow()
     stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
@@ -206,7 +211,7 @@ def test_drops_are_told_while_it_goes_on() -> None:
     sink.free.set()
     until(lambda: sink.told, "drops are told")
     assert sink.told == [stream.dropped]
-    assert stream.close(patience_s=PATIENCE_S)
+    assert stream.close()
 
 
 # The file.

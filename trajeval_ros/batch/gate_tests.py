@@ -109,11 +109,6 @@ class GateOutcome:
         level = np.where(self.pooled, levels.total, levels.numbers)
         return self.p_numbers <= level[:, None]
 
-    @property
-    def alarm(self) -> Booleans:
-        """Whether anything is called worse, (comparisons,)."""
-        return self.pooled | self.numbers.any(1)
-
 
 def compare(
     numbers: Sequence[Floats],

@@ -73,14 +73,14 @@ def sandwich(hessian: Floats, gradients: Floats) -> Floats:
     return covariance
 
 
-def block_of(seconds: Floats, horizon_s: float, blocks: int = BLOCKS) -> NDArray[np.int64]:
+def block_of(seconds: Floats, horizon_s: float) -> NDArray[np.int64]:
     """Return the number of the block of time, from 0 on, that each of N stamps is in.
 
     All of equal length, three horizons or more.
     """
     since = seconds - seconds.min()
     duration = float(since.max())
-    length = max(_HORIZONS_PER_BLOCK * horizon_s, duration / blocks)
+    length = max(_HORIZONS_PER_BLOCK * horizon_s, duration / BLOCKS)
     last = max(int(duration / length * (1.0 + 1e-12)) - 1, 0)
     number = np.minimum((since / length * (1.0 + 1e-12)).astype(np.int64), last)
     return np.unique(number, return_inverse=True)[1].reshape(-1)

@@ -29,7 +29,6 @@ from trajeval_ros.consistency.result import (
     COMMON_FRAME_STATEMENT,
     JOINT_STATEMENT,
     OWN_GAUGE_STATEMENT,
-    POSE_DOF,
     STRIPPED_STATEMENT,
     Consistency,
     Joint,
@@ -49,7 +48,7 @@ from trajeval_ros.consistency.s_transformation import (
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
-from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.gauge import POSE_DOF, Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -124,7 +123,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
     rows = covariance.rows_of(aligned.estimate)
     per_pose, nees, blocks = None, None, None
     if covariance.is_dense:
-        turned = carried(covariance.pose_covariance(rows), aligned.similarity, POSE_DOF)
+        turned = carried(covariance.pose_covariance(rows), aligned.similarity)
         if aligned.variances is not None:
             turned[np.diag_indices(len(turned))] += np.tile(aligned.variances, len(errors))
         projected = transformation.covariance(turned)
@@ -140,7 +139,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
         value = joint_nees_by_information(
             errors,
             carried_information(covariance.information, aligned.similarity, covariance.block),
-            extra_directions(transformation) if open_ else transformation.orbit[:, :POSE_DOF],
+            extra_directions(transformation) if open_ else transformation.orbit,
             aligned.variances,
             covariance.pose_rows(rows),
         )
@@ -209,7 +208,7 @@ def judge_marginals(
     why = unknown_covariances(covariances)
     if why:
         raise InputError(f"the covariances of {name} can't be used: {why}; use --covariance none")
-    blocks = carried(covariances, aligned.similarity, POSE_DOF)
+    blocks = carried(covariances, aligned.similarity)
     statement, exactness = BOUND_STATEMENT, "exact"
     if aligned.gauge is Gauge.NONE:
         statement = COMMON_FRAME_STATEMENT

@@ -142,14 +142,16 @@ def effective_dof(covariance: Floats, block: int) -> float:
     return float(len(covariance) ** 2 / np.sum(np.square(whitened)))
 
 
-def chi_square_band(dof: float, probability: float = 0.95, runs: int = 1) -> tuple[float, float]:
-    """Return between what a mean NEES / dof of so many independent runs falls if honest."""
-    tail = (1.0 - probability) / 2.0
-    low, high = chi2.ppf([tail, 1.0 - tail], dof * runs) / (dof * runs)
+def chi_square_band(dof: float) -> tuple[float, float]:
+    """Return between what NEES / dof falls in 95 % of honest runs.
+
+    Of the mean over M independent runs, dof is M times that of one.
+    """
+    low, high = chi2.ppf([0.025, 0.975], dof) / dof
     return float(low), float(high)
 
 
 def extra_directions(transformation: STransformation) -> Floats:
     """Return the directions (N, 6, j) that an alignment removes beyond yaw and translation."""
     names = {0: [], 4: [], 6: [0, 1], 7: [0, 1, 6]}[transformation.orbit.shape[2]]
-    return transformation.orbit[:, :6, names]
+    return transformation.orbit[:, :, names]

@@ -9,9 +9,8 @@ from scipy.stats import chi2
 
 from trajeval_ros.consistency.nees import chi_square_band
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.gauge import POSE_DOF, Gauge
 
-POSE_DOF = 6
 _SIGNIFICANCE = 0.05
 
 JOINT_STATEMENT = "exact: the joint covariance was brought into the gauge of the alignment"

@@ -18,6 +18,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import (
+    POSE_DOF,
     Gauge,
     first_state_normals,
     least_squares_normals,
@@ -32,12 +33,12 @@ _WORST_CONDITION = 1e8
 
 @dataclass(frozen=True, eq=False)
 class STransformation:
-    """Takes perturbations of N aligned states into the alignment's gauge.
+    """Takes perturbations of N aligned poses into the alignment's gauge.
 
     Attributes:
         gauge: Of the alignment.
-        orbit: U (N, d, k), how the gauge moves the aligned states.
-        normals: V (N, d, k), gradients of the conditions that the alignment fulfils.
+        orbit: U (N, 6, k), how the gauge moves the aligned states.
+        normals: V (N, 6, k), gradients of the conditions that the alignment fulfils.
     """
 
     gauge: Gauge
@@ -51,8 +52,6 @@ class STransformation:
         align_states: int | None,
         groundtruth: Trajectory,
         aligned: Trajectory,
-        *,
-        velocities: bool = False,
     ) -> STransformation:
         """Return the transformation of an alignment as `evaluation` makes it.
 
@@ -61,28 +60,25 @@ class STransformation:
             align_states: By the first so many states, 1 by eq. (19) and (20); None for all.
             groundtruth: N states.
             aligned: N states, paired and aligned with them.
-            velocities: Whether perturbations are of position, rotation and velocity, d = 9, or
-                of the first two, d = 6.
 
         Raises:
-            InputError: States without orientations, or velocities where they are asked for.
+            InputError: States without orientations.
             SettingsError: A gauge that covariances can't be brought into.
             DegenerateGeometryError: The states don't determine the alignment.
         """
-        _require_columns(groundtruth, aligned, velocities=velocities)
-        count, block = len(aligned), 9 if velocities else 6
-        weights = np.zeros(count)
+        _require_orientations(groundtruth, aligned)
+        weights = np.zeros(len(aligned))
         weights[:align_states] = 1.0 / len(weights[:align_states])
         # Turns about the aligned states' middle: with the same translations they span the same,
         # and lose no digits to coordinates of a million metres.
         centred = aligned.positions - weights @ aligned.positions
-        orbit = orbit_basis(gauge, centred, aligned.velocities if velocities else None)
+        orbit = orbit_basis(gauge, centred)
         if align_states == 1 and gauge is not Gauge.NONE:
             turn = _turns_between(groundtruth[:1], aligned[:1])[0]
-            normals = first_state_normals(gauge, count, block, turn)
+            normals = first_state_normals(gauge, len(aligned), turn)
         else:
             normals = least_squares_normals(
-                gauge, block, groundtruth.positions, aligned.positions, weights
+                gauge, groundtruth.positions, aligned.positions, weights
             )
         transformation = cls(gauge, orbit, normals)
         transformation._require_transversal()
@@ -90,12 +86,12 @@ class STransformation:
 
     @property
     def coefficients(self) -> Floats:
-        """X = (V'U)^-1 V' (k, N d): the gauge's move that undoes a perturbation's part in it."""
+        """X = (V'U)^-1 V' (k, 6N): the gauge's move that undoes a perturbation's part in it."""
         orbit, normals = self._flat()
         return np.asarray(np.linalg.solve(normals.T @ orbit, normals.T))
 
     def covariance(self, covariance: Floats) -> Floats:
-        """Return Q C Q' for a covariance (N d, N d) of perturbations of the aligned states."""
+        """Return Q C Q' for a covariance (6N, 6N) of perturbations of the aligned states."""
         orbit, _ = self._flat()
         coefficients = self.coefficients
         image = coefficients @ covariance
@@ -107,18 +103,18 @@ class STransformation:
 
     @property
     def pull(self) -> Floats:
-        """The coefficients' part in position and rotation of each state, (N, k, 6)."""
+        """The coefficients' part in each state, (N, k, 6)."""
         count, _, open_ = self.orbit.shape
-        return self.coefficients.reshape(open_, count, -1)[:, :, :6].swapaxes(0, 1)
+        return self.coefficients.reshape(open_, count, POSE_DOF).swapaxes(0, 1)
 
     def blocks(self, own: Floats, image: Floats) -> Floats:
-        """Return the states' own blocks (N, 6, 6) of Q C Q', for C of position and rotation.
+        """Return the states' own blocks (N, 6, 6) of Q C Q'.
 
         Args:
             own: (N, 6, 6) or (6, 6), the states' own blocks of C.
             image: X C (N, k, 6), X the coefficients.
         """
-        orbit = self.orbit[:, :6]
+        orbit = self.orbit
         shared = np.einsum("nki,nli->kl", image, self.pull)
         cross = orbit @ image
         blocks: Floats = own - cross - np.swapaxes(cross, 1, 2)
@@ -127,13 +123,13 @@ class STransformation:
 
     @property
     def dof(self) -> int:
-        """Rank of a covariance in this gauge: N d less the gauge's dimension."""
-        count, block, open_ = self.orbit.shape
-        return int(count * block - open_)
+        """Rank of a covariance in this gauge: 6N less the gauge's dimension."""
+        count, _, open_ = self.orbit.shape
+        return int(count * POSE_DOF - open_)
 
     def _flat(self) -> tuple[Floats, Floats]:
-        count, block, open_ = self.orbit.shape
-        shape = (count * block, open_)
+        count, _, open_ = self.orbit.shape
+        shape = (count * POSE_DOF, open_)
         return self.orbit.reshape(shape), self.normals.reshape(shape)
 
     def _require_transversal(self) -> None:
@@ -150,24 +146,28 @@ class STransformation:
             )
 
 
-def carried(covariance: Floats, similarity: Similarity, block: int) -> Floats:
-    """Return T Sigma T' (N d, N d), or by pose (N, d, d): a covariance turned with its states.
+def carried(covariance: Floats, similarity: Similarity) -> Floats:
+    """Return T Sigma T' (6N, 6N), or by pose (N, 6, 6): a covariance turned with its poses.
 
     Args:
-        covariance: (N d, N d) or (N, d, d), of left perturbations in the estimate's frame.
-        similarity: The alignment; its scale acts on position and velocity.
-        block: d: 6 for position and rotation, 9 with velocity.
+        covariance: (6N, 6N) or (N, 6, 6), of left perturbations in the estimate's frame.
+        similarity: The alignment; its scale acts on positions.
     """
-    turn = turning(similarity, block)
+    turn = turning(similarity, POSE_DOF)
     if covariance.ndim == 3:
         return np.asarray(turn @ covariance @ turn.T)
     size = len(covariance)
-    rows = (turn @ covariance.reshape(-1, block, size)).reshape(size, size)
-    return np.asarray((turn @ rows.T.reshape(-1, block, size)).reshape(size, size).T)
+    rows = (turn @ covariance.reshape(-1, POSE_DOF, size)).reshape(size, size)
+    return np.asarray((turn @ rows.T.reshape(-1, POSE_DOF, size)).reshape(size, size).T)
 
 
 def turning(similarity: Similarity, block: int) -> Floats:
-    """Return T (d, d), how a left perturbation of a state turns with it."""
+    """Return T (d, d), how a left perturbation of a state turns with it.
+
+    Args:
+        similarity: The alignment; its scale acts on position and velocity.
+        block: d: 6 for position and rotation, 9 with velocity.
+    """
     scales = np.array([similarity.scale, 1.0, similarity.scale])[: block // 3]
     return np.asarray(np.kron(np.diag(scales), similarity.rotation))
 
@@ -193,19 +193,15 @@ def independent_noise(transformation: STransformation, variances: Floats) -> Flo
     return transformation.blocks(own, transformation.pull @ own)
 
 
-def errors_of(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool = False) -> Floats:
-    """Return the errors (N, 6 or 9) of aligned states: p' - p, Log(R' R^T), v' - v.
+def errors_of(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
+    """Return the errors (N, 6) of aligned states: p' - p, Log(R' R^T).
 
     Raises:
-        InputError: States without orientations, or velocities where they are asked for.
+        InputError: States without orientations.
     """
-    _require_columns(groundtruth, aligned, velocities=velocities)
-    columns = [aligned.positions - groundtruth.positions, _turns_between(groundtruth, aligned)]
-    if velocities:
-        assert aligned.velocities is not None
-        assert groundtruth.velocities is not None
-        columns.append(aligned.velocities - groundtruth.velocities)
-    return np.concatenate(columns, axis=1)
+    _require_orientations(groundtruth, aligned)
+    shifts = aligned.positions - groundtruth.positions
+    return np.concatenate([shifts, _turns_between(groundtruth, aligned)], axis=1)
 
 
 def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
@@ -215,11 +211,9 @@ def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
     return lie.log(lie.to_matrix(other) @ np.swapaxes(lie.to_matrix(truth), 1, 2))
 
 
-def _require_columns(groundtruth: Trajectory, aligned: Trajectory, *, velocities: bool) -> None:
+def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:
     for who, side in (("groundtruth", groundtruth), ("estimate", aligned)):
         if side.quaternions is None:
             raise InputError(
                 f"the {who} has no orientations, so no pose covariance can be judged by it"
             )
-        if velocities and side.velocities is None:
-            raise InputError(f"the {who} has no velocities to judge a covariance of them by")

@@ -16,6 +16,8 @@ from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 
+POSE_DOF = 6  # of a perturbation: position first, rotation second
+
 
 class Gauge(Enum):
     """A group that acts on whole trajectories: p -> s R p + t, R_i -> R R_i, v -> s R v (eq. 8).
@@ -128,21 +130,19 @@ def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -
     return implied
 
 
-def orbit_basis(gauge: Gauge, positions: Floats, velocities: Floats | None = None) -> Floats:
-    """Return how the gauge's generators move N states: eq. (15) of the gauge paper, any gauge.
+def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
+    """Return how the gauge's generators move N poses: eq. (15) of the gauge paper, any gauge.
 
     Args:
         gauge: `none`, `yaw`, `se3` or `sim3`.
         positions: (N, 3), metres.
-        velocities: (N, 3), m/s; without them there are no rows for velocity.
 
     Returns:
-        U (N, 6 or 9, k): rows are position, rotation (on the left) and velocity; columns are
-        the rotations about the world's axes that the gauge has, three translations, the scale.
+        U (N, 6, k): rows are position and rotation (on the left); columns are the rotations about
+        the world's axes that the gauge has, three translations, the scale.
     """
     axes = _axes(gauge)
-    block = 6 if velocities is None else 9
-    basis = np.zeros((len(positions), block, dimension(gauge)))
+    basis = np.zeros((len(positions), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return basis
     turns = len(axes)
@@ -151,51 +151,45 @@ def orbit_basis(gauge: Gauge, positions: Floats, velocities: Floats | None = Non
     basis[:, :3, turns : turns + 3] = np.eye(3)
     if gauge.has_scale:
         basis[:, :3, -1] = positions
-    if velocities is not None:
-        basis[:, 6:, :turns] = np.cross(axes, velocities[:, None]).swapaxes(1, 2)
-        if gauge.has_scale:
-            basis[:, 6:, -1] = velocities
     return basis
 
 
-def first_state_normals(gauge: Gauge, count: int, block: int, first_turn: Floats) -> Floats:
+def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
     """Return the gradients of the conditions that an alignment by the first state fulfils.
 
     Args:
         gauge: `yaw` or `se3`.
-        count: Number of states N.
-        block: Rows for each state, 6 or 9.
-        first_turn: (3,), the rotation vector of R' R^T of the first state.
+        count: Number of poses N.
+        first_turn: (3,), the rotation vector of R' R^T of the first pose.
 
     Returns:
-        V (N, block, k), zero for all states but the first.
+        V (N, 6, k), zero for all poses but the first.
     """
     axes = _axes(gauge)
     turns = len(axes)
-    normals = np.zeros((count, block, dimension(gauge)))
+    normals = np.zeros((count, POSE_DOF, dimension(gauge)))
     normals[0, :3, turns:] = np.eye(3)
     normals[0, 3:6, :turns] = (axes @ lie.inverse_left_jacobian(first_turn)).T
     return normals
 
 
 def least_squares_normals(
-    gauge: Gauge, block: int, groundtruth: Floats, aligned: Floats, weights: Floats
+    gauge: Gauge, groundtruth: Floats, aligned: Floats, weights: Floats
 ) -> Floats:
     """Return the gradients of the optimality conditions of eq. (13) of the tutorial.
 
     Args:
         gauge: `none`, `yaw`, `se3` or `sim3`.
-        block: Rows for each state, 6 or 9.
         groundtruth: (N, 3) positions, metres.
         aligned: (N, 3) aligned positions, metres.
         weights: (N,), that add up to one; zero for states that play no part.
 
     Returns:
-        V (N, block, k), about positions alone.
+        V (N, 6, k), about positions alone.
     """
     axes = _axes(gauge)
     turns = len(axes)
-    normals = np.zeros((len(groundtruth), block, dimension(gauge)))
+    normals = np.zeros((len(groundtruth), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return normals
     truth = groundtruth - weights @ groundtruth

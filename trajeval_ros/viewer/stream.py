@@ -123,10 +123,10 @@ class DrawingThread:
         """Begin to end, and don't wait for it."""
         self._closing.set()
 
-    def close(self, patience_s: float = _PATIENCE_S) -> bool:
-        """Have everything out and end; returns whether that was possible in so much time."""
+    def close(self) -> bool:
+        """Have everything out and end; returns whether that was possible in a few seconds."""
         self.end()
-        self._thread.join(patience_s)
+        self._thread.join(_PATIENCE_S)
         return not self._thread.is_alive()
 
     def _work(self) -> None:
