@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.online.window import Window
 
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, give_way

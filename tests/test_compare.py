@@ -18,11 +18,12 @@ import pyarrow
 import pyarrow.parquet
 
 from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, run_plan
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.pooling import pooled_rows
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ResultsTable
-from trajeval_ros.batch.summary_tables import ComparisonSummary, matrices, summary_of
+from trajeval_ros.batch.summary_tables import matrices
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 

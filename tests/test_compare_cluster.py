@@ -23,10 +23,10 @@ pytest.importorskip("distributed", reason="dask.distributed is missing, the extr
 
 from trajeval_ros.batch import comparison, executors
 from trajeval_ros.batch.comparison import run_plan
+from trajeval_ros.batch.comparison_summary import summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import dask_pool
 from trajeval_ros.batch.results_table import ResultsTable
-from trajeval_ros.batch.summary_tables import summary_of
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 

@@ -23,7 +23,7 @@ from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.log_histogram import LogHistogram
 from trajeval_ros.metrics.pair_steps import PairSteps, StampedPoses, StepMeter, waypoints
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.online.waypoint_stream import WaypointStream
 from trajeval_ros.online.window import Window
 from trajeval_ros.report.tables import verdict

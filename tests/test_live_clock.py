@@ -18,7 +18,8 @@ from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
-from trajeval_ros.online.pairing import Limits, states
+from trajeval_ros.online.pairing import Limits
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.held_messages import HeldMessages
 
 

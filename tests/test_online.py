@@ -20,9 +20,10 @@ from trajeval_ros.metrics.errors import absolute_errors
 from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
+from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import Limits, PairingBuffer, Pairs, states
+from trajeval_ros.online.pairing import Limits, PairingBuffer
+from trajeval_ros.online.state_rows import Pairs, states, trajectory
 from trajeval_ros.online.window import Window
 
 SECOND = 10**9

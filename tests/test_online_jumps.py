@@ -16,7 +16,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
-from trajeval_ros.online.pairing import Pairs, states
+from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.pipeline import evaluate
 
 

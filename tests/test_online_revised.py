@@ -12,8 +12,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.pairing import Pairs, states
 from trajeval_ros.online.revised import RevisedPath
+from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.pipeline import evaluate
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trajeval_ros.online import trail
-from trajeval_ros.online.pairing import WIDTH, Pairs
+from trajeval_ros.online.state_rows import WIDTH, Pairs
 from trajeval_ros.online.trail import Trail
 
 

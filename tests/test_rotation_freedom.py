@@ -28,7 +28,7 @@ from trajeval_ros.metrics.orientation_sum import OrientationSum
 from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationFreedom
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.pipeline import Request, run
 
 TURNING = (Gauge.YAW, Gauge.PLANAR, Gauge.SE3, Gauge.SIM3)

@@ -15,7 +15,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory, add_counts, travelled_distance
 from trajeval_ros.io.bags.transform_tree import Edge
 from trajeval_ros.metrics.association import AssociationRule, associate
-from trajeval_ros.online.pairing import POSITION, PairingBuffer, states
+from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.state_rows import POSITION, states
 
 # A position and a factor of a quaternion that no robot has, finite or not.
 WILD = [(1e13, 1.0), (-1e100, 1.0), (1e200, 1.0), (1.0, 1e160), (1.0, 1e300)]

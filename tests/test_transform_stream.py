@@ -18,7 +18,7 @@ from strategies import START, seeds
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, compose_transforms
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.online.pairing import POSITION, QUATERNION, states
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, states
 from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.transform_stream import TransformStream
 

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from trajeval_ros.batch.comparison import RECORDS, run_plan
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, failures, summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.output_lock import only_writer
-from trajeval_ros.batch.summary_tables import ComparisonSummary, failures, matrices, summary_of
+from trajeval_ros.batch.summary_tables import matrices
 from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.io.requests.request_words import WORDS

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import RECORDS
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.drawing import FigureDraft
 from trajeval_ros.batch.records import read_record
 from trajeval_ros.batch.results_table import RE
-from trajeval_ros.batch.summary_tables import ComparisonSummary, Trial
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.report.comparison_figures import Box, box_plot, overlay

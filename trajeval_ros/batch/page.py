@@ -10,6 +10,7 @@ from typing import Any
 
 from trajeval_ros import __version__
 from trajeval_ros.batch.comparison import RECORDS, RUNS
+from trajeval_ros.batch.comparison_summary import ComparisonSummary
 from trajeval_ros.batch.drawing import Advance, draw_all
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
@@ -23,7 +24,7 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
     state_of,
 )
-from trajeval_ros.batch.summary_tables import ComparisonSummary, definition, matrices
+from trajeval_ros.batch.summary_tables import definition, matrices
 from trajeval_ros.formatting.numbers import percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.metrics.coverage import Gap

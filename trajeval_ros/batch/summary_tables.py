@@ -1,27 +1,15 @@
-"""From the tables on disk to the tables that people read."""
+"""From the summary of a comparison to the tables that people read."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-from trajeval_ros.batch.comparison import POOLED, RUNS
-from trajeval_ros.batch.pooling import read_pooled
-from trajeval_ros.batch.results_table import (
-    ATE,
-    CALIBRATION,
-    CONSISTENCY,
-    LIKELIHOOD,
-    OK,
-    RE,
-    ResultsTable,
-)
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.results_table import OK, RE
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
@@ -30,116 +18,6 @@ from trajeval_ros.report.matrix import Cell, Matrix
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
 _PARTIAL, _FEW = "†", "‡"
-_NAMES = ("algorithm", "sequence", "trial")
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A run in brief.
-
-    Attributes:
-        algorithm, sequence, trial: Which.
-        status: `ok`, `failed` or `missing`.
-        reason: Why there are no numbers.
-        coverage: Share of the groundtruth's time that its pairs cover, 0.0 of a failed run.
-        pairs: Their number, 0 of a failed run.
-        key: Of its record.
-        rmse: Of the absolute errors, by metric.
-        values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
-        warnings: What a reader of its numbers must know.
-    """
-
-    algorithm: str
-    sequence: str
-    trial: str
-    status: str
-    reason: str
-    coverage: float
-    pairs: int
-    key: str
-    rmse: dict[str, float]
-    values: dict[str, float]
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class ComparisonSummary:
-    """What a comparison says.
-
-    Attributes:
-        title: Of the comparison.
-        settings: That the numbers depend on.
-        trials: All runs, the failed ones included.
-        pooled: ResultsTable of statistics over trials.
-    """
-
-    title: str
-    settings: dict[str, Any]
-    trials: tuple[Trial, ...]
-    pooled: tuple[dict[str, Any], ...]
-
-    @cached_property
-    def algorithms(self) -> list[str]:
-        """In the order of the plan."""
-        return list(dict.fromkeys(trial.algorithm for trial in self.trials))
-
-    @cached_property
-    def sequences(self) -> list[str]:
-        """In the order of the plan."""
-        return list(dict.fromkeys(trial.sequence for trial in self.trials))
-
-    def of(self, algorithm: str, sequence: str | None = None) -> list[Trial]:
-        """Return the runs of an algorithm, on one sequence or on all."""
-        return self._by_place.get((algorithm, sequence), [])
-
-    @cached_property
-    def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:
-        found: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
-        for trial in self.trials:
-            found[trial.algorithm, trial.sequence].append(trial)
-            found[trial.algorithm, None].append(trial)
-        return found
-
-
-def summary_of(folder: Path) -> ComparisonSummary:
-    """Read what a comparison left.
-
-    Raises:
-        InputError: Its table can't be read.
-    """
-    rows = ResultsTable(folder / RUNS)
-    names = (
-        *_NAMES, "status", "reason", "own_groundtruth_coverage", "pairs", "key", "warnings"
-    )  # fmt: skip
-    each: dict[tuple[str, ...], dict[str, Any]] = {}
-    rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    for row in rows.select((*names, "kind", "metric", "rmse", "mean")):
-        run = tuple(row[name] for name in _NAMES)
-        each.setdefault(run, row)
-        if row["kind"] == ATE:
-            rmse[run][row["metric"]] = row["rmse"]
-        elif row["kind"] in (CALIBRATION, CONSISTENCY, LIKELIHOOD):
-            values[run][row["metric"]] = row["mean"]
-    trials = tuple(
-        Trial(
-            algorithm=row["algorithm"],
-            sequence=row["sequence"],
-            trial=row["trial"],
-            status=row["status"],
-            reason=row["reason"] or "",
-            coverage=row["own_groundtruth_coverage"] or 0.0,
-            pairs=row["pairs"] or 0,
-            key=row["key"] or "",
-            rmse=rmse[run],
-            values=values[run],
-            warnings=tuple((row["warnings"] or "").splitlines()),
-        )
-        for run, row in each.items()
-    )
-    return ComparisonSummary(
-        rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED))
-    )
 
 
 def definition(settings: dict[str, Any]) -> str:
@@ -333,13 +211,3 @@ def _matrix(
         coverage.append(sum(trial.coverage for trial in trials) / len(trials))
     headings = tuple(summary.sequences if columns is None else columns)
     return Matrix(name, title, caption, headings, tuple(rows), tuple(runs), tuple(coverage))
-
-
-def failures(summary: ComparisonSummary) -> list[str]:
-    """Return a line for each run without numbers."""
-    return [
-        f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "
-        f"{each.status}: {each.reason}"
-        for each in summary.trials
-        if each.status != OK
-    ]

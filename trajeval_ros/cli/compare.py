@@ -17,8 +17,8 @@ from trajeval_ros.exceptions import SettingsError
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
+    from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.executors import Pool
-    from trajeval_ros.batch.summary_tables import ComparisonSummary
 
 WORK = "Work"
 
@@ -136,11 +136,11 @@ def compare(
     """
     from trajeval_ros.batch.compare_runs import write_tables
     from trajeval_ros.batch.comparison import RECORDS, run_plan
+    from trajeval_ros.batch.comparison_summary import summary_of
     from trajeval_ros.batch.config import plan_of
     from trajeval_ros.batch.executors import local_pool
     from trajeval_ros.batch.output_lock import only_writer
     from trajeval_ros.batch.page import is_drawn, write_report
-    from trajeval_ros.batch.summary_tables import summary_of
 
     if workers is not None and cluster is not None:
         raise SettingsError("--workers is of this machine and --cluster of others; give one")
@@ -193,8 +193,9 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
 
 
 def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
+    from trajeval_ros.batch.comparison_summary import failures
     from trajeval_ros.batch.results_table import OK
-    from trajeval_ros.batch.summary_tables import failures, matrices
+    from trajeval_ros.batch.summary_tables import matrices
     from trajeval_ros.report.console import console, show
     from trajeval_ros.report.matrix import to_terminal
 

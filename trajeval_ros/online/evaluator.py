@@ -13,7 +13,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, Trajectory, add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, add_counts
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
@@ -26,19 +26,19 @@ from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import (
+from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
+from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.state_rows import (
     POSITION,
     QUATERNION,
-    VELOCITY,
     WIDTH,
-    PairingBuffer,
     Pairs,
     on_plane,
     states,
+    trajectory,
     upright_rows,
 )
-from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
-from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.window import PairStore
 
 # A frozen alignment is taken once its rotation is known to so much, as a standard deviation.
@@ -108,7 +108,7 @@ class OnlineEvaluator:
         Args:
             stamps: (N,) int64, nanoseconds.
             rows: (N, 3) positions, metres; (N, 7) positions and quaternions xyzw; or (N, 10) of
-                `pairing.states`, with velocities.
+                `state_rows.states`, with velocities.
         """
         rows = _all_columns(rows)
         rows = on_plane(rows, self.groundtruth_up) if self._is_planar else rows
@@ -404,20 +404,6 @@ def _all_columns(rows: Floats) -> Floats:
             f"not an array of shape {rows.shape}"
         )
     return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
-
-
-def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 10) as a trajectory, without the columns that are not measured."""
-    quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
-    measured = len(rows) and not np.isnan(quaternions[0, 0])
-    moving = len(rows) and not np.isnan(velocities).any()
-    return Trajectory(
-        stamps=np.array(stamps),
-        positions=np.array(rows[:, POSITION]),
-        quaternions=lie.normalized(quaternions) if measured else None,
-        velocities=np.array(velocities) if moving else None,
-        up=up,
-    )
 
 
 def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:

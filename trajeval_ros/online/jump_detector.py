@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.diagnosis.jumps import Steps
-from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
 
 _MEMORY = 200.0  # steps over which a usual step is known
 

@@ -12,7 +12,8 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.online.pairing import POSITION, QUATERNION, StateBuffer
+from trajeval_ros.online.state_buffer import StateBuffer
+from trajeval_ros.online.state_rows import POSITION, QUATERNION
 
 # Shorter, and rotation and lever arm can't be fitted beside the offset.
 FIRST_S = 35.0

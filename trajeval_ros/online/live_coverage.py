@@ -7,7 +7,8 @@ from collections.abc import Callable
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums
 from trajeval_ros.metrics.pair_steps import POSE, StampedPoses, StepMeter
-from trajeval_ros.online.pairing import PairingBuffer, Pairs
+from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.state_rows import Pairs
 
 
 class LiveCoverage:

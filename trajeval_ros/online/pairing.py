@@ -8,82 +8,18 @@ has arrived, or until it is clear that none will do.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, judge_poses, travelled_distance
-from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, travelled_distance
 from trajeval_ros.metrics.association import bracket_stamps, mix
 from trajeval_ros.metrics.coverage import time_without_gaps
 from trajeval_ros.metrics.pair_steps import StampedPoses
+from trajeval_ros.online.state_buffer import NEVER, StateBuffer
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH, Pairs
 from trajeval_ros.online.waypoint_stream import WaypointStream
-
-# Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
-POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
-WIDTH = 10
-
-_NEVER = int(np.iinfo(np.int64).min)
-
-
-class Pairs(NamedTuple):
-    """N pairs in order of their stamps.
-
-    Attributes:
-        stamps: (N,) nanoseconds.
-        groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN where there is none.
-        estimate: (N, 10), in the estimate's own frame.
-    """
-
-    stamps: Stamps
-    groundtruth: Floats
-    estimate: Floats
-
-
-def states(
-    positions: Floats, quaternions: Floats | None = None, velocities: Floats | None = None
-) -> Floats:
-    """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3).
-
-    What is no pose for the readers is dropped by `PairingBuffer`: rows that aren't finite have no
-    position here (NaN), and infinity stands for quaternions of no length.
-    """
-    finite, turned = judge_poses(positions, quaternions)
-    rows = np.full((len(positions), WIDTH), np.nan)
-    rows[finite, POSITION] = positions[finite]
-    if quaternions is not None:
-        with np.errstate(all="ignore"):
-            lengths = np.sqrt(np.einsum("ni,ni->n", quaternions, quaternions))
-            rows[:, QUATERNION] = np.where(turned[:, None], quaternions / lengths[:, None], np.inf)
-    if velocities is not None:
-        rows[:, VELOCITY] = velocities
-    return rows
-
-
-def upright_rows(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) in a world whose z axis is up, as `geometry.upright` has them."""
-    if up.name == "z":
-        return rows
-    turned: Floats = rows.copy()
-    turned[:, POSITION] = up.turned(rows[:, POSITION])
-    turned[:, VELOCITY] = up.turned(rows[:, VELOCITY])
-    turned[:, QUATERNION] = lie.multiply(lie.from_matrices(up.matrix[None]), rows[:, QUATERNION])
-    return turned
-
-
-def on_plane(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) projected on the level plane, as the planar gauge compares them."""
-    flat: Floats = rows.copy()
-    heights = [POSITION.start + up.index, VELOCITY.start + up.index]
-    flat[:, heights] *= 0.0  # what is not finite stays so
-    turned = np.isfinite(rows[:, QUATERNION]).all(axis=1)
-    headings = lie.heading(upright_rows(rows[turned], up)[:, QUATERNION])
-    if up.name != "z":
-        headings = lie.multiply(lie.from_matrices(up.matrix.T[None]), headings)
-    flat[turned, QUATERNION] = headings
-    return flat
 
 
 @dataclass(frozen=True)
@@ -99,61 +35,6 @@ class Limits:
     groundtruth_s: float = 10.0
     groundtruth_states: int = 50_000
     waiting_states: int = 50_000
-
-
-class StateBuffer:
-    """States sorted by stamp, each stamp once, within limits."""
-
-    def __init__(self) -> None:
-        """Begin empty."""
-        self.stamps: Stamps = np.empty(256, dtype=np.int64)
-        self.rows: Floats = np.empty((256, WIDTH))
-        self.begin = self.end = 0
-
-    def __len__(self) -> int:
-        """Return the number of states held."""
-        return self.end - self.begin
-
-    @property
-    def held(self) -> tuple[Stamps, Floats]:
-        """The states held: views of stamps (N,) and rows (N, 10)."""
-        return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
-
-    @property
-    def newest(self) -> int:
-        """The newest stamp, nanoseconds; the earliest of all times if there is none."""
-        return int(self.stamps[self.end - 1]) if self.end > self.begin else _NEVER
-
-    def append(self, stamps: Stamps, rows: Floats) -> None:
-        """Add states that are sorted and newer than all held."""
-        self._make_room(len(stamps))
-        self.stamps[self.end : self.end + len(stamps)] = stamps
-        self.rows[self.end : self.end + len(stamps)] = rows
-        self.end += len(stamps)
-
-    def merge(self, stamps: Stamps, rows: Floats) -> int:
-        """Add states in any order; returns how many stamps were there already, or twice."""
-        held_stamps, held_rows = self.held
-        # Held states come first, so that of equal stamps the one that arrived first stays.
-        all_stamps = np.concatenate([held_stamps, stamps])
-        unique, first = np.unique(all_stamps, return_index=True)
-        all_rows = np.concatenate([held_rows, rows])[first]
-        self.begin = self.end = 0
-        self.append(unique, all_rows)
-        return len(all_stamps) - len(unique)
-
-    def drop(self, count: int) -> None:
-        """Forget the oldest states."""
-        self.begin += count
-
-    def _make_room(self, count: int) -> None:
-        if self.end + count <= len(self.stamps):
-            return
-        stamps, rows = self.held
-        size = max(len(self.stamps), 2 * (len(stamps) + count))
-        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, WIDTH))
-        self.begin, self.end = 0, len(stamps)
-        self.stamps[: self.end], self.rows[: self.end] = stamps, rows
 
 
 class PairingBuffer:
@@ -182,7 +63,7 @@ class PairingBuffer:
         self.groundtruth_count = 0
         self._truth, self._waiting = StateBuffer(), StateBuffer()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
-        self._forgotten_until = self._paired_until = _NEVER
+        self._forgotten_until = self._paired_until = NEVER
         self._forgotten_time, self._forgotten_path_m = 0, 0.0
         self._max_gap_ns = round(max_gap_s * NANOSECONDS)
         self._waypoints = WaypointStream(self._max_gap_ns)
@@ -196,7 +77,7 @@ class PairingBuffer:
             self._truth.append(stamps, rows)
             self.groundtruth_count += len(stamps)
         else:
-            if self._forgotten_until > _NEVER:  # up to the oldest that is held all is counted
+            if self._forgotten_until > NEVER:  # up to the oldest that is held all is counted
                 old = stamps < self._truth.held[0][0]
                 self._count(self.groundtruth_dropped, "too_late", int(np.count_nonzero(old)))
                 stamps, rows = stamps[~old], rows[~old]
@@ -211,7 +92,7 @@ class PairingBuffer:
         stamps, rows = self._finite(stamps, rows, self.dropped)
         if not len(stamps):
             return
-        if _continue(int(self._seen[-1]) if len(self._seen) else _NEVER, stamps):
+        if _continue(int(self._seen[-1]) if len(self._seen) else NEVER, stamps):
             self._waiting.append(stamps, rows)
             self._seen = np.concatenate([self._seen, stamps])
         else:

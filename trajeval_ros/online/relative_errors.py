@@ -15,7 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import nearest_ends
-from trajeval_ros.online.pairing import POSITION, QUATERNION
+from trajeval_ros.online.state_rows import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 
 # A robot at rest ends no sub-trajectory; its pairs are not kept for ever.

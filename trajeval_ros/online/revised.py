@@ -10,7 +10,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.alignment import align
-from trajeval_ros.online.pairing import POSITION, QUATERNION, WIDTH, Pairs, on_plane
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, WIDTH, Pairs, on_plane
 
 
 class RevisedPath:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.online.pairing import WIDTH, Pairs
+from trajeval_ros.online.state_rows import WIDTH, Pairs
 
 MOST_POSES = 2000
 

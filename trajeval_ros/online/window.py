@@ -11,7 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import lengths
-from trajeval_ros.online.pairing import POSITION, WIDTH, Pairs
+from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
 
 _LARGEST = 1e9  # s, m or pairs; in nanoseconds it still fits stamps
 

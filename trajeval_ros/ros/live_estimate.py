@@ -18,13 +18,13 @@ from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, deco
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.online.evaluator import OnlineEvaluator, trajectory
+from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import POSITION, QUATERNION, Pairs
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs, trajectory
 from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.held_messages import HeldMessages
 from trajeval_ros.ros.poses import StateColumns

@@ -16,7 +16,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
-from trajeval_ros.online.pairing import POSITION, QUATERNION, VELOCITY, states
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
 
 _MOST_NOTES = 20
@@ -29,7 +29,7 @@ class StateColumns(NamedTuple):
 
     Attributes:
         stamps: (N,) nanoseconds.
-        states: (N, 10), the rows of `online.pairing.states`.
+        states: (N, 10), the rows of `online.state_rows.states`.
         rows: (N,) which message each is from.
     """
 

@@ -10,8 +10,8 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.online.jump_detector import Jump
-from trajeval_ros.online.pairing import Pairs
 from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.viewer.live_scene import LiveScene

@@ -21,7 +21,7 @@ from trajeval_ros.io.bags.transform_tree import (
     find_way,
     leading_edge,
 )
-from trajeval_ros.online.pairing import states
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 
 _MEMORY_S = 10.0  # of edges while the two frames aren't connected

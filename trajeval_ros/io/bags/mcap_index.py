@@ -7,45 +7,32 @@ without summary or footer is walked through from its beginning.
 
 from __future__ import annotations
 
-import io
 import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.blocks import BYTES, LARGEST, ROWS, Block
+from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block
 from trajeval_ros.io.bags.byte_source import ByteSource
 from trajeval_ros.io.bags.mcap_chunk_shares import Share, read_chunk
 from trajeval_ros.io.bags.mcap_chunks import Chunk, of_channels
 from trajeval_ros.io.bags.mcap_records import (
-    CHANNEL,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    FOOTER_SIZE,
     HEAD,
-    MAGIC,
     MESSAGE_HEAD,
-    SCHEMA,
-    STATISTICS,
     DamagedError,
     MessageIndex,
     NoIndexError,
-    Registry,
-    head_of,
-    records,
 )
-from trajeval_ros.io.bags.mcap_scan import Scan, add_unlisted, scan
+from trajeval_ros.io.bags.mcap_scan import scan
+from trajeval_ros.io.bags.mcap_summary import END_SIZE, data_end, read_summary
 from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-_END_SIZE = FOOTER_SIZE + len(MAGIC)
 # Bytes. glibc gives memory back to the kernel that is larger than what was freed once, and to have
 # each page of the next chunk mapped again costs as much as decompressing it.
 _KEPT = 16 << 20
@@ -78,7 +65,7 @@ class McapReader:
         self._strict = strict
         self._known: tuple[int, int] | None = None
         try:
-            found, self._known = _summary(source)
+            found, self._known = read_summary(source)
             self.damage += [f"{source.name}: {each}" for each in found.damage]
         except DamagedError as error:
             found = scan(source)
@@ -204,7 +191,7 @@ class McapReader:
         begins = messages.offsets + (HEAD + MESSAGE_HEAD)
         ends = begins + messages.sizes
         order = np.argsort(begins)
-        far = np.flatnonzero(begins[order][1:] - ends[order][:-1] > _END_SIZE) + 1
+        far = np.flatnonzero(begins[order][1:] - ends[order][:-1] > END_SIZE) + 1
         pieces, places, total = [], np.empty(len(messages), dtype=np.int64), 0
         runs = np.split(order, far)
         ranges = [(int(begins[run[0]]), int(ends[run[-1]] - begins[run[0]])) for run in runs]
@@ -228,108 +215,12 @@ class McapReader:
     def _verify_data(self) -> None:
         """Hold the bytes of a file with messages outside of chunks against their checksum."""
         checksum, offset = 0, 0
-        end, expected = _data_end(self._source)
+        end, expected = data_end(self._source)
         while expected and offset < end:
             data = self._source.read(offset, min(BYTES, end - offset))
             checksum, offset = zlib.crc32(data, checksum), offset + len(data)
         if checksum != expected:
             self.damage.append(f"{self._source.name}: it isn't what its checksum is of")
-
-
-def _summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
-    """Return what the summary says of a file, and the first and last log time.
-
-    Raises:
-        DamagedError: It has none that says where all messages are.
-        InputError: It is no MCAP at all.
-    """
-    if source.read(0, len(MAGIC)) != MAGIC:
-        raise InputError(f"{source.name} is no MCAP")
-    tail = source.read(max(0, source.size - _END_SIZE), _END_SIZE)
-    if len(tail) < _END_SIZE or not tail.endswith(MAGIC) or head_of(tail) != (FOOTER, 20):
-        raise DamagedError("it has no footer")
-    start = int.from_bytes(tail[HEAD : HEAD + 8], "little")
-    checksum = int.from_bytes(tail[HEAD + 16 : HEAD + 20], "little")
-    end = source.size - _END_SIZE
-    if not start:
-        raise NoIndexError()
-    if not len(MAGIC) <= start <= end or end - start > LARGEST:
-        raise DamagedError("the summary isn't where its footer says")
-    data = source.read(start, end - start)
-    if checksum and zlib.crc32(tail[: HEAD + 16], zlib.crc32(data)) != checksum:
-        raise DamagedError("the summary isn't what its checksum is of")
-    found, span = _parsed(data, source.size)
-    add_unlisted(source, found, start)
-    return found, span
-
-
-def _parsed(data: bytes, size: int) -> tuple[Scan, tuple[int, int] | None]:
-    from mcap.data_stream import ReadDataStream
-    from mcap.records import ChunkIndex, Statistics
-
-    found = Scan(Registry())
-    statistics: Statistics | None = None
-    for opcode, offset, length in records(data):
-        content = data[offset : offset + length]
-        if opcode in (SCHEMA, CHANNEL):
-            found.registry.add(opcode, content)
-            continue
-        try:
-            if opcode == STATISTICS:
-                statistics = Statistics.read(ReadDataStream(io.BytesIO(content)))
-            elif opcode == CHUNK_INDEX:
-                found.chunks.append(
-                    _chunk_of(ChunkIndex.read(ReadDataStream(io.BytesIO(content))))
-                )
-        except Exception as error:  # of half a dozen kinds, by what is damaged
-            raise DamagedError("the summary is damaged") from error
-    if any(chunk.offset + chunk.length > size for chunk in found.chunks):
-        raise DamagedError("the summary names chunks that aren't there")
-    if len({chunk.offset for chunk in found.chunks}) < len(found.chunks):
-        raise DamagedError("the summary names a chunk twice")
-    if statistics is None:
-        raise NoIndexError()
-    found.counts.update(statistics.channel_message_counts)
-    if found.counts and found.counts.total() != statistics.message_count:
-        raise DamagedError("the summary contradicts itself")
-    channels = found.registry.channels
-    used = {channel for channel, count in found.counts.items() if count}
-    used |= {channel for chunk in found.chunks for channel in chunk.indexes}
-    schemas = {channels[each].schema_id for each in used & channels.keys()} - {0}
-    if (
-        not used <= channels.keys()
-        or not schemas <= found.registry.schemas.keys()
-        or len(found.chunks) != statistics.chunk_count
-        or (statistics.message_count and not (found.chunks and found.counts))
-    ):
-        raise NoIndexError(found.counts)
-    span = statistics.message_start_time, statistics.message_end_time
-    return found, span if statistics.message_count else None
-
-
-def _chunk_of(index: Any) -> Chunk:
-    return Chunk(
-        index.chunk_start_offset,
-        index.chunk_length,
-        index.message_start_time,
-        index.message_end_time,
-        index.compression,
-        index.uncompressed_size,
-        dict(index.message_index_offsets),
-        index.chunk_start_offset + index.chunk_length + index.message_index_length,
-        frozenset(index.message_index_offsets) or None,
-    )
-
-
-def _data_end(source: ByteSource) -> tuple[int, int]:
-    """Return where the data end, and their checksum, 0 if there is none."""
-    tail = source.read(max(0, source.size - _END_SIZE), _END_SIZE)
-    start = int.from_bytes(tail[HEAD : HEAD + 8], "little")
-    end = (start or source.size - _END_SIZE) - HEAD - 4
-    record = source.read(end, HEAD + 4)
-    if len(record) < HEAD + 4 or head_of(record) != (DATA_END, 4):
-        return 0, 0
-    return end, int.from_bytes(record[HEAD:], "little")
 
 
 def _room_of(piece: Piece) -> int:

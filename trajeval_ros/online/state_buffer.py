@@ -1,0 +1,65 @@
+"""The states of a stream that are still needed, in order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.online.state_rows import WIDTH
+
+NEVER = int(np.iinfo(np.int64).min)
+
+
+class StateBuffer:
+    """States sorted by stamp, each stamp once, within limits."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self.stamps: Stamps = np.empty(256, dtype=np.int64)
+        self.rows: Floats = np.empty((256, WIDTH))
+        self.begin = self.end = 0
+
+    def __len__(self) -> int:
+        """Return the number of states held."""
+        return self.end - self.begin
+
+    @property
+    def held(self) -> tuple[Stamps, Floats]:
+        """The states held: views of stamps (N,) and rows (N, 10)."""
+        return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
+
+    @property
+    def newest(self) -> int:
+        """The newest stamp, nanoseconds; the earliest of all times if there is none."""
+        return int(self.stamps[self.end - 1]) if self.end > self.begin else NEVER
+
+    def append(self, stamps: Stamps, rows: Floats) -> None:
+        """Add states that are sorted and newer than all held."""
+        self._make_room(len(stamps))
+        self.stamps[self.end : self.end + len(stamps)] = stamps
+        self.rows[self.end : self.end + len(stamps)] = rows
+        self.end += len(stamps)
+
+    def merge(self, stamps: Stamps, rows: Floats) -> int:
+        """Add states in any order; returns how many stamps were there already, or twice."""
+        held_stamps, held_rows = self.held
+        # Held states come first, so that of equal stamps the one that arrived first stays.
+        all_stamps = np.concatenate([held_stamps, stamps])
+        unique, first = np.unique(all_stamps, return_index=True)
+        all_rows = np.concatenate([held_rows, rows])[first]
+        self.begin = self.end = 0
+        self.append(unique, all_rows)
+        return len(all_stamps) - len(unique)
+
+    def drop(self, count: int) -> None:
+        """Forget the oldest states."""
+        self.begin += count
+
+    def _make_room(self, count: int) -> None:
+        if self.end + count <= len(self.stamps):
+            return
+        stamps, rows = self.held
+        size = max(len(self.stamps), 2 * (len(stamps) + count))
+        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, WIDTH))
+        self.begin, self.end = 0, len(stamps)
+        self.stamps[: self.end], self.rows[: self.end] = stamps, rows
