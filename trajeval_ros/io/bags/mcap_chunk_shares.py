@@ -7,17 +7,19 @@ from dataclasses import dataclass
 
 from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.byte_source import ByteSource
-from trajeval_ros.io.bags.mcap_chunks import (
+from trajeval_ros.io.bags.mcap_chunk_parts import (
     GAP,
-    Chunk,
-    block_in,
     index_of,
     index_range,
     measured,
-    of_channels,
     partial,
-    require_size,
     runs_of,
+)
+from trajeval_ros.io.bags.mcap_chunks import (
+    Chunk,
+    block_in,
+    of_channels,
+    require_size,
     walked,
     whole,
 )

@@ -1,4 +1,4 @@
-"""Chunks of MCAP: whole and verified, or only the byte ranges that hold wanted messages."""
+"""Chunks of MCAP, whole and verified."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from trajeval_ros.io.bags.mcap_records import (
     HEAD,
     MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
     SCHEMA,
     DamagedError,
     MessageIndex,
@@ -33,11 +32,8 @@ from trajeval_ros.io.bags.selection import are_of
 
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
-_RECORD = HEAD + MESSAGE_HEAD
-GAP = 1 << 16  # bytes between wanted messages that cost less than another read
-_TAIL = 4096  # bytes read for the last message of a run, whose length isn't known before
+RECORD_HEAD = HEAD + MESSAGE_HEAD
 _LARGE = 1 << 26  # bytes that a chunk may become, however well it is compressed
-_WORTHWHILE = 0.5  # of a chunk; what needs more is read whole, and verified
 
 
 @dataclass
@@ -172,138 +168,6 @@ def walked(data: bytes, registry: Registry | None = None) -> tuple[MessageIndex,
     return found.done(), end == len(data)
 
 
-def index_range(chunk: Chunk, wanted: Collection[int]) -> tuple[int, int]:
-    """Return offset and size of the part of a file that has the indexes of wanted channels."""
-    places = [at for channel, at in chunk.indexes.items() if channel in wanted]
-    end = max(chunk.index_end, max(places) + HEAD + 6)
-    return min(places), min(end - min(places), LARGEST)
-
-
-def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
-    """Return the wanted messages by a chunk's message index; their sizes are unknown, -1.
-
-    Raises:
-        DamagedError: An index isn't where it should be.
-    """
-    places = {channel: at for channel, at in chunk.indexes.items() if channel in wanted}
-    begin, room = index_range(chunk, wanted)
-    data = source.read(begin, room)
-    channels, log_times, offsets = [], [], []
-    for channel, at in places.items():
-        at -= begin
-        if at + HEAD + 6 > len(data):
-            raise DamagedError("a message index is cut off")
-        opcode, length = head_of(data, at)
-        own, size = struct.unpack_from("<HI", data, at + HEAD)
-        if opcode != MESSAGE_INDEX or own != channel or size + 6 != length or size % 16:
-            raise DamagedError("a message index isn't where it should be")
-        if at + HEAD + length > len(data):
-            raise DamagedError("a message index is cut off")
-        entries = np.frombuffer(data, "<i8", size // 8, at + HEAD + 6).reshape(-1, 2)
-        channels.append(np.full(len(entries), channel))
-        log_times.append(entries[:, 0])
-        offsets.append(entries[:, 1])
-    found = MessageIndex(
-        np.concatenate(channels),
-        np.concatenate(log_times),
-        np.concatenate(offsets),
-        np.full(sum(map(len, offsets)), -1),
-    )
-    found = found[np.argsort(found.offsets, kind="stable")]
-    if len(found) and (found.offsets[0] < 0 or found.offsets[-1] + _RECORD > chunk.size):
-        raise DamagedError("a message index points out of its chunk")
-    return found
-
-
-def measured(data: bytes, messages: MessageIndex, limit: int, shift: int = 0) -> MessageIndex:
-    """Return messages with their sizes, which the records in memory say.
-
-    Args:
-        data: Bytes of a chunk.
-        messages: By its index, in order of their offsets.
-        limit: Where the chunk ends.
-        shift: Where in the chunk the data begin.
-
-    Raises:
-        DamagedError: A record isn't a message of that channel and time, or overlaps the next.
-    """
-    if not len(messages):
-        return messages
-    buffer = np.frombuffer(data, dtype=np.uint8)
-    head = np.dtype(
-        [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("_", "<u4"), ("time", "<i8")]
-    )
-    cells = np.ndarray(len(buffer) - head.itemsize + 1, f"V{head.itemsize}", buffer, 0, (1,))
-    heads = cells[messages.offsets - shift].view(head)
-    lengths = heads["length"].astype(np.int64)
-    ends = messages.offsets + HEAD + lengths
-    fits = (lengths >= MESSAGE_HEAD) & (lengths <= LARGEST)
-    fits &= ends <= np.append(messages.offsets[1:], limit)
-    are_right = (
-        (heads["opcode"] == MESSAGE)
-        & (heads["channel"] == messages.channels)
-        & (heads["time"] == messages.log_times)
-    )
-    if not (fits & are_right).all():
-        raise DamagedError("a message isn't where its index says")
-    return MessageIndex(
-        messages.channels, messages.log_times, messages.offsets, lengths - MESSAGE_HEAD
-    )
-
-
-def runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | None:
-    """Return the byte ranges (begin, end) of a chunk worth reading; None means all of it."""
-    if chunk.compression or chunk.is_cut or not len(messages):
-        return None
-    first, last = int(messages.offsets[0]), int(messages.offsets[-1])
-    if last - first <= GAP:
-        end = min(last + _TAIL, chunk.size)
-        return [(first, end)] if end - first <= _WORTHWHILE * chunk.size else None
-    breaks = np.flatnonzero(np.diff(messages.offsets) > GAP)
-    begins = messages.offsets[np.concatenate([[0], breaks + 1])]
-    lasts = messages.offsets[np.concatenate([breaks, [len(messages) - 1]])]
-    ends = np.minimum(lasts + _TAIL, chunk.size)
-    if (ends - begins).sum() > _WORTHWHILE * chunk.size:
-        return None
-    return list(zip(begins.tolist(), ends.tolist(), strict=True))
-
-
-def partial(
-    source: ByteSource, chunk: Chunk, messages: MessageIndex, runs: list[tuple[int, int]]
-) -> Block:
-    """Return wanted messages of an uncompressed chunk without reading all of it.
-
-    Raises:
-        DamagedError: A record isn't what the index says.
-    """
-    base = chunk.data_offset
-    pieces = source.read_all([(base + begin, end - begin) for begin, end in runs])
-    begins, sizes, total = [], [], 0
-    for number, (begin, end) in enumerate(runs):
-        if len(pieces[number]) != end - begin:
-            raise DamagedError("a chunk is cut off")
-        inside = messages
-        if len(runs) > 1:
-            inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
-        found = measured(pieces[number], inside, chunk.size, begin)
-        last = int(found.offsets[-1] + _RECORD + found.sizes[-1])
-        if last > end:
-            pieces[number] += source.read(base + end, last - end)
-            if len(pieces[number]) != last - begin:
-                raise DamagedError("a chunk is cut off")
-        begins.append(found.offsets + (_RECORD - begin + total))
-        sizes.append(found.sizes)
-        total += len(pieces[number])
-    return Block(
-        chunk.first,
-        messages.channels,
-        messages.log_times,
-        np.frombuffer(b"".join(pieces), dtype=np.uint8),
-        np.concatenate(begins),
-        np.concatenate(sizes),
-    )
-
-
 def block_in(data: bytes, messages: MessageIndex, earliest: int) -> Block:
     """Return messages of a chunk that is in memory."""
     return Block(
@@ -311,7 +175,7 @@ def block_in(data: bytes, messages: MessageIndex, earliest: int) -> Block:
         messages.channels,
         messages.log_times,
         np.frombuffer(data, dtype=np.uint8),
-        messages.offsets + _RECORD,
+        messages.offsets + RECORD_HEAD,
         messages.sizes,
     )
 
