@@ -139,7 +139,7 @@ def test_mixed_gauges_accuse_an_honest_estimator(
     truth, runs = sampled("arc", "plane", "euroc")
     scene = scene_of("arc", "plane", "euroc")
     state = scene.truth
-    free = to_left(free_covariance(scene.noise_free(), state), state)
+    free = poses_of(to_left(free_covariance(scene.noise_free(), state), state))
     outcome: dict[str, list[np.ndarray]] = {"yaw/first": [], "yaw/free": [], "se3/yaw": []}
     for run in runs:
         first, yaw, se3 = (
