@@ -85,6 +85,13 @@ class Request:
         """
         for axis in self.up or ():
             UpAxis(axis)
+        if self.protocol.applied == "scale" and (
+            self.is_continuous or self.covariances.source != "none" or self.calibration.anything
+        ):
+            raise SettingsError(
+                "covariances, likelihoods and calibration are of whole alignments; leave out "
+                "--apply scale"
+            )
         if self.is_continuous and self.covariances.source != "none":
             raise SettingsError(
                 "--covariance compares with samples of the groundtruth, and association "
