@@ -104,7 +104,7 @@ class Setting:
             gauge=self.gauge,
             modality=None,
             align_states=self.align_states,
-            applied=self.apply,
+            apply=self.apply,
             association=None,
             max_time_difference=self.max_time_difference,
             max_gap=None,

@@ -60,7 +60,7 @@ def settings_of(plan: Plan) -> dict[str, Any]:
         "modality": protocol.modality,
         "align_states": "all" if protocol.align_states is None else protocol.align_states,
         "align_with": protocol.align_with,
-        "applied": protocol.applied,
+        "apply": protocol.apply,
         "align_weights": protocol.align_weights,
         "association": rule.method,
         "max_time_difference": rule.max_time_difference_s,

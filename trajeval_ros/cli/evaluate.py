@@ -29,7 +29,7 @@ def evaluate(
     protocol: options.ProtocolOption = None,
     modality: options.ModalityOption = None,
     gauge: options.GaugeOption = None,
-    align_states: options.AlignStatesOption = None,
+    align_states: options.AlignStatesOrTableOption = None,
     align_with: options.AlignWithOption = None,
     apply: options.ApplyOption = None,
     association: options.AssociationOption = None,
@@ -93,6 +93,11 @@ def evaluate(
 
     Numbers as evo or rpg_trajectory_evaluation compute them: --protocol evo, --protocol rpg.
 
+    As evo_rpe -d 10 -u f, and the ATE by the number of aligned states (tutorial, Table III):
+
+        trajeval evaluate -g gt.txt -e vio.txt --protocol evo --gauge none --lengths 10f
+        trajeval evaluate -g gt.txt -e vio.txt --align-states 1,25%,50%,75%,all
+
     Whether errors fit the covariances in the estimate's messages:
 
         trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
@@ -108,7 +113,7 @@ def evaluate(
             "gauge": gauge,
             "align_states": align_states,
             "align_with": align_with,
-            "applied": apply,
+            "apply": apply,
             "association": association,
             "max_time_difference": max_time_difference,
             "max_gap": max_gap,

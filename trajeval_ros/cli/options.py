@@ -78,6 +78,16 @@ AlignStatesOption = Annotated[
         rich_help_panel=ALIGN,
     ),
 ]
+AlignStatesOrTableOption = Annotated[
+    str | None,
+    typer.Option(
+        "--align-states",
+        metavar="all|N|LIST",
+        help="Align by all matched states (default) or the first N; 1 aligns the first pose. A "
+        "list such as 1,25%,50%,75%,all also gives a table of the ATE by each.",
+        rich_help_panel=ALIGN,
+    ),
+]
 AlignWithOption = Annotated[
     str | None,
     typer.Option(

@@ -279,7 +279,7 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         DegenerateGeometryError: Too few states, or no motion, for the gauge.
     """
     alignment = _alignment_of(pairs, protocol)
-    return alignment.scale_alone if protocol.applied == "scale" else alignment
+    return alignment.scale_alone if protocol.apply == "scale" else alignment
 
 
 def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:

@@ -18,7 +18,7 @@ RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices", "evo")
 NEES_FORMS = ("gauge", "as_published")
 ALIGN_WEIGHTS = ("none", "covariance")
 ALIGN_WITH = ("positions", "poses")
-APPLIED = ("all", "scale")
+APPLY = ("all", "scale")
 # Protocols that give what a program prints, whatever we think of it.
 _OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
@@ -62,7 +62,7 @@ class Protocol:
         align_states: Align by the first so many matched states; None for all.
         align_with: `positions`, or `poses` to let orientations help with the rotation: see
             `alignment.solve`.
-        applied: What of the alignment is applied: `all`, or the `scale` of `sim3` alone, about
+        apply: What of the alignment is applied: `all`, or the `scale` of `sim3` alone, about
             the origin, as evo_ape -s does.
         align_weights: `none`, or `covariance` to weigh states by their own position covariances.
         association: How pairs are made: a rule, or the name of a method.
@@ -96,7 +96,7 @@ class Protocol:
     modality: str | None
     align_states: int | None
     align_with: str
-    applied: str
+    apply: str
     align_weights: str
     association: AssociationRule
     in_order: bool
@@ -115,7 +115,7 @@ class Protocol:
         modality: str | None = None,
         align_states: int | None = None,
         align_with: str = "positions",
-        applied: str = "all",
+        apply: str = "all",
         align_weights: str = "none",
         association: AssociationRule | str = "linear",
         in_order: bool = True,
@@ -131,7 +131,7 @@ class Protocol:
             (ate_form, ATE_FORMS, "ATE form"),
             (re_form, RE_FORMS, "RE form"),
             (align_with, ALIGN_WITH, "alignment"),
-            (applied, APPLIED, "part of the alignment"),
+            (apply, APPLY, "part of the alignment"),
             (nees_form, NEES_FORMS, "NEES form"),
             (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
         ):
@@ -142,7 +142,7 @@ class Protocol:
             "modality": modality,
             "align_states": align_states,
             "align_with": align_with,
-            "applied": applied,
+            "apply": apply,
             "align_weights": align_weights,
             "association": AssociationRule(association)
             if isinstance(association, str)
@@ -185,7 +185,7 @@ class Protocol:
                 else f"gauge {self.gauge.value} has no rotation for them to decide"
             )
             raise SettingsError(f"align with poses weighs orientations, but {why}; leave it out")
-        if self.applied == "scale" and not self.gauge.has_scale:
+        if self.apply == "scale" and not self.gauge.has_scale:
             raise SettingsError(
                 f"gauge {self.gauge.value} has no scale that could be applied alone; use sim3"
             )

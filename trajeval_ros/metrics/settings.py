@@ -32,7 +32,7 @@ def protocol_from(
     modality: str | None = None,
     align_states: str | None = None,
     align_with: str | None = None,
-    applied: str | None = None,
+    apply: str | None = None,
     association: str | None = None,
     max_time_difference: float | None = None,
     max_gap: float | None = None,
@@ -52,7 +52,7 @@ def protocol_from(
         modality: The sensors, which choose the gauge.
         align_states: `all`, or a number.
         align_with: `positions` or `poses`.
-        applied: `all` of the alignment, or its `scale` alone.
+        apply: `all` of the alignment, or its `scale` alone.
         association: How poses are paired.
         max_time_difference: Seconds.
         max_gap: Seconds.
@@ -108,7 +108,7 @@ def protocol_from(
         protocol,
         align_states=protocol.align_states if align_states is None else parse_states(align_states),
         align_with=align_with or protocol.align_with,
-        applied=applied or protocol.applied,
+        apply=apply or protocol.apply,
     )
 
 

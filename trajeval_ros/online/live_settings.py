@@ -75,7 +75,7 @@ class OnlineSettings:
                 "RE form fitted and a protocol's lever arm need the whole recording; evaluate the "
                 "recorded run"
             )
-        if self.protocol.applied == "scale":
+        if self.protocol.apply == "scale":
             raise SettingsError(
                 "the scale of an alignment can't be applied alone live; apply all of it, or "
                 "evaluate the recorded run"

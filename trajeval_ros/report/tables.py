@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from trajeval_ros.consistency.result import Consistency
+    from trajeval_ros.pipeline import RunOutcome
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # Terminals that are narrower do without some columns; the results on disk have them all.
@@ -81,7 +82,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
     modality = f" for {protocol.modality}" if protocol.modality else ""
     poses = " with orientations" if protocol.align_with == "poses" else ""
     weights = ", weighted by covariance" if protocol.align_weights == "covariance" else ""
-    if protocol.applied == "scale":
+    if protocol.apply == "scale":
         how += ", its scale alone applied"
     scale = (
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
@@ -152,6 +153,39 @@ def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
                 add_rows(table, [[name, label, *numbers, str(statistics.count)]])
                 name = ""
     return table
+
+
+def states_table(runs: Sequence[RunOutcome]) -> Table | None:
+    """Return the rmse ATE by the number of aligned states; None unless it was asked for."""
+    if not any(run.by_states for run in runs):
+        return None
+    table = new_table(
+        "ATE (rmse) by the first states that are aligned",
+        ["estimate", "states"],
+        [ABSOLUTE["position_m"], ABSOLUTE["rotation_deg"], "states used"],
+    )
+    for run in runs:
+        name = run.estimate.name
+        for row in run.by_states:
+            errors = [_rmse(each) for each in (row.position_m, row.rotation_deg)]
+            used = NOTHING if row.states_used is None else str(row.states_used)
+            add_rows(table, [[name, row.states, *errors, used]])
+            name = ""
+    return table
+
+
+def states_remarks(runs: Sequence[RunOutcome]) -> list[str]:
+    """Return why rows of `states_table` lack numbers, a line each."""
+    return [
+        f"{run.estimate.name}: aligned by {row.states}: {row.reason}"
+        for run in runs
+        for row in run.by_states
+        if row.reason
+    ]
+
+
+def _rmse(statistics: Statistics | None) -> str:
+    return NOTHING if statistics is None else four_digits(statistics.rmse)
 
 
 def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:

@@ -4,7 +4,7 @@
     gauge: yaw
     align_states: all                  # or a number
     align_with: positions              # or poses
-    applied: all                       # or scale
+    apply: all                         # or scale
     association: {method: linear, max_time_difference_s: 0.02, max_gap_s: 0.5, time_offset_s: 0.0}
     re_form: fitted
     nees_form: gauge
@@ -33,7 +33,7 @@ from trajeval_ros.metrics.settings import parse_states, protocol_named
 from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
-_WORDS = ("align_with", "applied", "align_weights", "ate_form", "re_form", "nees_form")
+_WORDS = ("align_with", "apply", "align_weights", "ate_form", "re_form", "nees_form")
 _KNOWN = (
     *("base", "gauge", "modality", "align_states", "association", "in_order", "lengths"),
     *_WORDS,

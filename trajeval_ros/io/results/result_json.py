@@ -50,7 +50,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "protocol": protocol.name,
             "settings": {
                 "align_with": protocol.align_with,
-                "applied": protocol.applied,
+                "apply": protocol.apply,
                 "align_weights": protocol.align_weights,
                 "in_order": protocol.in_order,
                 "lengths": [str(length) for length in protocol.lengths],
@@ -103,6 +103,17 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
             "rotation_xyzw": similarity.rotation_xyzw.tolist(),
             "translation_m": similarity.translation.tolist(),
         },
+        "by_states": [
+            {
+                "states": each.states,
+                "states_used": each.states_used,
+                "position_m": statistics_json(each.position_m),
+                "rotation_deg": statistics_json(each.rotation_deg),
+                "reason": each.reason,
+            }
+            for each in run.by_states
+        ]
+        or None,
         "ate": {
             "form": protocol.ate_form,
             **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
