@@ -1,7 +1,7 @@
 """Compares `trajeval evaluate` with evo_ape and evo_rpe, number by number, on new pairs.
 
-The pairs are those of tests/data/parity, generated anew from a seed. Both programs run as processes on the
-same files. The exit status is 1 if a number differs by more than the tolerance.
+The pairs are those of tests/data/parity, generated anew from a seed. The programs run as processes
+on the same files. The exit status is 1 if a number differs by more than the tolerance.
 
 Usage: make parity, or make parity SEED=1 for the pairs of that seed
 """
