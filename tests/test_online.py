@@ -174,7 +174,6 @@ def numbers_of(thing: object) -> Iterator[float | str | None]:
 
 
 @settings(max_examples=10)
-@given(seed=seeds)
 @given(seed=seeds, frames=st.integers(1, 40))
 def test_frames_are_counted_live_as_offline(seed: int, frames: int) -> None:
     groundtruth, estimate = make_pair(seed, 200)
@@ -205,6 +204,8 @@ def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: 
         OnlineSettings(Protocol(**settings))
 
 
+@settings(max_examples=10)
+@given(seed=seeds)
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
 @pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
 def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, window: str) -> None:

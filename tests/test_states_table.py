@@ -32,7 +32,8 @@ def test_lists_that_mean_nothing_are_refused(text: str) -> None:
 
 
 def test_each_row_is_the_evaluation_by_so_many_states() -> None:
-    groundtruth, estimate = make_pair(3, 400, smooth=True)
+    pair = make_pair(3, 400, smooth=True)
+    groundtruth, estimate = pair.groundtruth, pair.estimate
     request = request_from({"gauge": "yaw", "align_states": LIST})
     (outcome,) = run(groundtruth, [estimate], request).runs
     assert [row.states for row in outcome.by_states] == LIST.split(",")
