@@ -19,16 +19,31 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.protocol_file import read_protocol
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors, evaluate
+from trajeval_ros.metrics.evaluation import Evaluation, evaluate
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.metrics.statistics import Statistics
 
 FOLDER = Path(__file__).resolve().parent / "data" / "parity"
 REFERENCES: dict[str, Any] = json.loads((FOLDER / "references.json").read_text(encoding="utf-8"))
+ENTRIES: list[dict[str, Any]] = [
+    *REFERENCES["references"],
+    *json.loads((FOLDER / "pose_relations.json").read_text(encoding="utf-8")),
+]
 PAIRS: dict[str, dict[str, str]] = REFERENCES["pairs"]
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 
+# Of evo's pose relations: our metric, and their unit in ours.
+EVO_RELATIONS = {
+    "trans_part": ("position_m", 1.0),
+    "angle_deg": ("rotation_deg", 1.0),
+    "angle_rad": ("rotation_deg", math.radians(1.0)),
+    "rot_part": ("rotation_part", 1.0),
+    "full": ("full", 1.0),
+    "point_distance": ("distance_m", 1.0),
+    "point_distance_error_ratio": ("distance_percent", 1.0),
+}
 RPG_METRICS = {
     "abs_e_trans_stats": "position_m",
     "abs_e_rot_stats": "rotation_deg",
@@ -53,6 +68,7 @@ class Setting:
     protocol: str
     gauge: str | None = None
     align_states: str | None = None
+    apply: str | None = None
     max_time_difference: float | None = None
     time_offset: float | None = None
     lengths: str | None = None
@@ -88,6 +104,7 @@ class Setting:
             gauge=self.gauge,
             modality=None,
             align_states=self.align_states,
+            apply=self.apply,
             association=None,
             max_time_difference=self.max_time_difference,
             max_gap=None,
@@ -173,15 +190,22 @@ class Row:
         if self.tool == "kitti":
             return self._ours_by_kitti(evaluation)
         if self.tool == "evo":
-            metric = "rotation_deg" if self.rotational else "position_m"
-        else:
-            metric = RPG_METRICS[self.quantity]
+            return self._ours_by_evo(evaluation)
+        metric = RPG_METRICS[self.quantity]
         if not self.relative:
             return evaluation.ate[metric]
-        if self.tool == "evo":
-            assert evaluation.segments is not None
-            return evaluation.segments[0].statistics[metric]
         return of_length(evaluation, self.entry["length_m"]).statistics[metric]
+
+    def _ours_by_evo(self, evaluation: Evaluation) -> Statistics | None:
+        metric, unit = EVO_RELATIONS[self.quantity]
+        if self.relative:
+            assert evaluation.segments is not None
+            ours = evaluation.segments[0].statistics[metric]
+        else:
+            # Of single states evo's distance of points is the error of position.
+            metric = "position_m" if self.quantity == "point_distance" else metric
+            ours = evaluation.ate[metric]
+        return ours if ours is None or unit == 1.0 else ours.scaled(unit)
 
     def _ours_by_kitti(self, evaluation: Evaluation) -> Statistics | None:
         if self.quantity == "ate_position":
@@ -225,14 +249,17 @@ class Row:
         if self.repaired and of_raw:
             # Matrices of 9 decimals are rotations to 1e-9. That is a part of 1e-7 of positions
             # that they turn; of an angle of 1e-4 rad, from its cosine, 1e-5.
-            return max((1e-5 if self.rotational else 1e-7) * abs(value), 1e-10)
+            share = max((1e-5 if self.rotational else 1e-7) * abs(value), 1e-10)
+            return max(share, 2e-9 * self._turned_m()) if self.tool == "evo" else share
         if self.entry.get("note") == "ulp" and not self.rotational:
             # Coordinates of 5e6 m: a float64 step is 9.3e-10 m, and a difference has three axes.
             return max(tolerance, 3e-9 * self._units_per_metre())
-        if self.pair == "straight_flat" and self.rotational and not self.relative:
+        turned = {"full": math.sqrt(2.0), "rot_part": math.sqrt(2.0), "angle_rad": 1.0}
+        turns = turned.get(self.quantity, math.degrees(1.0) if self.rotational else None)
+        if self.pair == "straight_flat" and turns is not None and not self.relative:
             # Of L = 240 m, both sides share w = 1 cm to the side of the line: the rotation about
             # it is determined to some 16 eps (L^2 / 12) / w^2.
-            return math.degrees(16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2)
+            return turns * 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2
         if self.tool == "rpg" and RPG_METRICS.get(self.quantity, "").startswith("rotation"):
             # An angle from its arc cosine: an error e of the cosine is e / angle of the angle.
             # The cosine is half a trace of 27 products, hence some 16 roundings of eps.
@@ -245,6 +272,16 @@ class Row:
             # the line to some 16 eps (L^2 / 12) / w^2, which moves poses by w times that.
             return max(tolerance, 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.05)
         return tolerance
+
+    def _turned_m(self) -> float:
+        """Return the length of the steps that the first matrices of both sides turn, metres.
+
+        With entries that are wrong by up to 5e-10 each of them is wrong by up to sqrt(3) 5e-10 of
+        its length.
+        """
+        assert self.setting is not None
+        segments = evaluated(self.pair, self.setting).segments if self.relative else None
+        return segments[0].mean_length_m or 0.0 if segments else 0.0
 
     def _units_per_metre(self) -> float:
         return 100.0 / float(self.entry["length_m"]) if self.unit == "%" else 1.0

@@ -8,10 +8,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from parity import REFERENCES, Row, Setting
+from parity import ENTRIES, Row, Setting
 
-# evo_rpe's pairs of states, from the reference's path and within 20 % of the length.
-EVO_RELATIVE = "base: evo\nlengths: [{length}]\nselection: {{rule: toolbox}}\n"
+EVO_UNITS = {"f": "f", "m": "m", "d": "deg", "r": "rad"}
+# By evo's options: those of `Selection`.
+EVO_SELECTION = {
+    "--all_pairs": "pairs: all",
+    "--pairs_from_reference": "path: groundtruth",
+    "-t": "tolerance: {}",
+}
 RPG_GAUGES = {"none": "none", "posyaw": "yaw", "se3": "se3", "sim3": "sim3"}
 RPG_LENGTHS = "10%,20%,30%,40%,50%,8,16"
 KITTI_GAUGES = {
@@ -23,9 +28,8 @@ KITTI_GAUGES = {
 
 
 # Why a row is not compared.
-OTHER_ALIGNMENT = "trajeval has no alignment by scale alone"
-OTHER_ERROR = "trajeval has no such error: evo's `full`, the KITTI tool's frame-to-frame RPE"
-OTHER_SUB_TRAJECTORIES = "trajeval chooses no sub-trajectories like this option of evo_rpe"
+OTHER_ALIGNMENT = "trajeval has no alignment by the KITTI tool's scale alone"
+OTHER_ERROR = "trajeval has no such error: the KITTI tool's frame-to-frame RPE"
 REFUSED = "the program refused the files"
 DEFECT = "a defect of the program, which trajeval doesn't reproduce"
 TOO_FEW = "the program reports zeros of fewer than two sub-trajectories"
@@ -33,7 +37,7 @@ TOO_FEW = "the program reports zeros of fewer than two sub-trajectories"
 
 def rows() -> list[Row]:
     """Return every row of every reference."""
-    return [row for entry in REFERENCES["references"] for row in _TOOLS[entry["tool"]](entry)]
+    return [row for entry in ENTRIES for row in _TOOLS[entry["tool"]](entry)]
 
 
 def _rows(entry: dict[str, Any], setting: Setting | None, **others: Any) -> list[Row]:
@@ -64,25 +68,27 @@ def _evo_words(call: str) -> tuple[str, dict[str, str]]:
 def _evo(entry: dict[str, Any]) -> list[Row]:
     program, given = _evo_words(entry["call"])
     relative = program == "evo_rpe"
-    if "-s" in given:
-        return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
-    if given["-r"] == "full":
-        return _rows(entry, None, unanswered=OTHER_ERROR)
-    reference_pairs = {"-t": "0.2", "--all_pairs": "", "--pairs_from_reference": "", "-u": "m"}
-    if relative and not reference_pairs.items() <= given.items():
-        return _rows(entry, None, unanswered=OTHER_SUB_TRAJECTORIES)
-    gauge = "sim3" if "-as" in given else "none"
-    if "-a" in given or "--align_origin" in given:
-        gauge = "se3"
+    gauge = "se3" if "-a" in given or "--align_origin" in given else "none"
+    gauge = "sim3" if {"-as", "-s"} & given.keys() else gauge
     setting = Setting(
         "evo",
         gauge=gauge,
+        apply="scale" if "-s" in given else None,
         align_states="1" if "--align_origin" in given else given.get("--n_to_align"),
         max_time_difference=_number(given.get("--t_max_diff")),
         time_offset=_number(given.get("--t_offset")),
-        protocol_text=EVO_RELATIVE.format(length=given["-d"]) if relative else None,
+        protocol_text=_evo_relative(given) if relative else None,
     )
     return _rows(entry, setting, relative=relative)
+
+
+def _evo_relative(given: dict[str, str]) -> str:
+    """Return the protocol file of evo_rpe's options."""
+    selection = [
+        text.format(given[option]) for option, text in EVO_SELECTION.items() if option in given
+    ]
+    length = given["-d"] + EVO_UNITS[given["-u"]]
+    return f"base: evo\nlengths: [{length}]\nselection: {{{', '.join(selection)}}}\n"
 
 
 def _number(text: str | None) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.errors import absolute_errors
 from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.metrics.protocol import PROTOCOLS
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectories import Length, Selection
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Limits, PairingBuffer
@@ -136,7 +137,7 @@ def test_live_is_offline_on_recordings(
 @given(seed=seeds, gauge=gauges)
 def test_live_is_offline(seed: int, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(seed, 300)
-    protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(2, "s")), align_states=None)
+    protocol = Protocol(gauge=gauge, lengths=("3m", "2s", "7f"), align_states=None)
     evaluator = OnlineEvaluator(OnlineSettings(protocol))
     feed(evaluator, groundtruth, estimate, drain_s=0.37)
     assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol), 1e-8)
@@ -171,6 +172,37 @@ def numbers_of(thing: object) -> Iterator[float | str | None]:
     else:
         assert thing is None or isinstance(thing, int | float | str)
         yield thing
+
+
+@settings(max_examples=10)
+@given(seed=seeds, frames=st.integers(1, 40))
+def test_frames_are_counted_live_as_offline(seed: int, frames: int) -> None:
+    groundtruth, estimate = make_pair(seed, 200)
+    protocol = Protocol(lengths=(Length(frames, "f"),))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate, drain_s=0.37)
+    live = evaluator.snapshot().relative[f"{frames}f"]
+    (segment,) = evaluate(groundtruth, estimate, protocol).segments or ()
+    assert live.count == len(segment.errors.ends) > 0
+    position, rotation = (segment.statistics[each] for each in ("position_m", "rotation_deg"))
+    assert position is not None
+    assert rotation is not None
+    assert live.position_m == pytest.approx(position.mean, rel=1e-9)
+    assert live.rotation_deg == pytest.approx(rotation.mean, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"lengths": "5deg"}, "degrees"),
+        ({"lengths": "0.1rad"}, "degrees"),
+        ({"selection": Selection(pairs="consecutive")}, "consecutive"),
+        ({"gauge": "sim3", "apply": "scale"}, "scale"),
+    ],
+)
+def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: str) -> None:
+    with pytest.raises(SettingsError, match=what):
+        OnlineSettings(Protocol(**settings))
 
 
 @settings(max_examples=10)

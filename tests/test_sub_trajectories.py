@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,9 +11,16 @@ from hypothesis import strategies as st
 from strategies import Array, seeds
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.metrics.sub_trajectories import Length, Selection, select
+from trajeval_ros.geometry import lie
+from trajeval_ros.metrics.sub_trajectories import (
+    Length,
+    Selection,
+    select,
+    select_states,
+    select_turns,
+)
 
-RULES = ("nearest", "toolbox", "first-past")
+RULES = ("nearest", "toolbox", "first-past", "evo")
 
 
 def by_search(along: Array, length: float, selection: Selection) -> list[tuple[int, int]]:
@@ -29,6 +38,8 @@ def by_search(along: Array, length: float, selection: Selection) -> list[tuple[i
         deviation = deviations[end - start]
         if selection.rule == "toolbox":
             accepted = deviation < 0.2 * length
+        elif selection.rule == "evo":
+            accepted = deviation <= selection.tolerance * length and end > start
         else:
             reached = [e for e in range(last + 1) if along[e] >= target] or [last]
             spacing = along[reached[0]] - along[max(reached[0] - 1, 0)]
@@ -68,6 +79,67 @@ def test_selection_decides_ties_as_the_search_does(
     along = np.concatenate([[0.0], np.cumsum(np.array(numbers, dtype=np.float64))]) / 2.0
     selection = Selection(rule)
     assert pairs_of(along, length / 2.0, selection) == by_search(along, length / 2.0, selection)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@given(numbers=st.lists(st.integers(0, 3), max_size=60), length=st.integers(1, 20))
+def test_consecutive_ones_are_those_of_all_that_follow_each_other(
+    rule: str, numbers: list[int], length: int
+) -> None:
+    along = np.concatenate([[0.0], np.cumsum(np.array(numbers, dtype=np.float64))]) / 2.0
+    if rule == "evo":  # of consecutive pairs it takes the first end at or beyond the length
+        ends = [np.flatnonzero(along >= each + length / 2.0) for each in along]
+        every = [(start, int(end[0])) for start, end in enumerate(ends) if len(end)]
+    else:
+        every = pairs_of(along, length / 2.0, Selection(rule))
+    expected, at = [], 0
+    for start, end in every:
+        if start >= at and end > start:
+            expected.append((start, end))
+            at = end
+    assert pairs_of(along, length / 2.0, Selection(rule, pairs="consecutive")) == expected
+
+
+@given(count=st.integers(0, 50), length=st.integers(1, 60))
+def test_frames_are_counted(count: int, length: int) -> None:
+    everything = [(start, start + length) for start in range(max(count - length, 0))]
+    found = [
+        list(zip(*map(np.ndarray.tolist, select_states(count, length, selection)), strict=True))
+        for selection in (Selection(), Selection("evo", pairs="consecutive"))
+    ]
+    assert found == [everything, everything[::length]]
+
+
+@given(seed=seeds, angle=st.floats(0.05, 3.0), tolerance=st.floats(0.01, 0.5))
+def test_orientations_that_far_apart_are_all_found(
+    seed: int, angle: float, tolerance: float
+) -> None:
+    random = np.random.default_rng(seed)
+    steps = lie.from_rotation_vector(random.normal(scale=0.3, size=(300, 3)))
+    quaternions = lie.normalized(random.choice([-1.0, 1.0], size=(300, 1)) * steps)
+    starts, ends = np.triu_indices(len(quaternions), 1)
+    apart = lie.angle(lie.multiply(lie.conjugate(quaternions[starts]), quaternions[ends]))
+    inside = np.abs(apart - angle) <= tolerance * angle
+    expected = set(zip(starts[inside].tolist(), ends[inside].tolist(), strict=True))
+    found = select_turns(quaternions, angle, tolerance)
+    assert set(zip(*map(np.ndarray.tolist, found), strict=True)) == expected
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rule": "nearer"},
+        {"pairs": "some"},
+        {"path": "both"},
+        {"every": 0},
+        {"every": 2, "pairs": "consecutive"},
+        {"tolerance": 0.0},
+        {"tolerance": 1.0},
+    ],
+)
+def test_selections_that_mean_nothing_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SettingsError):
+        Selection(**wrong)
 
 
 @given(seed=seeds, length=st.floats(1.0, 10.0))
@@ -114,6 +186,9 @@ def test_no_motion_makes_no_sub_trajectory(rule: str, along: list[float]) -> Non
         ("8m", Length(8.0, "m")),
         (" 0.5 s ", Length(0.5, "s")),
         ("10%", Length(10.0, "%")),
+        ("1f", Length(1, "f")),
+        ("5deg", Length(5.0, "deg")),
+        ("0.2 rad", Length(0.2, "rad")),
         ("1e2m", Length(100.0, "m")),
     ],
 )
@@ -123,7 +198,7 @@ def test_lengths_are_read_and_written(text: str, length: Length) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "m", "-8", "0", "8km", "8 8", "1.2.3", "nan", "inf", "1e999"]
+    "text", ["", "m", "-8", "0", "8km", "8 8", "1.5f", "1.2.3", "nan", "inf", "1e999"]
 )
 def test_what_is_no_length_is_refused(text: str) -> None:
     with pytest.raises(SettingsError):

@@ -34,6 +34,7 @@ from trajeval_ros.metrics import evaluation as measuring
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.states_table import AlignedBy, FirstStates, states_table
 from trajeval_ros.metrics.sub_trajectories import Length
 
 if TYPE_CHECKING:
@@ -61,6 +62,8 @@ class Request:
             path, the same for all estimates, instead of the matched path.
         up: The axes that point up in the groundtruth's frame and in the estimates', such as "z"
             or "-y"; None for those that the trajectories have.
+        states_table: Numbers of first states to give the ATE of the alignment for, besides the
+            protocol's.
 
     Example:
         >>> from trajeval_ros import CalibrationRequest, Protocol, Request
@@ -76,6 +79,7 @@ class Request:
     lengths_of_groundtruth: bool = False
     time_span: TimeSpan | None = None
     up: tuple[str, str] | None = None
+    states_table: tuple[FirstStates, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse parts that contradict each other, and an axis that is none.
@@ -85,6 +89,13 @@ class Request:
         """
         for axis in self.up or ():
             UpAxis(axis)
+        if self.protocol.apply == "scale" and (
+            self.is_continuous or self.covariances.source != "none" or self.calibration.anything
+        ):
+            raise SettingsError(
+                "covariances, likelihoods and calibration are of whole alignments; leave out "
+                "--apply scale"
+            )
         if self.is_continuous and self.covariances.source != "none":
             raise SettingsError(
                 "--covariance compares with samples of the groundtruth, and association "
@@ -119,6 +130,7 @@ class RunOutcome:
         consistency: Whether its covariances fit its errors; None if nobody asked.
         likelihood: How likely it is; None unless the association is continuous.
         live: What only a live run can tell; None of a recorded one.
+        by_states: The ATE by alignments from other numbers of states, as asked for.
 
     Example:
         >>> from trajeval_ros import run, simulate
@@ -134,6 +146,7 @@ class RunOutcome:
     consistency: Consistency | None = None
     likelihood: Assessment | None = None
     live: Mapping[str, object] | None = None
+    by_states: tuple[AlignedBy, ...] = ()
 
     def __repr__(self) -> str:
         """Return a few lines: the errors, and what else was found."""
@@ -402,6 +415,7 @@ def _run(
         calibrated,
         consistency,
         likelihood,
+        by_states=states_table(evaluation, request.states_table),
     )
 
 

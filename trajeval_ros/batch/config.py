@@ -142,7 +142,13 @@ def _request(written: Mapping[str, Any], said: Mapping[str, Any]) -> Request:
             f"a comparison judges covariances in messages, and {words['covariance']!r} is of one "
             "run; use covariance message, or trajeval evaluate for that run"
         )
-    return dataclasses.replace(request_from(words), lengths_of_groundtruth=True)
+    request = request_from(words)
+    if request.states_table:
+        raise SettingsError(
+            "a comparison aligns every run in one way: give align states as all or one number; "
+            "trajeval evaluate gives the table of several"
+        )
+    return dataclasses.replace(request, lengths_of_groundtruth=True)
 
 
 def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:

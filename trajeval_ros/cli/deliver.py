@@ -193,6 +193,12 @@ def _print(runs: Sequence[RunOutcome], output: Path | None, *, gauge_given: bool
             terminal.print(line, soft_wrap=True)
     terminal.print()
     show(terminal, tables.absolute_table(evaluations, terminal.width))
+    by_states = tables.states_table(runs)
+    if by_states is not None:
+        terminal.print()
+        show(terminal, by_states)
+        for line in tables.states_remarks(runs):
+            terminal.print(line, soft_wrap=True)
     relative = tables.relative_table(evaluations, terminal.width)
     if relative is not None:
         terminal.print()

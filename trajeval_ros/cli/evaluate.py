@@ -29,8 +29,9 @@ def evaluate(
     protocol: options.ProtocolOption = None,
     modality: options.ModalityOption = None,
     gauge: options.GaugeOption = None,
-    align_states: options.AlignStatesOption = None,
+    align_states: options.AlignStatesOrTableOption = None,
     align_with: options.AlignWithOption = None,
+    apply: options.ApplyOption = None,
     association: options.AssociationOption = None,
     max_time_difference: options.MaxTimeDifferenceOption = None,
     max_gap: options.MaxGapOption = None,
@@ -39,6 +40,7 @@ def evaluate(
     continuous_model: options.ContinuousModelOption = None,
     groundtruth_noise: options.GroundtruthNoiseOption = None,
     lengths: options.LengthsOption = None,
+    pairs: options.PairsOption = None,
     ate_form: options.AteFormOption = None,
     re_form: options.ReFormOption = None,
     covariance: options.CovarianceOption = None,
@@ -91,6 +93,11 @@ def evaluate(
 
     Numbers as evo or rpg_trajectory_evaluation compute them: --protocol evo, --protocol rpg.
 
+    As evo_rpe -d 10 -u f, and the ATE by the number of aligned states (tutorial, Table III):
+
+        trajeval evaluate -g gt.txt -e vio.txt --protocol evo --gauge none --lengths 10f
+        trajeval evaluate -g gt.txt -e vio.txt --align-states 1,25%,50%,75%,all
+
     Whether errors fit the covariances in the estimate's messages:
 
         trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
@@ -106,6 +113,7 @@ def evaluate(
             "gauge": gauge,
             "align_states": align_states,
             "align_with": align_with,
+            "apply": apply,
             "association": association,
             "max_time_difference": max_time_difference,
             "max_gap": max_gap,
@@ -114,6 +122,7 @@ def evaluate(
             "continuous_model": continuous_model,
             "groundtruth_noise": groundtruth_noise,
             "lengths": lengths,
+            "pairs": pairs,
             "ate_form": ate_form,
             "re_form": re_form,
             "covariance": covariance,

@@ -78,6 +78,16 @@ AlignStatesOption = Annotated[
         rich_help_panel=ALIGN,
     ),
 ]
+AlignStatesOrTableOption = Annotated[
+    str | None,
+    typer.Option(
+        "--align-states",
+        metavar="all|N|LIST",
+        help="Align by all matched states (default) or the first N; 1 aligns the first pose. A "
+        "list such as 1,25%,50%,75%,all also gives a table of the ATE by each.",
+        rich_help_panel=ALIGN,
+    ),
+]
 AlignWithOption = Annotated[
     str | None,
     typer.Option(
@@ -144,12 +154,31 @@ GroundtruthNoiseOption = Annotated[
         rich_help_panel=PAIR,
     ),
 ]
+ApplyOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="all|scale",
+        help="What of the alignment is applied: all of it (default), or the scale of gauge sim3 "
+        "alone, as evo_ape -s.",
+        rich_help_panel=ALIGN,
+    ),
+]
 LengthsOption = Annotated[
     str | None,
     typer.Option(
         metavar="LIST",
         help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
-        "(seconds), 10%,20% (of the path) or none. Default: 8,16,24,32,40.",
+        "(seconds), 1f,10f (frames), 5deg (of rotation), 10%,20% (of the path) or none. "
+        "Default: 8,16,24,32,40.",
+        rich_help_panel=MEASURE,
+    ),
+]
+PairsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="all|consecutive",
+        help="Sub-trajectories from every pair of states (default; protocol evo: consecutive), or "
+        "each from where the one before ends.",
         rich_help_panel=MEASURE,
     ),
 ]

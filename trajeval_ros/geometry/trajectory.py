@@ -337,6 +337,12 @@ def travelled_distance(positions: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(lengths)])[: len(positions)]
 
 
+def turned_angle(quaternions: Floats) -> Floats:
+    """Return the angle turned up to each of the orientations (N, 4), xyzw, (N,), radians."""
+    steps = lie.angle(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(quaternions)]
+
+
 def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
     """Return the sums by key, without the zeros."""
     total: dict[str, int] = {}

@@ -58,6 +58,12 @@ class Alignment:
     by_positions: Similarity | None = None
 
     @property
+    def scale_alone(self) -> Alignment:
+        """The scale of this alignment about the origin, without its rotation and translation."""
+        similarity = Similarity(np.eye(3), np.zeros(3), self.similarity.scale)
+        return Alignment(similarity, self.states_used)
+
+    @property
     def undetermined(self) -> str:
         """Empty, or the sentence that says why the states don't determine the rotation."""
         return "" if self.freedom is None else self.freedom.undetermined

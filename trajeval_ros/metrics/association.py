@@ -110,6 +110,11 @@ class Association:
         """Share of the groundtruth's time in which the estimate was tracked."""
         return self.coverage.covered
 
+    @property
+    def have_rotations(self) -> bool:
+        """Whether both sides have orientations."""
+        return self.groundtruth.quaternions is not None and self.estimate.quaternions is not None
+
 
 def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
     """Pair the states of two trajectories by their stamps.

@@ -144,7 +144,8 @@ def relative_errors(
             yaw and tilt as Euler angles of the error in the estimate's own world, as
             rpg_trajectory_evaluation has them. `fitted`: aligned by yaw and position over all
             its states, eq. (18), plain difference at the end. `matrices`: as `se3`, with the
-            matrices as KITTI's files have them, which the devkit doesn't make rotations.
+            matrices as KITTI's files have them, which the devkit doesn't make rotations. `evo`:
+            as `se3`.
 
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.

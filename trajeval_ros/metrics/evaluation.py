@@ -16,21 +16,22 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.flattening import flattened
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import Alignment, align, align_first
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.columns import arrow_table, pandas_frame
-from trajeval_ros.metrics.drift import Drift, pooled_drift, statistics_per_length
-from trajeval_ros.metrics.errors import (
-    AbsoluteErrors,
-    RelativeErrors,
-    absolute_errors,
-    relative_errors,
-)
+from trajeval_ros.metrics.drift import Drift, pooled_drift
+from trajeval_ros.metrics.errors import AbsoluteErrors, RelativeErrors, absolute_errors
+from trajeval_ros.metrics.pose_relations import pose_errors
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.relative_evaluation import (
+    SubTrajectoryErrors,
+    relative_evaluation,
+    rmse_text,
+)
 from trajeval_ros.metrics.score import Score
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.sub_trajectories import Length, select, select_frames
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.metrics.weighted_alignment import align_weighted
 
 if TYPE_CHECKING:
@@ -39,31 +40,6 @@ if TYPE_CHECKING:
 
 
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SubTrajectoryErrors:
-    """The relative errors of all sub-trajectories of one length.
-
-    Attributes:
-        length: As asked for.
-        length_m: Its value in metres; None where the length is a duration.
-        duration_s: Its value in seconds; None where it is a distance.
-        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
-        errors: Sub-trajectory by sub-trajectory.
-        statistics: By metric; None where there is nothing to tell.
-    """
-
-    length: Length
-    length_m: float | None
-    duration_s: float | None
-    mean_length_m: float | None
-    errors: RelativeErrors
-    statistics: dict[str, Statistics | None]
-
-    def __repr__(self) -> str:
-        """Return a line that says how large they are, without the arrays."""
-        return f"<SubTrajectoryErrors of {self.length}: {_rmse_text(self.statistics)}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,8 +147,8 @@ class Evaluation:
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
             f"{self.protocol.gauge.value}, {len(pairs)} pairs, "
             f"{percent(pairs.groundtruth_coverage)} of groundtruth",
-            f"  ATE: {_rmse_text(self.ate)}",
-            *(f"  RE {each.length}: {_rmse_text(each.statistics)}" for each in segments),
+            f"  ATE: {rmse_text(self.ate)}",
+            *(f"  RE {each.length}: {rmse_text(each.statistics)}" for each in segments),
         ]
         if self.warnings:
             lines.append(f"  warnings: {len(self.warnings)}")
@@ -202,15 +178,6 @@ def _columns_of(errors: AbsoluteErrors | RelativeErrors) -> dict[str, NDArray[An
         for field in dataclasses.fields(errors)
         if (column := getattr(errors, field.name)) is not None
     }
-
-
-def _rmse_text(statistics: dict[str, Statistics | None]) -> str:
-    """Return the rmse of position and rotation as a text."""
-    position, rotation = statistics["position_m"], statistics["rotation_deg"]
-    parts = ["none" if position is None else f"{position.rmse:.4g} m"]
-    if rotation is not None:
-        parts.append(f"{rotation.rmse:.4g} deg")
-    return " ".join(parts)
 
 
 def evaluate(
@@ -256,7 +223,7 @@ def evaluate_pairs(
     aligned = alignment.similarity.trajectory(pairs.estimate)
 
     withheld = alignment.why_withheld(protocol)
-    if protocol.ate_form == "tutorial" and (withheld or not _have_rotations(pairs)):
+    if protocol.ate_form == "tutorial" and (withheld or not pairs.have_rotations):
         why = withheld or "one side has positions only"
         raise InputError(
             f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
@@ -268,7 +235,9 @@ def evaluate_pairs(
     if protocol.gauge is Gauge.PLANAR:
         absolute = dataclasses.replace(absolute, tilt_deg=None)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
-    segments = _relative(pairs, groundtruth, alignment, protocol)
+    if protocol.ate_form == "evo":
+        ate |= pose_errors(absolute.position_m, absolute.rotation_deg)
+    segments = relative_evaluation(pairs, groundtruth, alignment, protocol)
     return Evaluation(
         protocol=protocol,
         groundtruth=groundtruth,
@@ -301,12 +270,19 @@ def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArr
 
 
 def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
-    """Align by all matched states, or the first few: Table I of the tutorial.
+    """Return what the protocol applies of the alignment by all matched states, or the first few.
+
+    Tutorial, Table I.
 
     Raises:
         InputError: The states lack what the protocol's weights need.
         DegenerateGeometryError: Too few states, or no motion, for the gauge.
     """
+    alignment = _alignment_of(pairs, protocol)
+    return alignment.scale_alone if protocol.apply == "scale" else alignment
+
+
+def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:
     truth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.align_states == 1:
         return align_first(
@@ -342,97 +318,6 @@ def _known_covariances(estimate: Trajectory) -> Floats:
         f"{estimate.name or 'the estimate'} has no position covariance for every state, so the "
         "alignment can't be weighted by it; use alignment weighting none"
     )
-
-
-def _relative(
-    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
-) -> tuple[SubTrajectoryErrors, ...] | None:
-    """Measure the errors (27) of all sub-trajectories of all lengths."""
-    if not protocol.lengths or not _have_rotations(pairs):
-        return None
-    truth = pairs.groundtruth
-    distance, time = travelled_distance(truth.positions), truth.seconds
-    # The devkit measures the path through all frames, those without an estimate included.
-    by_frame = protocol.selection.rule == "first-past" and pairs.rule.method == "index"
-    paired = pairs.groundtruth_rows
-    if by_frame:
-        assert paired is not None
-        whole_m, whole_s = groundtruth.travelled, groundtruth.seconds
-        distance, time = whole_m[paired], whole_s[paired]
-        frames = groundtruth.frames
-        numbers = np.arange(len(groundtruth)) if frames is None else frames
-    if any(length.unit == "s" for length in protocol.lengths) and (np.diff(time) < 0.0).any():
-        raise InputError(
-            "the pairs step back in time, so no sub-trajectory can be chosen by its duration; "
-            "use protocol default, which sorts, or lengths in metres"
-        )
-    segments = []
-    for length in protocol.lengths:
-        value = length.value
-        if length.unit == "%":
-            value = _share_of_path(length.value, distance[-1], groundtruth, protocol)
-        if by_frame:
-            assert paired is not None
-            along = whole_s if length.unit == "s" else whole_m
-            starts, ends = select_frames(along, numbers, paired, value, protocol.selection)
-        else:
-            along = time if length.unit == "s" else distance
-            starts, ends = select(along, value, protocol.selection)
-        errors = relative_errors(
-            truth,
-            pairs.estimate,
-            starts,
-            ends,
-            protocol.gauge,
-            alignment.similarity.scale,
-            protocol.re_form,
-        )
-        if protocol.gauge is Gauge.PLANAR:
-            errors = dataclasses.replace(errors, tilt_deg=None)
-        in_metres = length.unit != "s"
-        segments.append(
-            SubTrajectoryErrors(
-                length=length,
-                length_m=float(value) if in_metres else None,
-                duration_s=None if in_metres else float(value),
-                mean_length_m=float(np.mean(distance[ends] - distance[starts]))
-                if len(ends)
-                else None,
-                errors=errors,
-                statistics=_segment_statistics(errors, float(value) if in_metres else None),
-            )
-        )
-    return tuple(segments)
-
-
-def _share_of_path(
-    percent: float, matched_m: float, groundtruth: Trajectory, protocol: Protocol
-) -> float:
-    """Return a share of the path in metres; the toolbox's is of all groundtruth, in full cm."""
-    if protocol.selection.rule == "toolbox":
-        share = percent / 100.0 * groundtruth.path_length_m
-        return float(np.trunc(100.0 * share) / 100.0)
-    return percent / 100.0 * matched_m
-
-
-def _segment_statistics(
-    errors: RelativeErrors, length_m: float | None
-) -> dict[str, Statistics | None]:
-    position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
-    per_length = statistics_per_length(position, rotation, length_m)
-    return {
-        "position_m": position,
-        "position_percent": per_length["position_percent"],
-        "rotation_deg": rotation,
-        "rotation_deg_per_m": per_length["rotation_deg_per_m"],
-        "yaw_deg": statistics_of(errors.yaw_deg),
-        "tilt_deg": statistics_of(errors.tilt_deg),
-        "velocity_mps": statistics_of(errors.velocity_mps),
-    }
-
-
-def _have_rotations(pairs: Association) -> bool:
-    return pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
 
 
 def _on_plane(trajectory: Trajectory) -> Trajectory:

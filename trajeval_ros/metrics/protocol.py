@@ -13,11 +13,12 @@ from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.score import PointTable
 from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
 
-ATE_FORMS = ("plain", "tutorial")
-RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices")
+ATE_FORMS = ("plain", "tutorial", "evo")
+RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices", "evo")
 NEES_FORMS = ("gauge", "as_published")
 ALIGN_WEIGHTS = ("none", "covariance")
 ALIGN_WITH = ("positions", "poses")
+APPLY = ("all", "scale")
 # Protocols that give what a program prints, whatever we think of it.
 _OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
@@ -61,10 +62,13 @@ class Protocol:
         align_states: Align by the first so many matched states; None for all.
         align_with: `positions`, or `poses` to let orientations help with the rotation: see
             `alignment.solve`.
+        apply: What of the alignment is applied: `all`, or the `scale` of `sim3` alone, about
+            the origin, as evo_ape -s does.
         align_weights: `none`, or `covariance` to weigh states by their own position covariances.
         association: How pairs are made: a rule, or the name of a method.
         in_order: Sort states by stamp and drop repeated stamps first.
-        ate_form: `plain`, or `tutorial` for eq. (23) to the letter.
+        ate_form: `plain`; `tutorial` for eq. (23) to the letter; `evo` for plain errors with
+            those of whole poses beside them (`pose_relations`).
         re_form: See `errors.relative_errors`.
         nees_form: `gauge`, by covariances in the gauge of the alignment, or `as_published`.
         lengths: Of sub-trajectories: metres as numbers, texts such as "1s" or "10%", or
@@ -92,6 +96,7 @@ class Protocol:
     modality: str | None
     align_states: int | None
     align_with: str
+    apply: str
     align_weights: str
     association: AssociationRule
     in_order: bool
@@ -110,6 +115,7 @@ class Protocol:
         modality: str | None = None,
         align_states: int | None = None,
         align_with: str = "positions",
+        apply: str = "all",
         align_weights: str = "none",
         association: AssociationRule | str = "linear",
         in_order: bool = True,
@@ -125,6 +131,7 @@ class Protocol:
             (ate_form, ATE_FORMS, "ATE form"),
             (re_form, RE_FORMS, "RE form"),
             (align_with, ALIGN_WITH, "alignment"),
+            (apply, APPLY, "part of the alignment"),
             (nees_form, NEES_FORMS, "NEES form"),
             (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
         ):
@@ -135,6 +142,7 @@ class Protocol:
             "modality": modality,
             "align_states": align_states,
             "align_with": align_with,
+            "apply": apply,
             "align_weights": align_weights,
             "association": AssociationRule(association)
             if isinstance(association, str)
@@ -177,6 +185,16 @@ class Protocol:
                 else f"gauge {self.gauge.value} has no rotation for them to decide"
             )
             raise SettingsError(f"align with poses weighs orientations, but {why}; leave it out")
+        if self.apply == "scale" and not self.gauge.has_scale:
+            raise SettingsError(
+                f"gauge {self.gauge.value} has no scale that could be applied alone; use sim3"
+            )
+        for length in self.lengths:
+            if length.turns and self.selection.compares_rotations and length.radians > np.pi:
+                raise SettingsError(
+                    f"two orientations are never {length} apart; use a length of at most half a "
+                    "turn, or consecutive pairs"
+                )
         if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
             raise SettingsError(
                 "RE form fitted aligns by yaw and position, and gauge "
@@ -209,13 +227,15 @@ PROTOCOLS: dict[str, Protocol] = {
         lengths=tuple(Length(percent, "%") for percent in (10, 20, 30, 40, 50)),
         selection="toolbox",
     ),
-    # evo 1.38: evo_ape. Its relative error is of another kind, so none is computed by default.
+    # evo 1.38: evo_ape; with lengths evo_rpe, which has no list of them.
     "evo": Protocol(
         name="evo",
         association=AssociationRule("evo", max_time_difference_s=0.01),
         in_order=False,
-        re_form="se3",
+        ate_form="evo",
+        re_form="evo",
         lengths=(),
+        selection=Selection("evo", pairs="consecutive", path="estimate"),
     ),
     # rpng/open_vins, ov_eval: error_singlerun with alignment posyaw.
     "ov_eval": Protocol(

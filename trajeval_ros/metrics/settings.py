@@ -32,6 +32,7 @@ def protocol_from(
     modality: str | None = None,
     align_states: str | None = None,
     align_with: str | None = None,
+    apply: str | None = None,
     association: str | None = None,
     max_time_difference: float | None = None,
     max_gap: float | None = None,
@@ -39,6 +40,7 @@ def protocol_from(
     continuous_model: str | None = None,
     groundtruth_noise: tuple[float, float] | None = None,
     lengths: str | None = None,
+    pairs: str | None = None,
     ate_form: str | None = None,
     re_form: str | None = None,
 ) -> Protocol:
@@ -50,13 +52,15 @@ def protocol_from(
         modality: The sensors, which choose the gauge.
         align_states: `all`, or a number.
         align_with: `positions` or `poses`.
+        apply: `all` of the alignment, or its `scale` alone.
         association: How poses are paired.
         max_time_difference: Seconds.
         max_gap: Seconds.
         time_offset: Added to the estimate's stamps, seconds.
         continuous_model: The groundtruth's motion model, for association continuous.
         groundtruth_noise: Standard deviations of its samples (m, deg), for association continuous.
-        lengths: Of sub-trajectories, as in "8,16,24", "1s,5s", "10%,20%", "none".
+        lengths: Of sub-trajectories, as in "8,16,24", "1s,5s", "10f", "5deg", "10%,20%", "none".
+        pairs: `all` or `consecutive` sub-trajectories.
         ate_form: See `Protocol`.
         re_form: See `Protocol`.
 
@@ -95,6 +99,7 @@ def protocol_from(
         base,
         association=rule,
         lengths=None if lengths is None else parse_lengths(lengths),
+        selection=_replaced(base.selection, pairs=pairs),
         ate_form=ate_form,
         re_form=re_form,
     )
@@ -103,6 +108,7 @@ def protocol_from(
         protocol,
         align_states=protocol.align_states if align_states is None else parse_states(align_states),
         align_with=align_with or protocol.align_with,
+        apply=apply or protocol.apply,
     )
 
 

@@ -1,25 +1,36 @@
 """Sub-trajectories: which pairs of states (start, end) are a given length apart.
 
 Tutorial, section IV-B, eq. (25). Lengths are measured along the path through the matched
-groundtruth positions, or in time. Selection is a binary search per start: O(N log N).
+positions, in time, in states, or by how far the body has turned. Selection is a binary search per
+start, O(N log N), but for evo's pairs of rotations, which are compared with one another, O(N^2).
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 
-RULES = ("nearest", "toolbox", "first-past")
+RULES = ("nearest", "toolbox", "first-past", "evo")
+PAIRS = ("all", "consecutive")
+PATHS = ("groundtruth", "estimate")
+UNITS = ("m", "s", "%", "f", "deg", "rad")
+_EXAMPLES = "8 or 8m (metres), 1s (seconds), 10f (frames), 5deg or 0.1rad (of rotation) or 10%"
 
 
 @dataclass(frozen=True)
 class Length:
-    """A length to choose sub-trajectories by: metres, seconds, or a share of the whole path.
+    """A length to choose sub-trajectories by.
+
+    Attributes:
+        value: In its unit.
+        unit: `m`, of the path; `s`; `%`, of the whole path; `f`, frames, which are matched states;
+            `deg` or `rad`, by which the body turns.
 
     Example:
         >>> from trajeval_ros import Length
@@ -32,19 +43,35 @@ class Length:
 
     def __post_init__(self) -> None:
         """Refuse lengths that no sub-trajectory can have."""
-        if self.unit not in ("m", "s", "%"):
-            raise SettingsError(f"a length is in m, s or %, not {self.unit!r}")
+        if self.unit not in UNITS:
+            raise SettingsError(f"a length is in {', '.join(UNITS)}, not {self.unit!r}")
         if not (np.isfinite(self.value) and self.value > 0.0):
             raise SettingsError(f"a length must be positive, not {self.value:g}{self.unit}")
+        if self.unit == "f" and self.value != round(self.value):
+            raise SettingsError(f"a length in frames is a whole number, not {self.value:g}f")
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether it is a distance, so that errors can be a share of it."""
+        return self.unit in ("m", "%")
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a rotation."""
+        return self.unit in ("deg", "rad")
+
+    @property
+    def radians(self) -> float:
+        """How far the body turns, of a length that is a rotation."""
+        return float(np.radians(self.value)) if self.unit == "deg" else self.value
 
     @classmethod
     def parse(cls, text: str) -> Length:
-        """Read "8", "8m", "1s" or "10%"."""
-        match = re.fullmatch(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(m|s|%)?\s*", text)
+        """Read "8", "8m", "1s", "10f", "5deg", "0.1rad" or "10%"."""
+        pattern = rf"\s*([0-9.]+(?:e-?[0-9]+)?)\s*({'|'.join(UNITS)})?\s*"
+        match = re.fullmatch(pattern, text)
         if match is None:
-            raise SettingsError(
-                f"{text!r} is no length; write 8 or 8m (metres), 1s (seconds) or 10% (of the path)"
-            )
+            raise SettingsError(f"{text!r} is no length; write {_EXAMPLES} (of the path)")
         try:
             return cls(float(match[1]), match[2] or "m")
         except ValueError:
@@ -63,7 +90,7 @@ class Length:
             return cls.parse(length)
         if isinstance(length, bool) or not isinstance(length, (int, float, np.number)):
             raise SettingsError(
-                f"{length!r} is no length; write metres as a number, or 8m, 1s or 10% as a text"
+                f"{length!r} is no length; write metres as a number, or as a text {_EXAMPLES}"
             )
         return cls(float(length), "m")
 
@@ -73,7 +100,7 @@ class Length:
 
 
 def parse_lengths(text: str) -> tuple[Length, ...]:
-    """Read "8,16,24", "1s,5s", "10%,20%" or "none"."""
+    """Read "8,16,24", "1s,5s", "1f,10f", "5deg", "10%,20%" or "none"."""
     if text.strip() == "none":
         return ()
     lengths = tuple(Length.parse(part) for part in text.split(","))
@@ -84,45 +111,133 @@ def parse_lengths(text: str) -> tuple[Length, ...]:
 
 @dataclass(frozen=True)
 class Selection:
-    """The rule by which the end of a sub-trajectory is chosen.
+    """The rule by which starts and ends of sub-trajectories are chosen.
+
+    Frames are counted, so that all rules agree about them.
 
     Attributes:
         rule: `nearest`: the state whose distance is nearest to the length, within 1 % of it or
             half the local spacing of states, whichever is more, but never more than 20 %.
             `toolbox`: nearest, within 20 %, as rpg_trajectory_evaluation does.
             `first-past`: the first state beyond the length, as the KITTI devkit does.
+            `evo`: as evo_rpe does. Of consecutive pairs the first state at or beyond the length;
+            of all pairs the nearest one within the tolerance, but of rotations every pair of
+            states whose orientations are so far apart, within the tolerance.
         every: Take each n-th state as a start.
+        pairs: `all`: every start is used. `consecutive`: the next sub-trajectory begins where
+            the one before ends.
+        path: Along which positions and rotations lengths are measured: the `groundtruth`'s, or
+            the `estimate`'s with the alignment's scale.
+        tolerance: By what share an end may miss the length: rule `evo`, all pairs.
     """
 
     rule: str = "nearest"
     every: int = 1
+    pairs: str = "all"
+    path: str = "groundtruth"
+    tolerance: float = 0.1
 
     def __post_init__(self) -> None:
         """Refuse rules that there are not."""
         require_one_of(self.rule, RULES, "selection rule")
+        require_one_of(self.pairs, PAIRS, "selection of pairs")
+        require_one_of(self.path, PATHS, "path")
         if self.every < 1:
             raise SettingsError(f"every n-th state is a start from n = 1 on, not {self.every}")
+        if self.every > 1 and self.is_consecutive:
+            raise SettingsError(
+                "of consecutive pairs each begins where the one before ends, so they can't begin "
+                f"at every {self.every}th state; use pairs all, or every 1"
+            )
+        if not 0.0 < self.tolerance < 1.0:
+            raise SettingsError(
+                f"the tolerance is a share of the length, above 0 and below 1, not "
+                f"{self.tolerance:g}"
+            )
+
+    def __str__(self) -> str:
+        """Return what the sub-trajectories depend on, in a few words."""
+        parts = [self.rule, f"every {self.every}"]
+        parts += [self.pairs] if self.is_consecutive else []
+        parts += ["along the estimate"] if self.path == "estimate" else []
+        parts += [f"within {self.tolerance:g}"] if self.compares_rotations else []
+        return ", ".join(parts)
+
+    @property
+    def is_consecutive(self) -> bool:
+        """Whether a sub-trajectory begins where the one before ends."""
+        return self.pairs == "consecutive"
+
+    @property
+    def compares_rotations(self) -> bool:
+        """Whether lengths in degrees are between the orientations of any two states."""
+        return self.rule == "evo" and not self.is_consecutive
 
 
 LARGEST_DEVIATION = 0.2
 TOLERANCE = 0.01
+_TURN_BLOCK = 256
 
 
 def select(along: Floats, length: float, selection: Selection) -> tuple[Indices, Indices]:
     """Return the starts and ends (K,) of all sub-trajectories of that length.
 
     Args:
-        along: (N,) distance travelled, metres, or time, seconds, at each state; not decreasing.
+        along: (N,) distance travelled, metres, angle turned, or time, seconds, at each state; not
+            decreasing.
         length: In the unit of `along`.
         selection: How an end is chosen.
     """
     starts = np.arange(0, len(along), selection.every)
-    if selection.rule == "first-past":
-        ends = np.searchsorted(along, along[starts] + length, side="right")
-        found = ends < len(along)
-        return starts[found], ends[found]
-    ends, accepted = nearest_ends(along, starts, length, selection.rule)
-    return starts[accepted], ends[accepted]
+    if selection.rule == "first-past" or (selection.rule == "evo" and selection.is_consecutive):
+        side: Literal["left", "right"] = "left" if selection.rule == "evo" else "right"
+        ends = np.searchsorted(along, along[starts] + length, side=side)
+        accepted = ends < len(along)
+    else:
+        ends, accepted = nearest_ends(along, starts, length, selection.rule, selection.tolerance)
+    return _used(starts[accepted], ends[accepted], selection)
+
+
+def select_states(count: int, length: int, selection: Selection) -> tuple[Indices, Indices]:
+    """Return the starts and ends (K,) of sub-trajectories of so many steps between N states."""
+    starts = np.arange(0, max(count - length, 0), selection.every)
+    return _used(starts, starts + length, selection)
+
+
+def select_turns(quaternions: Floats, angle: float, tolerance: float) -> tuple[Indices, Indices]:
+    """Return the starts and ends (K,) of all pairs of states whose orientations are so far apart.
+
+    Args:
+        quaternions: (N, 4) xyzw, unit.
+        angle: Radians, at most half a turn.
+        tolerance: Share of the angle by which it may be missed.
+    """
+    least, most = (1.0 - tolerance) * angle, min((1.0 + tolerance) * angle, np.pi)
+    # |q_i . q_j| is the cosine of half the angle between them.
+    high, low = np.cos(least / 2.0), np.cos(most / 2.0)
+    found: list[tuple[Indices, Indices]] = []
+    for begin in range(0, len(quaternions), _TURN_BLOCK):
+        block = quaternions[begin : begin + _TURN_BLOCK]
+        cosine = np.abs(block @ quaternions[begin:].T)
+        starts, ends = np.nonzero(np.triu((cosine <= high) & (cosine >= low), 1))
+        found.append((starts + begin, ends + begin))
+    starts, ends = np.hstack(found)
+    return starts, ends
+
+
+def _used(starts: Indices, ends: Indices, selection: Selection) -> tuple[Indices, Indices]:
+    """Return all sub-trajectories, or those that begin where the one before ends."""
+    if not selection.is_consecutive or not len(starts):
+        return starts, ends
+    # A state may be passed over that begins none, and none ends where it begins.
+    forward = ends > starts
+    starts, ends = starts[forward], ends[forward]
+    following = np.searchsorted(starts, ends).tolist()
+    kept, place = [], 0
+    while place < len(following):
+        kept.append(place)
+        place = following[place]
+    return starts[kept], ends[kept]
 
 
 def select_frames(
@@ -142,7 +257,8 @@ def select_frames(
     """
     starts = np.flatnonzero(frames % selection.every == 0)
     ends = np.searchsorted(along, along[starts] + length, side="right")
-    starts, ends = starts[ends < len(along)], ends[ends < len(along)]
+    inside = ends < len(along)
+    starts, ends = _used(starts[inside], ends[inside], selection)
     pair = np.full(len(along), -1)
     pair[paired] = np.arange(len(paired))
     both = (pair[starts] >= 0) & (pair[ends] >= 0)
@@ -150,7 +266,11 @@ def select_frames(
 
 
 def nearest_ends(
-    along: Floats, starts: Indices, length: float | Floats, rule: str = "nearest"
+    along: Floats,
+    starts: Indices,
+    length: float | Floats,
+    rule: str = "nearest",
+    share: float = LARGEST_DEVIATION,
 ) -> tuple[Indices, Booleans]:
     """Return the state nearest to the length from each start (K,), and whether it is near enough.
 
@@ -158,7 +278,8 @@ def nearest_ends(
         along: (N,) as for `select`.
         starts: (K,) indices of first states.
         length: One for all starts, or (K,).
-        rule: `nearest` or `toolbox`.
+        rule: `nearest`, `toolbox` or `evo`.
+        share: Of the length by which an end may miss it: rule `evo`.
     """
     target = along[starts] + length
     within = np.minimum(along.searchsorted(target), len(along) - 1)
@@ -170,6 +291,8 @@ def nearest_ends(
     deviation = np.minimum(too_long, too_short)
     if rule == "toolbox":
         accepted = deviation < LARGEST_DEVIATION * length
+    elif rule == "evo":
+        accepted = (deviation <= share * length) & (ends > starts)
     else:
         spacing = reached - missed
         tolerance = np.minimum(

@@ -75,5 +75,17 @@ class OnlineSettings:
                 "RE form fitted and a protocol's lever arm need the whole recording; evaluate the "
                 "recorded run"
             )
+        if self.protocol.apply == "scale":
+            raise SettingsError(
+                "the scale of an alignment can't be applied alone live; apply all of it, or "
+                "evaluate the recorded run"
+            )
+        if self.protocol.selection.is_consecutive or any(
+            length.turns for length in self.protocol.lengths
+        ):
+            raise SettingsError(
+                "consecutive pairs and lengths in degrees or radians can't be live; use pairs all "
+                "and metres, seconds or frames, or evaluate the recorded run"
+            )
         if self.freeze and self.protocol.align_states is not None:
             raise SettingsError("align states is either a number or frozen, not both")

@@ -14,10 +14,12 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.sub_trajectories import nearest_ends
+from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
 from trajeval_ros.online.state_rows import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 
+# Units of lengths whose ends can be told while a run goes on.
+LIVE_UNITS = ("m", "s", "f")
 # A robot at rest ends no sub-trajectory; its pairs are not kept for ever.
 MOST_OPEN_STARTS = 200_000
 
@@ -59,17 +61,18 @@ class RelativeTracker:
     """Finds the ends of sub-trajectories of several lengths, each pair once."""
 
     def __init__(self, protocol: Protocol) -> None:
-        """Begin, for the protocol's lengths in metres and seconds."""
+        """Begin, for the protocol's lengths in metres, seconds and frames."""
         self._protocol = protocol
-        chosen = [
-            [length for length in dict.fromkeys(protocol.lengths) if length.unit == unit]
-            for unit in ("m", "s")
-        ]
-        metres, total = len(chosen[0]), sum(map(len, chosen))
-        self._by_unit = {"m": slice(metres), "s": slice(metres, total)}
-        # An entry for each length, those in metres first.
-        self._names = [str(length) for of_unit in chosen for length in of_unit]
-        self._values = np.array([length.value for of_unit in chosen for length in of_unit])
+        # An entry for each length, by their units.
+        chosen: list[Length] = []
+        self._by_unit: dict[str, slice] = {}
+        for unit in LIVE_UNITS:
+            begin = len(chosen)
+            chosen += [each for each in dict.fromkeys(protocol.lengths) if each.unit == unit]
+            self._by_unit[unit] = slice(begin, len(chosen))
+        total = len(chosen)
+        self._names = [str(length) for length in chosen]
+        self._values = np.array([length.value for length in chosen])
         self._next, self._given_up, self._count = np.zeros((3, total), dtype=np.int64)
         self._position_sum, self._rotation_sum = np.zeros((2, total))
 
@@ -110,7 +113,7 @@ class RelativeTracker:
             store: All pairs from the oldest open start on.
             scale: Of the present alignment.
         """
-        return (*self._measure(store, "m", scale), *self._measure(store, "s", scale))
+        return tuple(end for unit in LIVE_UNITS for end in self._measure(store, unit, scale))
 
     def oldest_needed(self, store: PairStore) -> int:
         """Return the number of the oldest pair that may still begin a sub-trajectory."""
@@ -128,7 +131,7 @@ class RelativeTracker:
         if not names:
             return
         first = int(begin.min())
-        along = store.along(first) if unit == "m" else _seconds(store.stamps(first))
+        along = _along(store, first, unit)
         # An end is decided when there is a pair at or beyond the length.
         decided = first + along.searchsorted(along[-1] - values, side="right")
         count = np.maximum(decided - begin, 0)
@@ -175,6 +178,12 @@ def _poses(rows: Floats) -> PoseArrays:
     return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
 
 
-def _seconds(stamps: NDArray[np.int64]) -> Floats:
+def _along(store: PairStore, first: int, unit: str) -> Floats:
+    """Return the path, time or number of states up to the pairs from a number on."""
+    if unit == "m":
+        return store.along(first)
+    stamps = store.stamps(first)
+    if unit == "f":
+        return np.arange(len(stamps), dtype=np.float64)
     since: Floats = (stamps - stamps[0]) / NANOSECONDS
     return since

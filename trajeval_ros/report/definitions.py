@@ -23,6 +23,8 @@ def alignment_of(evaluations: Sequence[Evaluation]) -> str:
     else:
         states = "all matched states"
     weighted = ", weighted" if protocol.align_weights != "none" else ""
+    if protocol.apply == "scale":
+        states += ", its scale alone applied"
     poses = " with orientations" if protocol.align_with == "poses" else ""
     return f"aligned by {protocol.gauge.description}, {states}{poses}{weighted}"
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.drift import position_percent
-from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 _PANEL_IN = 3.2
 _COUNT_POINTS = 9.0
 _MOST_COUNT_ROWS = 4
-_UNITS = {"m": "m", "s": "s", "%": "% of the path"}
+_UNITS = {"%": "% of the path", "f": "frames"}
 _METRICS = {
     "position_m": "position error [m]",
     "position_percent": "position error [% of length]",
@@ -32,7 +33,7 @@ _METRICS = {
 def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
     """Draw the distribution of position and rotation error over each length."""
     lengths = evaluations[0].protocol.lengths
-    in_metres = all(length.unit != "s" for length in lengths)
+    in_metres = all(length.in_metres for length in lengths)
     metrics = [metric for metric in _METRICS if in_metres or metric != "position_percent"]
     title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
     everything = [segments for each in evaluations for segments in each.segments or ()]
@@ -126,7 +127,8 @@ def _label_lengths(axes: Axes, lengths: Sequence[Length], count_rows: int) -> No
     axes.set_xlim(-0.6, len(lengths) - 0.4)
     axes.grid(visible=False, axis="x")
     axes.tick_params(axis="x", length=0)
-    unit = f" [{_UNITS[units.pop()]}]" if same else ""
+    unit = units.pop()
+    unit = f" [{_UNITS.get(unit, unit)}]" if same else ""
     axes.set_xlabel(f"length of sub-trajectory{unit}", labelpad=5.0 + _COUNT_POINTS * count_rows)
 
 

@@ -9,7 +9,8 @@ from trajeval_ros.diagnosis.few_pairs import few_pairs
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.formatting.numbers import NOTHING, four_digits, percent
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
-from trajeval_ros.metrics.evaluation import Evaluation, SubTrajectoryErrors
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.report.console import add_rows, new_table
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from trajeval_ros.consistency.result import Consistency
+    from trajeval_ros.pipeline import RunOutcome
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # Terminals that are narrower do without some columns; the results on disk have them all.
@@ -31,6 +33,8 @@ ABSOLUTE = {
     "velocity_mps": "velocity [m/s]",
     "gyroscope_bias": "gyroscope bias [rad/s]",
     "accelerometer_bias": "accelerometer bias [m/s^2]",
+    "rotation_part": "rotation part",
+    "full": "full pose",
 }
 RELATIVE = {
     "position_m": "position [m]",
@@ -40,6 +44,10 @@ RELATIVE = {
     "yaw_deg": "yaw [deg]",
     "tilt_deg": "tilt [deg]",
     "velocity_mps": "velocity [m/s]",
+    "distance_m": "distance [m]",
+    "distance_percent": "distance [%]",
+    "rotation_part": "rotation part",
+    "full": "full pose",
 }
 METHODS = {
     "linear": "groundtruth interpolated, never across more than {0.max_gap_s:g} s",
@@ -55,6 +63,7 @@ RE_FORMS = {
     "tutorial": "eq. (26) to the letter",
     "matrices": "relative poses, by the matrices as they are in the file",
     "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
+    "evo": "relative poses, as evo_rpe",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }
 
@@ -73,6 +82,8 @@ def verdict(evaluation: Evaluation) -> list[str]:
     modality = f" for {protocol.modality}" if protocol.modality else ""
     poses = " with orientations" if protocol.align_with == "poses" else ""
     weights = ", weighted by covariance" if protocol.align_weights == "covariance" else ""
+    if protocol.apply == "scale":
+        how += ", its scale alone applied"
     scale = (
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
@@ -136,12 +147,45 @@ def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for metric, label in ABSOLUTE.items():
-            statistics = evaluation.ate[metric]
+            statistics = evaluation.ate.get(metric)
             if statistics is not None:
                 numbers = [four_digits(getattr(statistics, each)) for each in shown]
                 add_rows(table, [[name, label, *numbers, str(statistics.count)]])
                 name = ""
     return table
+
+
+def states_table(runs: Sequence[RunOutcome]) -> Table | None:
+    """Return the rmse ATE by the number of aligned states; None unless it was asked for."""
+    if not any(run.by_states for run in runs):
+        return None
+    table = new_table(
+        "ATE (rmse) by the first states that are aligned",
+        ["estimate", "states"],
+        [ABSOLUTE["position_m"], ABSOLUTE["rotation_deg"], "states used"],
+    )
+    for run in runs:
+        name = run.estimate.name
+        for row in run.by_states:
+            errors = [_rmse(each) for each in (row.position_m, row.rotation_deg)]
+            used = NOTHING if row.states_used is None else str(row.states_used)
+            add_rows(table, [[name, row.states, *errors, used]])
+            name = ""
+    return table
+
+
+def states_remarks(runs: Sequence[RunOutcome]) -> list[str]:
+    """Return why rows of `states_table` lack numbers, a line each."""
+    return [
+        f"{run.estimate.name}: aligned by {row.states}: {row.reason}"
+        for run in runs
+        for row in run.by_states
+        if row.reason
+    ]
+
+
+def _rmse(statistics: Statistics | None) -> str:
+    return NOTHING if statistics is None else four_digits(statistics.rmse)
 
 
 def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:
@@ -154,7 +198,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         metric
         for metric in RELATIVE
         if _fits(metric, width)
-        and any(each.statistics[metric] for e in evaluations for each in e.segments or ())
+        and any(each.statistics.get(metric) for e in evaluations for each in e.segments or ())
     ]
     if not metrics:
         return None
@@ -166,7 +210,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for segment in evaluation.segments or ():
-            cells = [_mean(segment.statistics[metric], with_medians) for metric in metrics]
+            cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
             count = str(len(segment.errors.ends))
             add_rows(table, [[name, length_text(segment), *cells, count]])
             name = ""
@@ -180,7 +224,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
 def length_text(segment: SubTrajectoryErrors) -> str:
     """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
     if segment.length_m is None:
-        return f"{segment.duration_s:g} s"
+        return f"{segment.length.value:g} {segment.length.unit}"
     return f"{segment.length_m:.4g} m"
 
 

@@ -86,8 +86,8 @@ PARAMETERS = (
     NodeParameter(
         "lengths",
         "8,16,24,32,40",
-        "Sub-trajectory lengths of the relative error: 8,16 (metres), 1s,5s (seconds), 10%,20% "
-        "(of the path, only in the results at the end) or none.",
+        "Sub-trajectory lengths of the relative error: 8,16 (metres), 1s,5s (seconds), 1f,10f "
+        "(frames), 10%,20% (of the path, only in the results at the end) or none.",
         is_live=True,
     ),
     NodeParameter(

@@ -4,11 +4,12 @@
     gauge: yaw
     align_states: all                  # or a number
     align_with: positions              # or poses
+    apply: all                         # or scale
     association: {method: linear, max_time_difference_s: 0.02, max_gap_s: 0.5, time_offset_s: 0.0}
     re_form: fitted
     nees_form: gauge
     lengths: [40, 60, 80]              # metres; or [1s, 5s], [10%], none
-    selection: {rule: nearest, every: 1}
+    selection: {rule: nearest, every: 1, pairs: all, path: groundtruth, tolerance: 0.1}
     lever_m: [0.059, -0.00855, 0.1964]
     score: {bounds_m: [0.01, 0.1], points: [10, 1], best: 100}
 
@@ -32,7 +33,7 @@ from trajeval_ros.metrics.settings import parse_states, protocol_named
 from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
-_WORDS = ("align_with", "align_weights", "ate_form", "re_form", "nees_form")
+_WORDS = ("align_with", "apply", "align_weights", "ate_form", "re_form", "nees_form")
 _KNOWN = (
     *("base", "gauge", "modality", "align_states", "association", "in_order", "lengths"),
     *_WORDS,

@@ -14,6 +14,7 @@ from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.io.requests.protocol_file import is_protocol_file, read_protocol
 from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.metrics.states_table import FirstStates, parse_first_states
 from trajeval_ros.pipeline import Request
 
 AUTO, NONE, MESSAGE = "auto", "none", "message"
@@ -25,6 +26,7 @@ WORDS: dict[str, type] = {
     "modality": str,
     "align_states": str,
     "align_with": str,
+    "apply": str,
     "association": str,
     "max_time_difference": float,
     "max_gap": float,
@@ -33,6 +35,7 @@ WORDS: dict[str, type] = {
     "continuous_model": str,
     "groundtruth_noise": str,
     "lengths": str,
+    "pairs": str,
     "ate_form": str,
     "re_form": str,
     "covariance": str,
@@ -62,6 +65,9 @@ def request_from(words: Mapping[str, Any]) -> Request:
     frame = given.pop("rotation_covariance_frame", "world")
     up = given.pop("up", None)
     time_span = TimeSpan.parse(given.pop("start", None), given.pop("end", None))
+    table: tuple[FirstStates, ...] = ()
+    if any(mark in str(given.get("align_states", "")) for mark in ",%"):
+        table = parse_first_states(given.pop("align_states"))
     name = given.pop("protocol", "default")
     protocol = protocol_from(
         read_protocol(Path(name)) if is_protocol_file(name) else name,
@@ -82,6 +88,7 @@ def request_from(words: Mapping[str, Any]) -> Request:
         covariances,
         time_span=time_span,
         up=None if up is None else parse_up(up),
+        states_table=table,
     )
 
 

@@ -14,7 +14,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
-from trajeval_ros.metrics.evaluation import SubTrajectoryErrors
+from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline import Outcome, RunOutcome
 
@@ -50,6 +50,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "protocol": protocol.name,
             "settings": {
                 "align_with": protocol.align_with,
+                "apply": protocol.apply,
                 "align_weights": protocol.align_weights,
                 "in_order": protocol.in_order,
                 "lengths": [str(length) for length in protocol.lengths],
@@ -102,6 +103,17 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
             "rotation_xyzw": similarity.rotation_xyzw.tolist(),
             "translation_m": similarity.translation.tolist(),
         },
+        "by_states": [
+            {
+                "states": each.states,
+                "states_used": each.states_used,
+                "position_m": statistics_json(each.position_m),
+                "rotation_deg": statistics_json(each.rotation_deg),
+                "reason": each.reason,
+            }
+            for each in run.by_states
+        ]
+        or None,
         "ate": {
             "form": protocol.ate_form,
             **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
@@ -123,13 +135,11 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
 
 
 def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
-    size = (
-        {"duration_s": segment.duration_s}
-        if segment.length_m is None
-        else {"length_m": segment.length_m}
-    )
+    sizes = {
+        name: getattr(segment, name) for name in ("length_m", "duration_s", "frames", "turn_deg")
+    }
     return {
-        **size,
+        **{name: size for name, size in sizes.items() if size is not None},
         "pairs": len(segment.errors.ends),
         "mean_length_m": segment.mean_length_m,
         **{metric: statistics_json(value) for metric, value in segment.statistics.items()},

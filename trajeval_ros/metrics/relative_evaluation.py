@@ -1,0 +1,225 @@
+"""Relative errors by length: eq. (25) to (27) of the tutorial, for every length of a protocol."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory, turned_angle
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.drift import statistics_per_length
+from trajeval_ros.metrics.errors import RelativeErrors, relative_errors
+from trajeval_ros.metrics.pose_relations import distance_errors, pose_errors
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.sub_trajectories import (
+    Length,
+    select,
+    select_frames,
+    select_states,
+    select_turns,
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SubTrajectoryErrors:
+    """The relative errors of all sub-trajectories of one length.
+
+    Attributes:
+        length: As asked for.
+        length_m: Its value in metres; None where the length isn't a distance.
+        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
+        errors: Sub-trajectory by sub-trajectory.
+        statistics: By metric; None where there is nothing to tell.
+    """
+
+    length: Length
+    length_m: float | None
+    mean_length_m: float | None
+    errors: RelativeErrors
+    statistics: dict[str, Statistics | None]
+
+    @property
+    def duration_s(self) -> float | None:
+        """Its value in seconds; None where the length isn't a duration."""
+        return self.length.value if self.length.unit == "s" else None
+
+    @property
+    def frames(self) -> int | None:
+        """Its number of frames; None where it isn't one."""
+        return int(self.length.value) if self.length.unit == "f" else None
+
+    @property
+    def turn_deg(self) -> float | None:
+        """Its value in degrees; None where the length isn't a rotation."""
+        return float(np.degrees(self.length.radians)) if self.length.turns else None
+
+    def __repr__(self) -> str:
+        """Return a line that says how large they are, without the arrays."""
+        return f"<SubTrajectoryErrors of {self.length}: {rmse_text(self.statistics)}>"
+
+
+def rmse_text(statistics: dict[str, Statistics | None]) -> str:
+    """Return the rmse of position and rotation as a text."""
+    position, rotation = statistics["position_m"], statistics["rotation_deg"]
+    parts = ["none" if position is None else f"{position.rmse:.4g} m"]
+    if rotation is not None:
+        parts.append(f"{rotation.rmse:.4g} deg")
+    return " ".join(parts)
+
+
+def relative_evaluation(
+    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
+) -> tuple[SubTrajectoryErrors, ...] | None:
+    """Measure the errors (27) of all sub-trajectories of all lengths.
+
+    Args:
+        pairs: The states.
+        groundtruth: All states that they were chosen from.
+        alignment: Of the pairs; sub-trajectories take its scale.
+        protocol: Lengths, selection and form.
+
+    Returns:
+        One for each length; None without lengths, or without rotations on both sides.
+
+    Raises:
+        InputError: A length can't be measured along these pairs.
+    """
+    if not protocol.lengths or not pairs.have_rotations:
+        return None
+    scale = alignment.similarity.scale
+    measure = _Measure(pairs, groundtruth, protocol, scale)
+    travelled = measure.travelled_by_pairs
+    segments = []
+    for length in protocol.lengths:
+        starts, ends = measure.select(length)
+        sides = pairs.groundtruth, pairs.estimate
+        errors = relative_errors(*sides, starts, ends, protocol.gauge, scale, protocol.re_form)
+        if protocol.gauge is Gauge.PLANAR:
+            errors = dataclasses.replace(errors, tilt_deg=None)
+        length_m = measure.metres(length) if length.in_metres else None
+        statistics = _statistics(errors, length_m)
+        if protocol.re_form == "evo":
+            positions = pairs.groundtruth.positions, pairs.estimate.positions
+            statistics |= pose_errors(errors.position_m, errors.rotation_deg)
+            statistics |= distance_errors(*positions, starts, ends, scale)
+        segments.append(
+            SubTrajectoryErrors(
+                length=length,
+                length_m=length_m,
+                mean_length_m=float(np.mean(travelled[ends] - travelled[starts]))
+                if len(ends)
+                else None,
+                errors=errors,
+                statistics=statistics,
+            )
+        )
+    return tuple(segments)
+
+
+class _Measure:
+    """What lengths are measured along: states of one side, by path, time, number and turns."""
+
+    def __init__(
+        self, pairs: Association, groundtruth: Trajectory, protocol: Protocol, scale: float
+    ) -> None:
+        self._pairs, self._groundtruth = pairs, groundtruth
+        self._selection = protocol.selection
+        # The devkit measures the path through all frames, those without an estimate included.
+        self._by_frame = self._selection.rule == "first-past" and pairs.rule.method == "index"
+        if self._by_frame:
+            self._states, self._scale = groundtruth, 1.0
+        elif self._selection.path == "estimate":
+            self._states, self._scale = pairs.estimate, scale
+        else:
+            self._states, self._scale = pairs.groundtruth, 1.0
+
+    @cached_property
+    def _travelled(self) -> Floats:
+        """The path up to each of the states that lengths are measured along, metres."""
+        return self._scale * self._states.travelled
+
+    @property
+    def travelled_by_pairs(self) -> Floats:
+        """The groundtruth's path up to each pair (N,), metres."""
+        if self._by_frame:
+            return self._travelled[self._pairs.groundtruth_rows]
+        if self._states is self._pairs.groundtruth:
+            return self._travelled
+        return self._pairs.groundtruth.travelled
+
+    def metres(self, length: Length) -> float:
+        """Return a length in metres; the toolbox's share is of all groundtruth, in full cm."""
+        if length.unit != "%":
+            return float(length.value)
+        if self._selection.rule == "toolbox":
+            share = length.value / 100.0 * self._groundtruth.path_length_m
+            return float(np.trunc(100.0 * share) / 100.0)
+        whole_m = self.travelled_by_pairs[-1] if self._by_frame else self._travelled[-1]
+        return float(length.value / 100.0 * whole_m)
+
+    def select(self, length: Length) -> tuple[Indices, Indices]:
+        """Return the starts and ends (K,) of a length, as indices of pairs."""
+        if self._by_frame:
+            return self._select_frames(length)
+        if length.unit == "f":
+            return select_states(len(self._pairs), int(length.value), self._selection)
+        if length.turns and self._selection.compares_rotations:
+            quaternions = self._states.quaternions
+            assert quaternions is not None
+            return select_turns(quaternions, length.radians, self._selection.tolerance)
+        return select(self._along(length), self._value(length), self._selection)
+
+    def _select_frames(self, length: Length) -> tuple[Indices, Indices]:
+        frames, paired = self._groundtruth.frames, self._pairs.groundtruth_rows
+        assert paired is not None
+        numbers = np.arange(len(self._groundtruth)) if frames is None else frames
+        if length.unit == "f":
+            # The first frame past half a frame less is the one with that number, or the next.
+            along, value = numbers.astype(float), length.value - 0.5
+        else:
+            along, value = self._along(length), self._value(length)
+        return select_frames(along, numbers, paired, value, self._selection)
+
+    def _value(self, length: Length) -> float:
+        """Return a length in metres, seconds or radians."""
+        if length.turns:
+            return length.radians
+        return float(length.value) if length.unit == "s" else self.metres(length)
+
+    def _along(self, length: Length) -> Floats:
+        """Return the time, angle turned or path up to each of the states, in that unit."""
+        states = self._states
+        if length.unit == "s":
+            time = states.seconds if self._by_frame else self._pairs.groundtruth.seconds
+            if (np.diff(time) < 0.0).any():
+                raise InputError(
+                    "the pairs step back in time, so no sub-trajectory can be chosen by its "
+                    "duration; use protocol default, which sorts, or lengths in metres"
+                )
+            return time
+        if length.turns:
+            assert states.quaternions is not None
+            return turned_angle(states.quaternions)
+        return self._travelled
+
+
+def _statistics(errors: RelativeErrors, length_m: float | None) -> dict[str, Statistics | None]:
+    position, rotation = statistics_of(errors.position_m), statistics_of(errors.rotation_deg)
+    per_length = statistics_per_length(position, rotation, length_m)
+    return {
+        "position_m": position,
+        "position_percent": per_length["position_percent"],
+        "rotation_deg": rotation,
+        "rotation_deg_per_m": per_length["rotation_deg_per_m"],
+        "yaw_deg": statistics_of(errors.yaw_deg),
+        "tilt_deg": statistics_of(errors.tilt_deg),
+        "velocity_mps": statistics_of(errors.velocity_mps),
+    }
