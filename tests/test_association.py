@@ -355,6 +355,8 @@ def test_a_groundtruth_state_in_many_pairs_is_covered_once() -> None:
     [
         (1_700_000_000.0, 1_700_000_900.0, "time offset"),
         (1_700_000_000.0, 12.0, "simulated|counts from zero"),
+        (1_700_000_000.0, 5_000_000.0, "counts from zero"),
+        (12.0, 1_700_000_000.0, "counts from zero"),
         (1_700_000_000.0, 1.7, "unit"),
         (1_700_000_000.0, 1_700_000.0, "unit"),
         (1_700.0, 1_700_000_000.0, "unit"),
@@ -374,6 +376,13 @@ def test_no_match_is_explained_with_both_time_ranges(
         associate(trajectory(truth), trajectory(estimate), AssociationRule(method))
     assert f"{truth:.3f}" in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_a_first_stamp_of_zero_is_no_clock_that_counts_from_zero() -> None:
+    truth, estimate = at(1.7e12 + np.arange(0, 10_000, 1000)), at(np.array([0.0, 1.6e12]))
+    for one, other in ((truth, estimate), (estimate, truth)):
+        with pytest.raises(NoMatchError, match=r"1e\+08 s apart; if the clocks differ"):
+            associate(one, other, AssociationRule("linear"))
 
 
 def test_overlap_without_close_stamps_is_told_from_no_overlap() -> None:

@@ -21,8 +21,11 @@ def errors_of(seed: int, size_m: float = 0.03) -> np.ndarray:
     return size_m * np.sin(angles + random.uniform(0.0, 2.0 * np.pi, 3))
 
 
-def test_the_formula_by_hand() -> None:
-    errors, sigma_m, variance = errors_of(1), 0.004, 1e-5
+@pytest.mark.parametrize("wave_m", [0.0, 0.01])
+def test_the_formula_by_hand(wave_m: float) -> None:
+    # A wave as long as a step of the samples is seen over half a step alone.
+    errors = errors_of(1) + wave_m * np.sin(2.0 * np.pi * TIMES / STEP_S)[:, None]
+    sigma_m, variance = 0.004, 1e-5
     supported = TIMES < 30.0
     used, when = errors[supported], TIMES[supported]
     rough = 0.0
@@ -52,6 +55,42 @@ def test_a_model_less_sure_than_samples_counts_instead_of_them() -> None:
     assert intervals[0] == pytest.approx(intervals[1], rel=1e-12)
 
 
+def interval_of(
+    errors: np.ndarray, supported: np.ndarray, variances: np.ndarray, sigma_m: float = 0.002
+) -> tuple[float, float]:
+    found = ate_interval(TIMES, errors, variances, supported, sigma_m, STEP_S)
+    assert found is not None
+    return found
+
+
+def test_what_is_not_supported_has_no_variance_that_counts() -> None:
+    supported, variances = TIMES < 30.0, np.full(1000, 1e-4)
+    intervals = [
+        interval_of(errors_of(6), supported, np.where(supported, variances, other))
+        for other in (1e-4, 1.0)
+    ]
+    assert intervals[0] == intervals[1]
+
+
+def test_the_lower_end_is_zero_where_noise_may_explain_all() -> None:
+    everywhere = np.ones(len(TIMES), dtype=bool)
+    low, high = interval_of(errors_of(7), everywhere, np.full(1000, 1e-4), 1.0)
+    assert low == 0.0
+    assert high > 0.05
+
+
+def test_samples_faster_than_poses_are_no_finer_than_these() -> None:
+    arguments = (TIMES, errors_of(8), np.full(1000, 1e-5), np.ones(1000, dtype=bool), 0.002)
+    assert ate_interval(*arguments, 0.001) == ate_interval(*arguments, 0.05)
+
+
+def test_fewer_poses_than_stretches_have_an_interval() -> None:
+    times, supported = np.arange(20.0), np.arange(20) < 15
+    found = ate_interval(times, errors_of(9)[::50], np.full(20, 1e-6), supported, 0.001, 1.0)
+    assert found is not None
+    assert np.isfinite(found).all()
+
+
 @given(seed=seeds, factor=st.floats(0.01, 100.0))
 def test_it_scales_and_holds_the_rmse(seed: int, factor: float) -> None:
     random = np.random.default_rng(seed)
@@ -76,13 +115,29 @@ def test_rough_is_noise_and_neither_offset_nor_drift() -> None:
     assert rough_square(times, drift, 1.0, STEP_S) == pytest.approx(0.0, abs=1e-20)
 
 
-def test_groundtruth_far_apart_tells_nothing_rough() -> None:
+@pytest.mark.parametrize("apart_s", [0.85, 2.0])
+def test_groundtruth_far_apart_tells_nothing_rough(apart_s: float) -> None:
     # Clusters of poses, further from each other than a step of the samples.
-    times = np.concatenate([2.0 * place + 0.05 * np.arange(4) for place in range(20)])
+    times = np.concatenate([apart_s * place + 0.05 * np.arange(4) for place in range(20)])
     supported = np.ones(len(times), dtype=bool)
     errors = np.random.default_rng(4).normal(size=(len(times), 3))
     assert ate_interval(times, errors, np.ones(len(times)), supported, 0.1, STEP_S) is None
     assert rough_square(np.arange(2.0), np.zeros((2, 3)), 1.0, STEP_S) is None
+
+
+def test_what_is_rough_takes_ten_differences() -> None:
+    times = np.arange(30.0)
+    assert rough_square(times, np.zeros((30, 3)), 1.0, 10.0) == 0.0
+    assert rough_square(times[:-1], np.zeros((29, 3)), 1.0, 10.0) is None
+
+
+def test_poses_may_be_close_to_each_other_or_repeated() -> None:
+    fast = 2e-4 * np.arange(400)
+    drift = np.outer(fast, [1.0, -2.0, 3.0])
+    assert rough_square(fast, drift, 1.0, 0.0101) == pytest.approx(0.0, abs=1e-20)
+    repeated = np.concatenate([[0.0], np.arange(40.0)])
+    drift = np.outer(repeated, [1.0, -2.0, 3.0])
+    assert rough_square(repeated, drift, 1.0, 10.0) == pytest.approx(0.0, abs=1e-20)
 
 
 def test_how_many_independent_values() -> None:

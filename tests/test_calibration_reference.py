@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ from calibration_flights import EPOCH, Fault, marked, stamps_of
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, stdtrit
 
+from trajeval_ros.calibration import robust_fit
 from trajeval_ros.calibration.clock_offset import guess_offset, masked_correlation, refined_peak
 from trajeval_ros.calibration.hand_eye import closest_rotation, lever_arm
 from trajeval_ros.calibration.increments import (
@@ -194,3 +196,39 @@ def test_noise_on_a_straight_line_is_not_taken_for_an_offset(reference: Referenc
     assert not seen.seen.any()
     assert abs(float(seen.reliability[0])) < 0.1
     assert abs(numbers["reliability_offset"]) < 0.1
+
+
+def flown_for(
+    duration_s: float, away_s: float = 0.0, *, turns: bool = True
+) -> tuple[Increments, Unknowns]:
+    true: dict[str, Any] = {"offset": 0.0, "skew": 0.0, "R_X_rotvec": None, "lever": None}
+    truth, estimate = flown({**true, "scale": 1.0}, disturbed=True)
+    estimate = estimate[estimate.seconds <= estimate.seconds[0] + duration_s]
+    if not turns:
+        estimate = dataclasses.replace(estimate, quaternions=None)
+    start = Unknowns(away_s, 0.0, np.eye(3), np.zeros(3), 1.0)
+    return Increments(truth, estimate), start
+
+
+def test_a_standard_deviation_takes_three_blocks_more_than_parameters() -> None:
+    # Blocks are of three horizons, which are 1 s; the last increment begins 1 s before the end.
+    basis = np.eye(COLUMNS)[:, OFFSET]
+    fitted = fit(*flown_for(13.3), basis)
+    assert fitted is not None
+    assert fitted.blocks == 4
+    assert fit(*flown_for(12.7), basis) is None
+    assert fit(*flown_for(0.5), basis) is None  # no increment at all
+
+
+def test_a_step_of_the_clock_is_at_most_a_tenth_of_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(robust_fit, "_ITERATIONS", 1)
+    fitted = fit(*flown_for(60.0, away_s=0.3), np.eye(COLUMNS)[:, OFFSET])
+    assert fitted is not None
+    assert fitted.unknowns.offset_s == pytest.approx(0.2)
+
+
+def test_without_turns_of_the_estimate_a_lever_arm_changes_nothing() -> None:
+    increments, start = flown_for(20.0, turns=False)
+    np.testing.assert_array_equal(increments.linearise(start).jacobian[..., LEVER], 0.0)

@@ -19,7 +19,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.association import associate
-from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.coverage import Coverage, CoverageSums
 from trajeval_ros.metrics.log_histogram import LogHistogram
 from trajeval_ros.metrics.pair_steps import PairSteps, StampedPoses, StepMeter, waypoints
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -281,6 +281,84 @@ def test_a_loss_with_motion_is_seen_among_keyframes(seed: int, begin_s: float) -
     assert after.covered == pytest.approx(
         before.covered - after.longest_gap.duration_s / truth.duration_s, abs=1e-9
     )
+
+
+EVEN, UNEVEN = np.full(20, 1.0), np.tile([1.0, 1.0, 1.0, 1.5], 5)
+FEW, SOME = np.arange(20) < 1, np.arange(20) < 3  # 5 %, 15 %
+
+
+def coverage_of_steps(
+    times_s: NDArray[np.float64],
+    reach_m: NDArray[np.float64] | float = 0.01,
+    turn_deg: NDArray[np.float64] | float = 0.1,
+    last: tuple[float, float, float] | None = None,
+) -> Coverage:
+    """Return the coverage of steps, and perhaps of one more: its time, reach and turn."""
+    steps = np.column_stack(np.broadcast_arrays(times_s, reach_m, turn_deg))
+    steps = steps if last is None else np.vstack([steps, last])
+    times_ns = np.round(steps[:, 0] * 1e9).astype(np.int64)
+    sums = CoverageSums(0.5)
+    sums.add(PairSteps(times_ns, steps[:, 1], np.radians(steps[:, 2])))
+    return sums.coverage(int(times_ns.sum()), 1000)
+
+
+# Quantiles are exact to 2.2 %.
+@pytest.mark.parametrize(
+    ("times_s", "expected"),
+    [
+        (0.212 / 1.5 * UNEVEN, True),
+        (0.190 / 1.5 * UNEVEN, False),
+        (1.0 + 0.26 * SOME, True),
+        (1.0 + 0.15 * SOME, False),
+        (1.0 + 0.50 * FEW, False),
+        (UNEVEN[:12][2:], True),
+        (UNEVEN[:12][3:], False),
+    ],
+    ids=["slow", "fast", "uneven", "even", "one of 20", "10 steps", "9 steps"],
+)
+def test_what_keyframes_are(times_s: NDArray[np.float64], expected: bool) -> None:
+    assert coverage_of_steps(times_s).keyframes is expected
+
+
+@pytest.mark.parametrize(
+    ("times_s", "reach_m", "turn_deg", "tracked", "lost"),
+    [
+        # Full rates: half a second, or two usual steps; the median is usual.
+        (0.1 * EVEN, 1.0, 10.0, (0.49, 9.0, 90.0), (0.51, 0.0, 0.0)),
+        (0.4 * EVEN, 1.0, 10.0, (0.79, 9.0, 90.0), (0.83, 0.0, 0.0)),
+        (np.repeat([1.0, 1.1], [9, 11]), 1.0, 10.0, (2.15, 9.0, 90.0), (2.3, 0.0, 0.0)),
+        (np.repeat([1.0, 1.1], [11, 9]), 1.0, 10.0, (1.98, 9.0, 90.0), (2.15, 0.0, 0.0)),
+        # Keyframes: 3 s, or two usual steps, or hardly any motion.
+        (UNEVEN, 0.5, 5.0, (2.95, 9.0, 90.0), (3.05, 9.0, 90.0)),
+        (2.0 * UNEVEN, 0.5, 5.0, (3.95, 9.0, 90.0), (4.15, 9.0, 90.0)),
+        (UNEVEN, 0.01, 0.1, (20.0, 0.049, 2.9), (20.0, 0.051, 2.9)),
+        (UNEVEN, 0.01, 0.1, (20.0, 0.049, 2.9), (20.0, 0.049, 3.1)),
+        (UNEVEN, 0.1 + 0.1 * SOME, 0.1, (20.0, 0.39, 0.0), (20.0, 0.42, 0.0)),
+        (UNEVEN, 0.1 + 0.1 * FEW, 0.1, (20.0, 0.19, 0.0), (20.0, 0.21, 0.0)),
+        (UNEVEN, 0.01, 5.0 + 5.0 * SOME, (20.0, 0.0, 19.5), (20.0, 0.0, 21.0)),
+        (UNEVEN, 0.01, 5.0 + 5.0 * FEW, (20.0, 0.0, 9.5), (20.0, 0.0, 10.5)),
+    ],
+)
+def test_which_steps_are_tracked(
+    times_s: NDArray[np.float64],
+    reach_m: NDArray[np.float64] | float,
+    turn_deg: NDArray[np.float64] | float,
+    tracked: tuple[float, float, float],
+    lost: tuple[float, float, float],
+) -> None:
+    found = coverage_of_steps(times_s, reach_m, turn_deg, tracked)
+    assert found.longest_gap is None
+    assert found.covered == found.span == 1.0
+    found = coverage_of_steps(times_s, reach_m, turn_deg, lost)
+    assert found.longest_gap is not None
+    assert found.longest_gap.duration_s == pytest.approx(lost[0])
+    assert found.covered == pytest.approx(1.0 - lost[0] / (times_s.sum() + lost[0]))
+
+
+def test_groundtruth_that_is_all_gaps_counts_states() -> None:
+    sums = CoverageSums(0.5)
+    sums.add(PairSteps(np.full(4, SECOND), np.zeros(4), np.zeros(4)))
+    assert sums.coverage(0, 10) == Coverage(0.5, 0.5)
 
 
 def test_reach_is_the_farthest_not_the_end_and_of_the_groundtruth() -> None:

@@ -18,6 +18,7 @@ from trajeval_ros.batch.known_spread import KnownSpread
 from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
 from trajeval_ros.batch.relabelling import (
     balanced_count,
+    centre_and_spread,
     contrast,
     relabellings,
     studentised,
@@ -154,7 +155,8 @@ def test_changes_are_found_as_often_as_the_documentation_says(
 
 
 @pytest.mark.parametrize(
-    ("amount", "trials", "deviation"), [(11, 1, 0.15), (11, 3, 0.15), (5, 5, 0.3), (1, 10, 0.15)]
+    ("amount", "trials", "deviation"),
+    [(11, 1, 0.15), (11, 3, 0.15), (5, 5, 0.3), (1, 3, 0.15), (1, 10, 0.15)],
 )
 def test_what_is_said_to_be_noticed_is_noticed_in_four_of_five(
     amount: int, trials: int, deviation: float
@@ -167,16 +169,24 @@ def test_what_is_said_to_be_noticed_is_noticed_in_four_of_five(
     assert 0.70 < found < 0.90
 
 
-# Of three trials, judged by Student's test, it is found somewhat less often than is said: 63 %.
-@pytest.mark.parametrize(("trials", "least"), [(3, 0.53), (10, 0.70)])
-def test_a_single_number_is_noticed_as_said(trials: int, least: float) -> None:
-    sizes = [(trials, trials)] * 11
-    z = logarithms(11, sizes[0], 0.15, 200)
+# By Student's test (3 and 3, 5 and 2 trials) and by relabelling.
+@pytest.mark.parametrize("size", [(3, 3), (5, 2), (10, 3), (10, 10)])
+def test_a_single_number_is_noticed_as_said(size: tuple[int, int]) -> None:
+    sizes = [size] * 11
+    z = logarithms(11, size, 0.15, 200)
     change = float(np.median(noticeable_alone(spreads_within(z, sizes), sizes, 0.0)))
     moved = [shifted(z, sizes, -change)[0], *z[1:]]
     outcome = compare(moved, sizes, count=990)
-    assert least < outcome.numbers[:, 0].mean() < 0.92
+    assert 0.70 < outcome.numbers[:, 0].mean() < 0.92
     assert outcome.numbers[:, 1:].any(1).mean() < 0.05
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 9, 10])
+def test_spreads_of_few_trials_are_those_of_many(count: int) -> None:
+    values = np.random.default_rng(3).normal(0.0, 0.15, (20_000, count))
+    middle, spread = centre_and_spread(values)
+    assert middle.mean() == pytest.approx(0.0, abs=0.005)
+    assert spread.mean() == pytest.approx(0.15, rel=0.05)
 
 
 @pytest.mark.parametrize(("old", "new"), [(0, 3), (1, 4), (2, 2), (0, 0), (5, 5)])

@@ -20,7 +20,7 @@ from test_live_run import ESTIMATE, TRUTH, Live
 from test_online import feed
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.diagnosis.vertical import doubt_of
+from trajeval_ros.diagnosis.vertical import doubt_of, vertical_of
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -349,6 +349,53 @@ def test_a_vehicle_across_another_axis_is_doubted(seed: int, axis: str, slope_de
     assert f"--up=-{axis[-1]} or --up={axis[-1]}," in doubt_of(truth)
     assert doubt_of(dataclasses.replace(truth, up=UpAxis("z"))) == ""  # whoever says so knows it
     assert doubt_of(dataclasses.replace(truth, up=UpAxis(axis, "frame x_optical"))) == ""
+
+
+def circling(
+    count: int = 400, *, heading: float = np.pi, roll_deg: float = 0.0, height_m: float = 0.0
+) -> Trajectory:
+    """Return rounds of 1 m x 2 m with headings up to a limit, rolls and heights by turns."""
+    angles = np.linspace(-np.pi, np.pi, count)
+    by_turns = np.where(np.arange(count) % 2, 1.0, -1.0)
+    places = np.column_stack([np.cos(angles), 2.0 * np.sin(angles), height_m * by_turns])
+    turns = np.column_stack([heading / np.pi * angles, roll_deg * np.pi / 180.0 * by_turns])
+    stamps = 10**18 + np.arange(count, dtype=np.int64) * 100_000_000
+    return Trajectory(stamps, places, Rotation.from_euler("ZX", turns).as_quat())
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside"),
+    [
+        (circling(roll_deg=17.0), circling(roll_deg=19.5)),  # cos: 0.956, 0.943
+        (circling(heading=1.71), circling(heading=1.61)),  # sin(a) / a: 0.579, 0.621
+        (circling(height_m=0.33), circling(height_m=0.38)),  # of sqrt(0.5) m across: 0.47, 0.54
+        (circling(20), circling(19)),
+    ],
+    ids=["held", "turned", "flat", "states"],
+)
+def test_what_motion_shows_a_vertical(inside: Trajectory, outside: Trajectory) -> None:
+    assert inside.quaternions is not None
+    assert outside.quaternions is not None
+    axis = vertical_of(inside.positions, inside.quaternions)
+    assert axis is not None
+    np.testing.assert_allclose(np.abs(axis), [0.0, 0.0, 1.0], atol=0.06)
+    assert vertical_of(outside.positions, outside.quaternions) is None
+
+
+def test_from_what_angle_on_an_axis_is_doubted_and_another_named() -> None:
+    assert doubt_of(turned(circling(), 44.5)) == ""
+    assert "which is no axis" in doubt_of(turned(circling(), 45.5))
+    assert "which is no axis" in doubt_of(turned(circling(), 69.5))
+    assert "the y axis" in doubt_of(turned(circling(), 70.5))
+
+
+def test_of_long_runs_twenty_thousand_states_are_looked_at() -> None:
+    for count, is_seen in ((40_000, False), (20_000, True)):
+        run = circling(count)
+        assert run.quaternions is not None
+        rolled = run.quaternions.copy()
+        rolled[1::2] = circling(count, roll_deg=90.0).quaternions[1::2]  # type: ignore[index]
+        assert (vertical_of(run.positions, rolled) is None) is is_seen
 
 
 def test_a_format_is_doubted_as_well() -> None:

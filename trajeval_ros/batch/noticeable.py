@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import nctdtrinc, stdtrit
 
 from trajeval_ros.batch.gate_tests import ENOUGH, FALSE_ALARMS, levels_of
 from trajeval_ros.batch.relabelling import (
@@ -20,8 +20,7 @@ from trajeval_ros.batch.relabelling import (
 from trajeval_ros.geometry.arrays import Floats
 
 POWER = 0.8
-_FEW = 8  # trials of a number, on average, below which clipped scores lose more
-_EFFICIENCY, _EFFICIENCY_OF_FEW = 0.85, 0.70  # of clipped scores, by simulation
+_EFFICIENCY = 0.85  # of clipped scores, by simulation
 
 
 def noticeable(
@@ -47,10 +46,8 @@ def noticeable(
     if levels.pooled_by == "student":
         error = np.sqrt((spreads**2 * inverse).sum(1)) / len(sizes)
     else:
-        few = np.mean([sum(size) for size in sizes]) < _FEW
-        efficiency = _EFFICIENCY_OF_FEW if few else _EFFICIENCY
-        error = 1.0 / np.sqrt(efficiency * (1.0 / (inverse * spreads**2)).sum(1))
-    made: Floats = margin + _reach(degrees, levels.pooled) * error
+        error = 1.0 / np.sqrt(_EFFICIENCY * (1.0 / (inverse * spreads**2)).sum(1))
+    made: Floats = margin + _reach(levels.pooled, degrees, degrees) * error
     return made
 
 
@@ -71,14 +68,24 @@ def noticeable_alone(
     for place, (old, new) in enumerate(sizes):
         enough = by_student or math.comb(old + new, new) * levels.numbers >= ENOUGH
         if min(old, new) > 1 and enough:
-            degrees = 2.0 * min(old, new) - 2.0 if by_student else old + new - 2.0 + PRIOR
-            reach = _reach(degrees, levels.numbers / len(sizes))
+            inner = old + new - 2.0
+            judged, known = inner + PRIOR, inner + PRIOR
+            if by_student:
+                judged, known = 2.0 * min(old, new) - 2.0, inner
+            reach = _reach(levels.numbers / len(sizes), judged, known)
             made[:, place] = margin + reach * spreads[:, place] * math.sqrt(1.0 / old + 1.0 / new)
     return made
 
 
-def _reach(degrees: float, level: float) -> float:
-    return float(-stdtrit(degrees, level) - stdtrit(degrees, 1.0 - POWER))
+def _reach(level: float, judged: float, known: float) -> float:
+    """Return the change that Student's test finds in four of five, in its standard errors.
+
+    Args:
+        level: Of the test, one-sided.
+        judged: Degrees of freedom that the test goes by.
+        known: Those of the spread that it takes; t of a change has the noncentral distribution.
+    """
+    return float(nctdtrinc(known, 1.0 - POWER, -stdtrit(judged, level)))
 
 
 def spreads_within(numbers: Sequence[Floats], sizes: Sequence[Size]) -> Floats:

@@ -89,7 +89,9 @@ def centre_and_spread(values: Floats) -> tuple[Floats, Floats]:
     middle = np.where(fine.any(-1), median_of_finite(values), 0.0)
     count = np.maximum(fine.sum(-1), 2)
     away = np.abs(np.where(fine, values - middle[..., None], 0.0)).sum(-1) / count
-    return middle, _NORMAL * np.sqrt(count / (count - 1.0)) * away
+    # Of a normal distribution, 2k + 1 values are as far from their median, on average, as 2k are.
+    even = count - count % 2
+    return middle, _NORMAL * np.sqrt(even / (even - 1.0)) * away
 
 
 def scores_of(numbers: Sequence[Floats]) -> Scores:
