@@ -283,7 +283,7 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     live.feed(feed[9:10])
     assert stream.trouble == "/vio: no message gives a pose: 10 zero stamp"
     live.feed(feed[10:])
-    assert stream.news == ["/vio: no message gives a pose: 10 zero stamp"]
+    assert [each.text for each in stream.news] == ["/vio: no message gives a pose: 10 zero stamp"]
     assert live.run.why_no_pair().endswith(
         f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
     )

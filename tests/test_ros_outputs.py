@@ -51,6 +51,14 @@ class Heard:
     set: dict[str, Any]
 
 
+def values_of(status: Any) -> dict[str, str]:
+    return {each.key: each.value for each in status.values}
+
+
+def kinds_of(events: list[Any]) -> list[str]:
+    return [values_of(each)["kind"] for each in events]
+
+
 @pytest.fixture(scope="module")
 def heard(
     flights: Path,
@@ -59,7 +67,7 @@ def heard(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Heard:
     """Follow a run with simulated time, a parameter file and a remapped topic."""
-    from diagnostic_msgs.msg import DiagnosticArray
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
     from geometry_msgs.msg import TransformStamped
     from nav_msgs.msg import Path as PathMessage
     from std_msgs.msg import Float64
@@ -112,7 +120,11 @@ def heard(
         )
         first = {each: [number.data for number in of] for each, of in floats.items()}
         messages = {each: list(of) for each, of in messages.items()}
+        # Who comes late hears what has been.
+        messages["event"] = peer.hear("/judge/event", DiagnosticStatus, latched=True)
+        peer.until(lambda: "alarm" in kinds_of(messages["event"]), "an alarm is an event")
         saved["reset"] = peer.ask("/judge/reset", Trigger)
+        peer.until(lambda: "restart" in kinds_of(messages["event"]), "a reset is an event")
         replay(bag, environment, "--rate", 8, "--end", 12)
         saved["after reset"] = peer.ask("/judge/save", Trigger)
         assert evaluator.end() == 0
@@ -184,6 +196,18 @@ def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
     # In simulated time arrival and stamp are of one clock, which is why there is a risk to tell.
     assert abs(float(values["arrival after stamp [s]"])) < 2.0
     assert "sync risk [m]" in values
+
+
+def test_an_alarm_is_an_event_with_its_numbers(heard: Heard) -> None:
+    [alarm, *_] = [each for each in heard.messages["event"] if values_of(each)["kind"] == "alarm"]
+    values = values_of(alarm)
+    assert alarm.name == f"judge: {NAME}"
+    assert alarm.level == b"\x01"
+    assert values["subject"] == "position_error_m"
+    assert float(values["value"]) > float(values["limit"]) == 0.001
+    assert int(values["stamp_ns"]) > 0
+    assert alarm.message.startswith("position error ")
+    assert alarm.message.endswith(" m is over 0.001 m")
 
 
 def test_harmless_parameters_can_be_set_and_others_cannot(heard: Heard) -> None:

@@ -244,7 +244,7 @@ def test_a_user_is_warned_once_of_what_does_not_pass(monkeypatch: pytest.MonkeyP
     for _ in range(3):
         stream.tell_trouble()
     [said] = stream.news
-    assert said == "/tf:map.camra: there is no frame camra; there are camera, map, odom, base"
+    assert said.text == "/tf:map.camra: there is no frame camra; there are camera, map, odom, base"
 
 
 def test_time_that_begins_anew_is_told() -> None:
@@ -252,7 +252,7 @@ def test_time_that_begins_anew_is_told() -> None:
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 10, 20)])
     feed(stream, seconds_of((MAP, ODOM), 0, 3))
     [said] = stream.news
-    assert "/tf:map.camera: stamps step back by " in said
+    assert "/tf:map.camera: stamps step back by " in said.text
     assert stream.status.poses == 100
 
 

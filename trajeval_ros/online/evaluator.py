@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -26,6 +25,7 @@ from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import PairingBuffer
 from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
@@ -135,6 +135,7 @@ class OnlineEvaluator:
         self._coverage.add(pairs, at_end=at_end)
         if not len(pairs.stamps):
             return Update()
+        own = pairs
         if self._is_upright:
             pairs = Pairs(
                 pairs.stamps,
@@ -150,8 +151,7 @@ class OnlineEvaluator:
             ends = self._relative.update(self.store, scale)
         window_begin = self.store.window_begin(self.settings.window)
         self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
-        position, rotation = self._newest_errors(pairs)
-        return Update(len(pairs.stamps), int(pairs.stamps[-1]), position, rotation, ends)
+        return Update(len(pairs.stamps), int(pairs.stamps[-1]), self._errors_of(own), ends)
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation; costs as much as the window is long."""
@@ -363,20 +363,13 @@ class OnlineEvaluator:
             rotation=not self._alignment.why_withheld(self.settings.protocol),
         )
 
-    def _newest_errors(self, pairs: Pairs) -> tuple[float | None, float | None]:
-        """Return position and rotation error of the newest pair: eq. (23), its plain form."""
-        if self._alignment is None:
-            return None, None
-        similarity = self._alignment.similarity
-        truth, estimate = pairs.groundtruth[-1].tolist(), pairs.estimate[-1].tolist()
-        aligned = similarity.positions(pairs.estimate[-1, POSITION])
-        position_m = math.dist(truth[POSITION], aligned.tolist())
-        withheld = self._alignment.why_withheld(self.settings.protocol)
-        if withheld or math.isnan(truth[3] + estimate[3]):
-            return position_m, None
-        x, y, z, w = lie.hamilton(similarity.rotation_xyzw.tolist(), estimate[QUATERNION])
-        x, y, z, w = lie.hamilton(truth[QUATERNION], (-x, -y, -z, w))
-        return position_m, math.degrees(2.0 * math.atan2(math.hypot(x, y, z), abs(w)))
+    def _errors_of(self, pairs: Pairs) -> tuple[PairErrors, ...]:
+        """Return the errors of pairs between the frames' own axes, under the present alignment."""
+        alignment = self.alignment
+        if alignment is None:
+            return ()
+        rotation = not alignment.why_withheld(self.settings.protocol)
+        return (PairErrors(pairs, alignment.similarity, self.groundtruth_up, rotation=rotation),)
 
     def _window_statistics(self, begin: int) -> dict[str, Statistics | None]:
         if self._alignment is None or not len(self.store):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
@@ -32,12 +33,15 @@ class RelativeEnd(NamedTuple):
         stamp: Of its last state, nanoseconds.
         position_m: Position error at its end.
         rotation_deg: Rotation error at its end.
+        drift_percent: Position error in percent of the length, the largest of all of this length
+            that ended with it; None where the length is a duration.
     """
 
     length: str
     stamp: int
     position_m: float
     rotation_deg: float
+    drift_percent: float | None
 
 
 @dataclass(frozen=True)
@@ -149,10 +153,15 @@ class RelativeTracker:
         self._rotation_sum[group] += np.bincount(which, rotation_deg, len(names))
         stamps = store.stamps(first)
         newest = np.cumsum(count) - 1
-        for name, ended, row in zip(names, count.tolist(), newest.tolist(), strict=True):
-            if ended:
-                errors = float(position_m[row]), float(rotation_deg[row])
-                yield RelativeEnd(name, int(stamps[ends[row]]), *errors)
+        for place, (ended, row) in enumerate(zip(count.tolist(), newest.tolist(), strict=True)):
+            if not ended:
+                continue
+            drift = None
+            if unit == "m":
+                largest = position_m[row + 1 - ended : row + 1].max(keepdims=True)
+                drift = float(position_percent(largest, float(values[place]))[0])
+            errors = float(position_m[row]), float(rotation_deg[row]), drift
+            yield RelativeEnd(names[place], int(stamps[ends[row]]), *errors)
 
     def _errors(
         self, store: PairStore, starts: Indices, ends: Indices, scale: float

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.relative_errors import RelativeEnd, RunningErrors
 
 
@@ -18,23 +19,36 @@ class Update:
     Attributes:
         pairs: Number of new pairs.
         stamp: Of the newest pair, nanoseconds; None if there is no new one.
-        position_m: Its position error under the present alignment.
-        rotation_deg: Its rotation error; None if it can't be had.
+        errors: Of the new pairs, block by block; none while there is no alignment.
         ends: Sub-trajectories that ended.
     """
 
     pairs: int = 0
     stamp: int | None = None
-    position_m: float | None = None
-    rotation_deg: float | None = None
+    errors: tuple[PairErrors, ...] = ()
     ends: tuple[RelativeEnd, ...] = ()
+
+    @property
+    def position_m(self) -> float | None:
+        """Position error of the newest pair under the present alignment."""
+        return float(self.errors[-1].position_m[-1]) if self.errors else None
+
+    @property
+    def rotation_deg(self) -> float | None:
+        """Rotation error of the newest pair; None if it can't be had."""
+        angles = self.errors[-1].rotation_deg if self.errors else None
+        return None if angles is None else float(angles[-1])
 
 
 def united(updates: Sequence[Update]) -> Update:
     """Return several updates, in order, as one."""
     newest = next((each for each in reversed(updates) if each.stamp is not None), Update())
-    ends = tuple(end for each in updates for end in each.ends)
-    return replace(newest, pairs=sum(each.pairs for each in updates), ends=ends)
+    return replace(
+        newest,
+        pairs=sum(each.pairs for each in updates),
+        errors=tuple(block for each in updates for block in each.errors),
+        ends=tuple(end for each in updates for end in each.ends),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.trajectory import add_counts
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, Peak, alarms
+from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
-
-OK, WARN, ERROR, STALE = range(4)
-_BY_GRAVITY = (OK, WARN, STALE, ERROR)  # silence must not hide an error
+from trajeval_ros.ros.status_message import status_message
 
 _STALE_AFTER_S = 5.0
-
-Complaint = tuple[int, str]
 
 
 def diagnose(
@@ -26,7 +23,8 @@ def diagnose(
     estimate: LiveEstimate,
     snapshot: Snapshot,
     newest: Update,
-    limits: Mapping[str, Any],
+    notices: Sequence[Notice],
+    peaks: Mapping[str, Peak],
     undrawn: int,
 ) -> Any:
     """Return the status of one estimate.
@@ -37,95 +35,109 @@ def diagnose(
         estimate: One of its estimates.
         snapshot: Its evaluation.
         newest: Of its newest pair.
-        limits: The parameters.
+        notices: What `notices_about` says.
+        peaks: The largest values since the last status.
         undrawn: Number of updates that Rerun didn't get.
     """
-    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
-    complaints = [
-        *_about_data(run, estimate),
-        *_about_coverage(snapshot.estimate_coverage, limits),
-        *_about_error(newest.position_m, limits),
-        *_about_run(run, estimate, snapshot),
-    ]
-    gravest_first = sorted(complaints, key=lambda each: -_BY_GRAVITY.index(each[0]))
-    level = gravest_first[0][0] if gravest_first else OK
+    told = gravest_first(notices)
     values = _values(run, estimate, snapshot, newest)
+    values |= {
+        f"{words}, largest since the last status [{unit}]": peaks[name].value
+        for name, words, unit in LIMITED_QUANTITIES
+        if name in peaks
+    }
     values["updates not drawn in Rerun"] = undrawn or None
-    return DiagnosticStatus(
-        level=bytes([level]),
-        name=f"{node}: {estimate.name}",
-        message=one_line("; ".join(text for _, text in gravest_first)) or "evaluating",
-        values=[
-            KeyValue(
-                key=key, value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
-            )
-            for key, value in values.items()
-            if value is not None
-        ],
+    return status_message(
+        told[0].level if told else OK,
+        f"{node}: {estimate.name}",
+        "; ".join(each.text for each in told) or "evaluating",
+        values,
     )
 
 
-def _about_data(run: LiveRun, estimate: LiveEstimate) -> list[Complaint]:
+def notices_about(
+    run: LiveRun,
+    estimate: LiveEstimate,
+    snapshot: Snapshot,
+    peaks: Mapping[str, Peak],
+    limits: Mapping[str, Any],
+) -> list[Notice]:
+    """Return what is to be said of one estimate now.
+
+    Args:
+        run: The run.
+        estimate: One of its estimates.
+        snapshot: Its evaluation.
+        peaks: The largest values since the last status.
+        limits: The parameters.
+    """
+    return [
+        *_about_data(run, estimate),
+        *_about_coverage(snapshot.estimate_coverage, limits),
+        *alarms(peaks, limits),
+        *_about_clock(run, estimate),
+        *_about_run(run, estimate, snapshot),
+    ]
+
+
+def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
     """Tell what doesn't come: no number renews itself then."""
-    complaints = []
     for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.side)):
         silent_s = side.silent_s
         if silent_s is None:
-            complaints.append((STALE, f"no {what} yet on {side.source}"))
+            yield Notice("silence", STALE, f"no {what} yet on {side.source}", what)
         elif silent_s > _STALE_AFTER_S:
-            complaints.append((STALE, f"no {what} for {silent_s:.0f} s on {side.source}"))
+            said = f"no {what} for {silent_s:.0f} s on {side.source}"
+            yield Notice("silence", STALE, said, what)
         if side.stream.trouble:
-            complaints.append((WARN, side.stream.trouble))
-    return complaints
+            yield Notice("data", WARN, side.stream.trouble, what)
 
 
-def _about_coverage(coverage: float | None, limits: Mapping[str, Any]) -> list[Complaint]:
+def _about_coverage(coverage: float | None, limits: Mapping[str, Any]) -> list[Notice]:
     for level, name in ((ERROR, "error_coverage"), (WARN, "warn_coverage")):
         if coverage is not None and coverage < limits[name]:
-            return [(level, f"only {100 * coverage:.0f} % of the poses have groundtruth")]
+            said = f"only {100 * coverage:.0f} % of the poses have groundtruth"
+            values = {"value": coverage, "limit": limits[name]}
+            return [Notice("alarm", level, said, "coverage", values)]
     return []
 
 
-def _about_error(position_m: float | None, limits: Mapping[str, Any]) -> list[Complaint]:
-    for level, name in ((ERROR, "error_position_error_m"), (WARN, "warn_position_error_m")):
-        if position_m is not None and 0.0 < limits[name] < position_m:
-            return [(level, f"position error {position_m:.3f} m is over {limits[name]:g} m")]
-    return []
-
-
-def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> list[Complaint]:
-    complaints = []
+def _about_clock(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
     clock, applied_s = estimate.clock.report, estimate.evaluator.offset_s
     if run.holds:
-        complaints.append((OK, "nothing is evaluated until the clocks' offset is known"))
+        said = "nothing is evaluated until the clocks' offset is known"
+        yield Notice("clock", OK, said)
     elif clock.is_significant and clock.offset_s is not None and clock.half_width_95_s is not None:
         apart_s = clock.offset_s - applied_s
         if abs(apart_s) > clock.half_width_95_s:
-            complaints.append(
-                (
-                    WARN,
-                    f"the clocks differ by {1e3 * apart_s:+.0f} ms "
-                    f"+- {1e3 * clock.half_width_95_s:.2g} ms, which is not applied: "
-                    "time_offset:=auto",
-                )
+            yield Notice(
+                "clock",
+                WARN,
+                f"the clocks differ by {1e3 * apart_s:+.0f} ms "
+                f"+- {1e3 * clock.half_width_95_s:.2g} ms, which is not applied: "
+                "time_offset:=auto",
+                values={"offset_s": apart_s, "half_width_95_s": clock.half_width_95_s},
             )
+
+
+def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Notice]:
     if snapshot.warming_up:
-        complaints.append((OK, f"warming up: {snapshot.warming_up}"))
+        yield Notice("alignment", OK, f"warming up: {snapshot.warming_up}")
     elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
         misleading = snapshot.alignment.freedom.misleading
-        complaints += [(WARN, misleading)] if misleading else []
+        if misleading:
+            yield Notice("hint", WARN, misleading, "alignment")
     if estimate.doubt:
-        complaints.append((WARN, estimate.doubt.replace("--up=", "up:=")))
+        yield Notice("hint", WARN, estimate.doubt.replace("--up=", "up:="), "up")
     if estimate.jumps.count:
-        complaints.append((WARN, f"{estimate.jumps.count} jumps: restarted with a new origin?"))
+        said = f"{estimate.jumps.count} jumps: restarted with a new origin?"
+        yield Notice("jump", WARN, said, "count")
     lost = run.groundtruth.lost + estimate.side.lost
     if lost:
-        complaints.append((WARN, f"{lost} messages lost"))
+        yield Notice("loss", WARN, f"{lost} messages lost")
     trouble = estimate.writer.trouble or (snapshot.pairs and run.finisher.trouble)
     if trouble:
-        complaints.append((ERROR, f"results can't be written: {trouble}"))
-    return complaints
+        yield Notice("disk", ERROR, f"results can't be written: {trouble}")
 
 
 def _values(

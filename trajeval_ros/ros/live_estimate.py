@@ -18,10 +18,12 @@ from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, deco
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.online.alarms import Peaks
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.notices import Standing
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs, trajectory
@@ -47,6 +49,8 @@ class LiveEstimate:
         trail: The run in few poses.
         revised: The newest path, if the topic carries paths.
         watch: Is given all new pairs, to draw them.
+        peaks: The largest errors since the last status.
+        standing: What has been said of it and still is so.
         doubt: Why the axis that is taken for up in the groundtruth can't be, as of the newest
             snapshot; empty if it can.
     """
@@ -85,6 +89,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge)
+        self.peaks, self.standing = Peaks(), Standing()
         self.doubt = ""
         self._given_up = None if settings.up is None else settings.up[1]
         self._held = HeldMessages() if hold else None

@@ -13,9 +13,11 @@ from rclpy.task import Future
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.online.jump_detector import Jump
+from trajeval_ros.online.notices import OK, WARN, Notice
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
-from trajeval_ros.ros.diagnostics import diagnose
+from trajeval_ros.ros.diagnostics import diagnose, notices_about
+from trajeval_ros.ros.events import EventTopic
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.output_folder import Finisher, make_folder
@@ -100,6 +102,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
         for each in self._outputs.values():
             each.advertise_lengths(self._lengths)
+        self._events = EventTopic(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Whoever waits for ~/save must not keep other services waiting.
         asked = ReentrantCallbackGroup()
@@ -129,7 +132,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._newest[estimate.name] = update
             self._outputs[estimate.name].publish_update(update)
             self._picture.update(estimate, update)
-            estimate.latency.publish(update.stamp, time.time_ns())
+            latency_s = estimate.latency.publish(update.stamp, time.time_ns())
+            estimate.peaks.see("latency_s", latency_s)
+            estimate.peaks.see_update(update, knows_up=not estimate.doubt)
+        for estimate in self._run.estimates:
+            for side in (self._run.groundtruth, estimate.side):
+                estimate.peaks.see("staleness_s", side.silent_s)
 
     def report(self) -> None:
         """Match publishers, look for jumps, and publish what is about the window."""
@@ -144,6 +152,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for estimate in self._run.estimates:
             snapshot = estimate.snapshot()
             self._snapshots[estimate.name] = snapshot
+            estimate.peaks.see_snapshot(snapshot)
             outputs = self._outputs[estimate.name]
             revised = None
             if estimate.revised is not None:
@@ -164,7 +173,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
     def _match(self) -> None:
         for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
             for each in side.match():
-                self._log(each, warn=not each.startswith("subscribed"))
+                self._log(each.text, warn=each.level > OK)
+                self._events.publish(side.name, each)
 
     def tell(self) -> None:
         """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
@@ -179,6 +189,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             if snapshot is None:
                 continue
             update = self._newest.get(estimate.name, Update())
+            peaks = estimate.peaks.take()
+            notices = notices_about(self._run, estimate, snapshot, peaks, self._values)
+            # Each jump has been an event of its own.
+            standing = [each for each in notices if each.kind != "jump"]
+            for each in estimate.standing.renew(standing):
+                self._events.publish(estimate.name, each)
             message.status.append(
                 diagnose(
                     self.get_name(),
@@ -186,7 +202,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                     estimate,
                     snapshot,
                     update,
-                    self._values,
+                    notices,
+                    peaks,
                     self._picture.dropped,
                 )
             )
@@ -200,8 +217,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 )
             )
         self._diagnostics.publish(message)
-        for each in self._picture.news():
-            self._log(f"there is no picture in Rerun: {each}", warn=True)
+        for news in self._picture.news():
+            self._log(f"there is no picture in Rerun: {news}", warn=True)
         self._complain()
         self._autosave()
         self._line.show(parts)
@@ -281,6 +298,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             f"{self._run.finisher.folder}"
         )
         self._log(response.message)
+        self._events.publish("run", Notice("restart", OK, response.message))
         return response
 
     def _set(self, changes: list[Any]) -> Any:
@@ -331,12 +349,18 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._complaint = complaint
 
     def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
-        self._log(
+        said = (
             f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
             f"{seconds(jump.stamp)}: has it restarted with a new origin? One alignment can't fit "
-            "the parts on both sides; ~/reset begins anew",
-            warn=True,
+            "the parts on both sides; ~/reset begins anew"
         )
+        values = {
+            "stamp_ns": jump.stamp,
+            "position_m": jump.position_m,
+            "rotation_deg": jump.rotation_deg,
+        }
+        self._log(said, warn=True)
+        self._events.publish(estimate.name, Notice("jump", WARN, said, values=values))
 
     def _warn_of_unknown_parameters(self) -> None:
         """Name what a parameter file sets and nobody declares, a misspelt name above all."""

@@ -11,6 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.io.requests.request_words import parse_up
 from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.window import Window
 
@@ -141,19 +142,17 @@ PARAMETERS = (
         "viewers on this machine that come and go, and the file; connect:URL, to a viewer that "
         "listens there, and the file. It needs rerun-sdk.",
     ),
-    NodeParameter(
-        "warn_position_error_m",
-        0.0,
-        "Diagnostics warn above this position error, metres; 0 never.",
-        (0.0, 1e6),
-        is_live=True,
-    ),
-    NodeParameter(
-        "error_position_error_m",
-        0.0,
-        "Diagnostics report an error above this position error, metres; 0 never.",
-        (0.0, 1e6),
-        is_live=True,
+    *(
+        NodeParameter(
+            f"{level}_{name}",
+            0.0,
+            f"Diagnostics {reports} when the largest {words} since the last status is above "
+            f"this, {unit}; 0 never.",
+            (0.0, 1e6),
+            is_live=True,
+        )
+        for name, words, unit in LIMITED_QUANTITIES
+        for level, reports in (("warn", "warn"), ("error", "report an error"))
     ),
     NodeParameter(
         "warn_coverage",

@@ -16,6 +16,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
+from trajeval_ros.online.notices import WARN, Notice
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, states
 from trajeval_ros.ros.timing import Arrivals
 
@@ -86,7 +87,7 @@ class PoseStream:
     Attributes:
         status: What they have told so far.
         arrivals: How much later than their stamps they come.
-        news: Notes that nobody has been told yet.
+        news: What nobody has been told yet.
         trouble: Why messages give no poses at present; empty if they do.
         heard_at: When the last of them came, by `time.monotonic`; None before.
     """
@@ -95,7 +96,7 @@ class PoseStream:
         """Begin, for a topic."""
         self.status = StreamStatus()
         self.arrivals = Arrivals()
-        self.news: list[str] = []
+        self.news: list[Notice] = []
         self.trouble = ""
         self.heard_at: float | None = None
         self._topic = topic
@@ -162,7 +163,7 @@ class PoseStream:
             )
             if not self._is_told:
                 self._is_told = True
-                self.news.append(self.trouble)
+                self.news.append(Notice("data", WARN, self.trouble))
 
     def _count(self, found: StateColumns) -> None:
         rows = found.states
@@ -190,7 +191,7 @@ class PoseStream:
             "anew? What is older than the newest pair is in no live number; ~/reset begins anew"
         )
         if self.status.note(sentence):
-            self.news.append(sentence)
+            self.news.append(Notice("restart", WARN, sentence, values={"back_s": back_s}))
 
     def _see_frames(self, frame: str, child_frame: str) -> None:
         names = frame, child_frame
@@ -201,5 +202,5 @@ class PoseStream:
             now = " of ".join(filter(None, reversed(names)))
             sentence = f"{self._topic}: the frame changes from {before} to {now}"
             if self.status.note(sentence):
-                self.news.append(sentence)
+                self.news.append(Notice("frame", WARN, sentence))
         self._names = names

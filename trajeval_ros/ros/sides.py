@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.online.notices import OK, WARN, Notice
 from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.subscriptions import ReceivedMessages, TopicInput
@@ -66,13 +67,16 @@ class Side:
             readable = [each for each in POSE_TYPES if each != other]
             self.inputs = [TopicInput(node, topic, readable)]
 
-    def match(self) -> list[str]:
+    def match(self) -> list[Notice]:
         """Connect to the publishers that there are now; returns what to tell."""
-        told = [each.match() for each in self.inputs]
+        told = [
+            Notice("publishers", OK if said.startswith("subscribed") else WARN, said)
+            for said in filter(None, (each.match() for each in self.inputs))
+        ]
         if isinstance(self.stream, TransformStream):
             self.stream.tell_trouble()
         news, self.stream.news = self.stream.news, []
-        return [*filter(None, told), *news]
+        return [*told, *news]
 
     def take(self, now_ns: int | None) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         """Return type, messages and their times of arrival, by input.

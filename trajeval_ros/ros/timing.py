@@ -44,13 +44,19 @@ class Latency:
         """Note the arrival of estimates."""
         self._waiting.extend(zip(stamps.tolist(), received_ns.tolist(), strict=True))
 
-    def publish(self, stamp: int, now_ns: int) -> None:
-        """Note that errors up to a stamp are published; the newest one's latency counts."""
-        received = None
+    def publish(self, stamp: int, now_ns: int) -> float | None:
+        """Note that errors up to a stamp are published; the newest one's latency counts.
+
+        Returns:
+            How long the first of them took, seconds; None if none arrived since the last call.
+        """
+        received = []
         while self._waiting and self._waiting[0][0] <= stamp:
-            received = self._waiting.popleft()[1]
-        if received is not None:
-            self._seconds.append((now_ns - received) / NANOSECONDS)
+            received.append(self._waiting.popleft()[1])
+        if not received:
+            return None
+        self._seconds.append((now_ns - received[-1]) / NANOSECONDS)
+        return (now_ns - min(received)) / NANOSECONDS
 
     @property
     def p95_s(self) -> float | None:

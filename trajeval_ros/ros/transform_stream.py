@@ -21,6 +21,7 @@ from trajeval_ros.io.bags.transform_tree import (
     find_way,
     leading_edge,
 )
+from trajeval_ros.online.notices import WARN, Notice
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 
@@ -89,7 +90,7 @@ class TransformStream(PoseStream):
         """Warn, once, of what isn't over after a while, whether or not more transforms come."""
         if self.trouble and self._warn_at is not None and time.monotonic() > self._warn_at:
             self._warn_at = np.inf
-            self.news.append(self.trouble)
+            self.news.append(Notice("data", WARN, self.trouble))
 
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
         """Add transforms to an edge that moves."""

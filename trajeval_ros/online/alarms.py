@@ -1,0 +1,117 @@
+"""Alarms: limits of quantities, and the largest values since they were last compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trajeval_ros.online.notices import ERROR, WARN, Notice
+from trajeval_ros.online.reports import Snapshot, Update
+
+
+class LimitedQuantity(NamedTuple):
+    """A quantity that has a limit for warnings and one for errors.
+
+    Attributes:
+        name: The limits are called `warn_NAME` and `error_NAME`.
+        words: What it is.
+        unit: Of the quantity and its limits.
+    """
+
+    name: str
+    words: str
+    unit: str
+
+
+LIMITED_QUANTITIES = (
+    LimitedQuantity("position_error_m", "position error", "m"),
+    LimitedQuantity("rotation_error_deg", "rotation error", "deg"),
+    LimitedQuantity("yaw_error_deg", "yaw error", "deg"),
+    LimitedQuantity("ate_position_m", "position ATE of the window", "m"),
+    LimitedQuantity("drift_percent", "drift over a sub-trajectory", "%"),
+    LimitedQuantity("latency_s", "time from arrival to publication", "s"),
+    LimitedQuantity("staleness_s", "time without a message", "s"),
+)
+
+
+class Peak(NamedTuple):
+    """The largest value of a quantity.
+
+    Attributes:
+        value: In the quantity's unit.
+        stamp: Of its pair, nanoseconds; None where it belongs to none.
+    """
+
+    value: float
+    stamp: int | None = None
+
+
+class Peaks:
+    """The largest values of limited quantities, so that no excursion passes between two looks."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._peaks: dict[str, Peak] = {}
+
+    def see(self, name: str, value: float | None, stamp: int | None = None) -> None:
+        """Take a value of a quantity; None is no value."""
+        if value is not None and (name not in self._peaks or value > self._peaks[name].value):
+            self._peaks[name] = Peak(value, stamp)
+
+    def see_update(self, update: Update, *, knows_up: bool) -> None:
+        """Take the errors of all new pairs, and of sub-trajectories that ended.
+
+        Args:
+            update: What is new.
+            knows_up: False leaves out what depends on the up axis.
+        """
+        for errors in update.errors:
+            yaw = errors.yaw_deg if knows_up else None
+            for name, values in (
+                ("position_error_m", errors.position_m),
+                ("rotation_error_deg", errors.rotation_deg),
+                ("yaw_error_deg", None if yaw is None else np.abs(yaw)),
+            ):
+                if values is not None:
+                    row = int(values.argmax())
+                    self.see(name, float(values[row]), int(errors.stamps[row]))
+        for end in update.ends:
+            self.see("drift_percent", end.drift_percent, end.stamp)
+
+    def see_snapshot(self, snapshot: Snapshot) -> None:
+        """Take the errors of the window."""
+        self.see("ate_position_m", snapshot.window_position_rmse_m)
+
+    def take(self) -> dict[str, Peak]:
+        """Return the largest values since the last call, by name of the quantity."""
+        peaks, self._peaks = self._peaks, {}
+        return peaks
+
+
+def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]:
+    """Return what is over its limits.
+
+    Args:
+        peaks: The largest values by name of the quantity.
+        limits: `warn_NAME` and `error_NAME` by these names; 0 is no limit.
+    """
+    found = []
+    for name, words, unit in LIMITED_QUANTITIES:
+        if name not in peaks:
+            continue
+        value, stamp = peaks[name]
+        for level, limit in ((ERROR, limits[f"error_{name}"]), (WARN, limits[f"warn_{name}"])):
+            if 0.0 < limit < value:
+                text = f"{words} {value:.4g} {unit} is over {limit:g} {unit}"
+                values: dict[str, float | int | str] = {
+                    "value": value,
+                    "limit": limit,
+                    "unit": unit,
+                }
+                if stamp is not None:
+                    values["stamp_ns"] = stamp
+                found.append(Notice("alarm", level, text, name, values))
+                break
+    return found

@@ -1,0 +1,120 @@
+"""Errors of new pairs as vectors: eq. (23) of the tutorial in its plain form, before lengths."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.errors import lengths
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
+
+
+class PairErrors:
+    """Errors of N pairs under the alignment at the time when they came.
+
+    Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless said
+    otherwise. What can't be had is None; each is computed when somebody asks.
+
+    Attributes:
+        stamps: (N,) of the pairs, nanoseconds.
+        position: (N, 3), metres.
+    """
+
+    def __init__(self, pairs: Pairs, alignment: Similarity, up: UpAxis, *, rotation: bool) -> None:
+        """Measure pairs between the frames' own axes.
+
+        Args:
+            pairs: N pairs, N > 0.
+            alignment: From the estimate's frame to the groundtruth's.
+            up: Which axis points up in the groundtruth's frame.
+            rotation: False withholds all that depends on an undetermined rotation.
+        """
+        self._pairs, self._alignment, self._up = pairs, alignment, up
+        self._has_rotation = rotation
+        self.stamps = pairs.stamps
+        aligned = alignment.positions(pairs.estimate[:, POSITION])
+        self.position: Floats = pairs.groundtruth[:, POSITION] - aligned
+
+    @cached_property
+    def position_m(self) -> Floats:
+        """Lengths of the position errors, (N,)."""
+        return lengths(self.position)
+
+    @cached_property
+    def _between(self) -> Floats | None:
+        """The rotation errors E = R R'^T, (N, 4)."""
+        truth = self._pairs.groundtruth[:, QUATERNION]
+        estimate = self._pairs.estimate[:, QUATERNION]
+        if not self._has_rotation or np.isnan(truth[0, 0] + estimate[0, 0]):
+            return None
+        aligned = self._alignment.quaternions(estimate)
+        return lie.normalized(lie.multiply(truth, lie.conjugate(aligned)))
+
+    @cached_property
+    def rotation_deg(self) -> Floats | None:
+        """Angles of the rotation errors, (N,)."""
+        return None if self._between is None else np.degrees(lie.angle(self._between))
+
+    @cached_property
+    def yaw_deg(self) -> Floats | None:
+        """Twists of the rotation errors about the up axis, (N,), with their sign."""
+        if self._between is None:
+            return None
+        return np.degrees(lie.yaw(self._up.turned(self._between)))
+
+    @cached_property
+    def tilt_deg(self) -> Floats | None:
+        """Angles between the up axis and its image under the rotation errors, (N,)."""
+        if self._between is None:
+            return None
+        return np.degrees(lie.tilt(self._up.turned(self._between)))
+
+    @property
+    def rotation_vector_deg(self) -> Floats | None:
+        """Rotation vectors of the rotation errors, (N, 3), as long as their angles."""
+        return None if self._between is None else np.degrees(lie.rotation_vector(self._between))
+
+    @property
+    def attitude_deg(self) -> Floats | None:
+        """The rotation errors as tilt after yaw, (N, 3).
+
+        The part along the up axis is `yaw_deg`. The part across it is the rotation vector of the
+        tilt, and is `tilt_deg` long.
+        """
+        if self._between is None or self.yaw_deg is None:
+            return None
+        level = self._up.turned(self._between)
+        tilted = lie.multiply(level, lie.conjugate(lie.heading(level)))
+        vectors = np.degrees(lie.rotation_vector(tilted))
+        vectors[:, 2] = self.yaw_deg
+        turned: Floats = vectors @ self._up.matrix
+        return turned
+
+    @property
+    def velocity(self) -> Floats | None:
+        """Velocity errors, (N, 3), m/s; NaN where a side measures none.
+
+        A velocity of exactly zero is a message that nobody has filled in.
+        """
+        truth, estimate = self._pairs.groundtruth[:, VELOCITY], self._pairs.estimate[:, VELOCITY]
+        error = truth - self._alignment.vectors(estimate)
+        error[~(truth.any(axis=1) & estimate.any(axis=1))] = np.nan
+        return error if self._has_rotation and np.isfinite(error).any() else None
+
+    @property
+    def along_cross_vertical(self) -> Floats | None:
+        """Position errors along the body's heading, to its left, and up, (N, 3), metres.
+
+        The heading is the rotation about the up axis that is nearest to the groundtruth's
+        attitude; x is forward (REP-103).
+        """
+        attitude = self._pairs.groundtruth[:, QUATERNION]
+        if np.isnan(attitude[0, 0]):
+            return None
+        upright = lie.multiply(lie.from_matrices(self._up.matrix[None]), attitude)
+        return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.turned(self.position))

@@ -1,0 +1,26 @@
+"""A `diagnostic_msgs/DiagnosticStatus`: a level, a sentence, and values by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trajeval_ros.formatting.escaping import one_line
+
+
+def status_message(level: int, name: str, text: str, values: Mapping[str, Any]) -> Any:
+    """Return the message; values that are None are left out, and foreign text is escaped."""
+    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+    return DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=one_line(text),
+        values=[
+            KeyValue(
+                key=key, value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
+            )
+            for key, value in values.items()
+            if value is not None
+        ],
+    )
