@@ -605,3 +605,44 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
 def test_windows_are_read_as_they_are_written(size: int, unit: str) -> None:
     window = Window.parse(f"{size}{unit}")
     assert Window.parse(str(window)) == window
+
+
+@pytest.mark.parametrize(("max_delay_s", "pairs"), [(20.0, True), (0.0, True), (5.0, False)])
+def test_a_late_estimate_is_paired_within_the_delay_or_told(
+    max_delay_s: float, pairs: bool
+) -> None:
+    groundtruth, estimate = make_pair(3, 400)
+    span_s = (groundtruth.stamps[-1] - groundtruth.stamps[0]) / SECOND
+    stretch = int(np.ceil(40.0 / span_s))  # 40 s and more
+    sides = [
+        dataclasses.replace(each, stamps=each.stamps[0] + stretch * (each.stamps - each.stamps[0]))
+        for each in (groundtruth, estimate)
+    ]
+    limits = Limits(groundtruth_s=max_delay_s or np.inf)
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw"), limits=limits))
+    feed(evaluator, *sides, delay_s=12.0, drain_s=0.25)
+    said = evaluator.buffer.why_forgotten
+    if pairs:
+        assert said == ""
+        assert_live_is_offline(evaluator, evaluate(*sides, Protocol(gauge="yaw")))
+    else:
+        late = evaluator.buffer.dropped["too_late"]
+        assert said.startswith(f"{late} poses came too late to be paired")
+        assert "5 s (max_delay)" in said
+
+
+def test_a_memory_that_is_full_is_told() -> None:
+    buffer = PairingBuffer(limits=Limits(np.inf, groundtruth_states=100, waiting_states=5))
+    stamps = np.arange(1000, dtype=np.int64) * SECOND // 10
+    buffer.add_groundtruth(stamps, np.zeros((1000, 10)))
+    buffer.take()
+    buffer.add_estimate(stamps[:3] + 1, np.zeros((3, 10)))
+    buffer.take()
+    assert buffer.why_forgotten == (
+        "3 poses came too late to be paired: the groundtruth is remembered for the newest 100 "
+        "states"
+    )
+    buffer.add_estimate(stamps[-1] + stamps[1:9], np.zeros((8, 10)))
+    assert buffer.why_forgotten.endswith(
+        "3 poses were dropped, since more than 5 waited for groundtruth"
+    )

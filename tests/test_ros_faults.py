@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros_bags import ODOM, POSE, messages_of, write_messages
 from ros_processes import (
     ODOMETRY,
     TRUTH,
@@ -26,6 +27,7 @@ from ros_processes import (
     evaluating,
     offline,
     parameters,
+    play_without_loss,
     replay,
     replay_command,
 )
@@ -39,6 +41,7 @@ from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline import evaluate
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -417,3 +420,45 @@ def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(
     expected = offline(flight, tmp_path, TRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8")
     assert_same(evaluator.result, expected)
     assert [each.name for each in small_disk.iterdir()] == ["out"]
+
+
+@pytest.fixture(scope="module")
+def late_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag whose estimates came 12 s after their stamps."""
+    flown = simulate(6, 30.0)
+    late = [
+        (topic, kind, stamp + 12 * 10**9, payload)
+        for topic, kind, stamp, payload in messages_of(flown.estimate, ODOMETRY, ODOM)
+    ]
+    bag = tmp_path_factory.mktemp("late") / "bag"
+    write_messages(bag, [*messages_of(flown.groundtruth[::2], TRUTH, POSE), *late])
+    return bag
+
+
+def test_an_estimate_that_is_late_is_evaluated_as_offline(
+    late_flight: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    nodes = {"patient": {"gauge": "yaw", "max_delay": 20}}
+    played = play_without_loss(late_flight, peer, environment, tmp_path, nodes, rate=9.0)
+    recorded = offline(late_flight, tmp_path, TRUTH, [ODOMETRY], "--gauge", "yaw")
+    assert_same(played["patient"].result, recorded)
+
+
+def test_an_estimate_that_is_too_late_is_told(
+    late_flight: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    said = "poses came too late to be paired: the groundtruth is remembered for 10 s (max_delay)"
+    heard = peer.hear("/diagnostics", DiagnosticArray)
+    with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
+        replay(late_flight, environment, "--rate", 8)
+        peer.until(
+            lambda: any(said in each.message for array in heard for each in array.status),
+            "diagnostics tell of it",
+        )
+        assert evaluator.end() == 0
+    run = evaluator.run_of(ODOMETRY)
+    late = run["association"]["dropped"]["too_late"]
+    assert late > 300
+    assert f"{late} {said}" in run["warnings"]

@@ -7,6 +7,7 @@ has arrived, or until it is clear that none will do.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,15 +27,24 @@ from trajeval_ros.online.waypoint_stream import WaypointStream
 class Limits:
     """What a buffer holds at the most; beyond, the oldest is dropped and counted.
 
+    A state takes 88 bytes: 500 000 of each side are 88 MB, and up to twice that while they grow.
+
     Attributes:
-        groundtruth_s: Groundtruth kept behind its newest state, for late estimates, seconds.
+        groundtruth_s: Groundtruth kept behind its newest state, for late estimates, seconds;
+            infinite for as much as `groundtruth_states` allows.
         groundtruth_states: The same as a number of states, whatever the rate.
         waiting_states: Estimated states that wait for groundtruth.
     """
 
     groundtruth_s: float = 10.0
-    groundtruth_states: int = 50_000
-    waiting_states: int = 50_000
+    groundtruth_states: int = 500_000
+    waiting_states: int = 500_000
+
+    def horizon(self, newest: int) -> int:
+        """Return the stamp from which on states are kept, of a side's newest one, nanoseconds."""
+        if math.isinf(self.groundtruth_s):
+            return NEVER
+        return newest - round(self.groundtruth_s * NANOSECONDS)
 
 
 class PairingBuffer:
@@ -64,6 +74,7 @@ class PairingBuffer:
         self._truth, self._waiting = StateBuffer(), StateBuffer()
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = NEVER
+        self._is_full = False  # whether memory has ended before time
         self._forgotten_time, self._forgotten_path_m = 0, 0.0
         self._max_gap_ns = round(max_gap_s * NANOSECONDS)
         self._waypoints = WaypointStream(self._max_gap_ns)
@@ -103,8 +114,7 @@ class PairingBuffer:
             self._seen = np.union1d(self._seen, new)
             duplicates = len(stamps) - int(np.count_nonzero(unseen))
             self._count(self.dropped, "duplicate_stamp", duplicates)
-        horizon = self._seen[-1] - round(self.limits.groundtruth_s * NANOSECONDS)
-        forget = int(self._seen.searchsorted(horizon))
+        forget = int(self._seen.searchsorted(self.limits.horizon(int(self._seen[-1]))))
         self._seen = self._seen[max(forget, len(self._seen) - self.limits.waiting_states) :]
         excess = len(self._waiting) - self.limits.waiting_states
         if excess > 0:
@@ -160,6 +170,28 @@ class PairingBuffer:
         return self._waypoints.take()
 
     @property
+    def why_forgotten(self) -> str:
+        """Which estimated states a longer memory would have paired; empty if there are none."""
+        told = []
+        late, waited = self.dropped.get("too_late"), self.dropped.get("waited_too_long")
+        if late:
+            memory = (
+                f"the newest {self.limits.groundtruth_states} states"
+                if self._is_full
+                else f"{self.limits.groundtruth_s:g} s (max_delay)"
+            )
+            told.append(
+                f"{late} poses came too late to be paired: the groundtruth is remembered for "
+                f"{memory}"
+            )
+        if waited:
+            told.append(
+                f"{waited} poses were dropped, since more than {self.limits.waiting_states} "
+                "waited for groundtruth"
+            )
+        return "; ".join(told)
+
+    @property
     def waiting(self) -> int:
         """Number of estimated states that wait for groundtruth."""
         return len(self._waiting)
@@ -205,13 +237,15 @@ class PairingBuffer:
         stamps, rows = self._truth.held
         if not len(stamps):
             return
-        keep_from = self._truth.newest - round(self.limits.groundtruth_s * NANOSECONDS)
+        keep_from = self.limits.horizon(self._truth.newest)
         waiting, _ = self._waiting.held
         if len(waiting):
             keep_from = min(keep_from, int(waiting[0]))
         # One state before the oldest stamp of interest, to interpolate from.
         old = int(stamps.searchsorted(keep_from, side="right")) - 1
-        old = max(old, len(stamps) - self.limits.groundtruth_states, 0)
+        excess = len(stamps) - self.limits.groundtruth_states
+        self._is_full |= excess > max(old, 0)
+        old = max(old, excess, 0)
         if old:
             if int(stamps[old - 1]) > self._waypoints.newest:
                 self._pass_by(old)

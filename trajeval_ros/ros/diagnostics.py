@@ -135,6 +135,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
     lost = run.groundtruth.lost + estimate.side.lost
     if lost:
         yield Notice("loss", WARN, f"{lost} messages lost")
+    if forgotten := estimate.evaluator.buffer.why_forgotten:
+        yield Notice("delay", WARN, forgotten)
     trouble = estimate.writer.trouble or (snapshot.pairs and run.finisher.trouble)
     if trouble:
         yield Notice("disk", ERROR, f"results can't be written: {trouble}")

@@ -252,6 +252,8 @@ class LiveRun:
         ]
         if self._about_clocks:
             warnings.append(self._about_clocks)
+        if forgotten := estimate.evaluator.buffer.why_forgotten:
+            warnings.append(forgotten)
         if estimate.writer.lost:
             warnings.append(
                 f"{estimate.writer.lost} pairs are missing, since the disk took no more: "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from trajeval_ros.io.requests.request_words import parse_up
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.window import Window
 
 if TYPE_CHECKING:
@@ -101,6 +103,13 @@ PARAMETERS = (
         0.5,
         "Never interpolate across a longer groundtruth gap, seconds.",
         (0.0, 3600.0),
+    ),
+    NodeParameter(
+        "max_delay",
+        10.0,
+        "How much later than newer groundtruth an estimate may come and still be paired, seconds; "
+        "0: as late as 500 000 groundtruth states reach back (44 MB for each estimate).",
+        (0.0, 86400.0),
     ),
     NodeParameter(
         "time_offset",
@@ -274,5 +283,6 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         protocol=protocol_from("default", **words_of(values)),
         window=Window.parse(values["window"]),
         freeze=values["align_states"] == FROZEN,
+        limits=Limits(groundtruth_s=values["max_delay"] or math.inf),
         up=parse_up(values["up"]) if values["up"] else None,
     )
