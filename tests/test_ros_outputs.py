@@ -21,12 +21,16 @@ from ros_processes import (
 )
 from waiting import until
 
+from trajeval_ros.io.sources import read_trajectory
+
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
 )
 pytestmark = pytest.mark.ros
 
 NUMBERS = ("position_error", "rotation_error", "ate_position", "ate_rotation")
+ANGLES = ("yaw_error", "tilt_error")
+VECTORS = ("position_error", "rotation_error", "attitude_error", "heading_error")
 NAME = "vio_odometry"
 
 
@@ -68,13 +72,13 @@ def heard(
 ) -> Heard:
     """Follow a run with simulated time, a parameter file and a remapped topic."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from geometry_msgs.msg import TransformStamped
+    from geometry_msgs.msg import TransformStamped, Vector3Stamped
     from nav_msgs.msg import Path as PathMessage
     from std_msgs.msg import Float64
     from std_srvs.srv import Trigger
 
     bag, folder = flights / "mcap", tmp_path_factory.mktemp("heard")
-    topics = [*NUMBERS, "relative_error/length_8m", "relative_error/length_2_5s"]
+    topics = [*NUMBERS, *ANGLES, "relative_error/length_8m", "relative_error/length_2_5s"]
     floats = {each: peer.hear(f"/judge/{NAME}/{each}", Float64) for each in topics}
     kinds = {
         "alignment": TransformStamped,
@@ -85,6 +89,8 @@ def heard(
         each: peer.hear(f"/judge/{NAME}/{each}", kind, latched=True)
         for each, kind in kinds.items()
     }
+    for each in (*VECTORS, "velocity_error"):
+        messages[f"stamped/{each}"] = peer.hear(f"/judge/{NAME}/stamped/{each}", Vector3Stamped)
     messages["diagnostics"] = peer.hear("/diagnostics", DiagnosticArray)
     file = folder / "judge.yaml"
     file.write_text(
@@ -208,6 +214,37 @@ def test_an_alarm_is_an_event_with_its_numbers(heard: Heard) -> None:
     assert int(values["stamp_ns"]) > 0
     assert alarm.message.startswith("position error ")
     assert alarm.message.endswith(" m is over 0.001 m")
+
+
+def test_every_pair_has_an_error_with_the_stamp_of_its_estimate(heard: Heard) -> None:
+    [run] = heard.saved["result"]["runs"]
+    stamps_in_bag = read_trajectory(f"{heard.bag}:{ODOMETRY}").stamps.tolist()
+    vectors = {}
+    for each in VECTORS:
+        messages = heard.messages[f"stamped/{each}"]
+        stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
+        assert 0.9 * run["association"]["pairs"] < len(stamps) <= run["association"]["pairs"]
+        assert stamps == sorted(set(stamps) & set(stamps_in_bag))
+        assert {m.header.frame_id for m in messages} == {
+            heard.saved["result"]["groundtruth"]["frame"]
+        }
+        vectors[each] = np.array([[m.vector.x, m.vector.y, m.vector.z] for m in messages])
+    lengths = {each: np.linalg.norm(vectors[each], axis=1) for each in VECTORS}
+    attitude = vectors["attitude_error"]
+    # The plain numbers are those of the newest pair of each tick.
+    for name, of_pairs in (
+        ("position_error", lengths["position_error"]),
+        ("position_error", lengths["heading_error"]),
+        ("rotation_error", lengths["rotation_error"]),
+        ("yaw_error", attitude[:, 2]),
+        ("tilt_error", np.hypot(attitude[:, 0], attitude[:, 1])),
+    ):
+        numbers = np.array(heard.numbers[name])
+        assert len(numbers) > 20
+        nearest = np.abs(numbers[:, None] - of_pairs[None]).min(axis=1)
+        assert nearest.max() < 1e-9
+    # This groundtruth is of poses alone.
+    assert heard.messages["stamped/velocity_error"] == []
 
 
 def test_harmless_parameters_can_be_set_and_others_cannot(heard: Heard) -> None:

@@ -51,6 +51,7 @@ class LiveEstimate:
         watch: Is given all new pairs, to draw them.
         peaks: The largest errors since the last status.
         standing: What has been said of it and still is so.
+        offset_ns: What is added to its stamps, nanoseconds.
         doubt: Why the axis that is taken for up in the groundtruth can't be, as of the newest
             snapshot; empty if it can.
     """
@@ -94,7 +95,7 @@ class LiveEstimate:
         self._given_up = None if settings.up is None else settings.up[1]
         self._held = HeldMessages() if hold else None
         self._released: list[Update] = []
-        self._offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
+        self.offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self._newest: tuple[str, bytes] | None = None
         self._folder = folder
         self._undigested: list[Pairs] = []
@@ -127,7 +128,7 @@ class LiveEstimate:
         """Evaluate what was held, by a clock that is known now, and go on with it."""
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
-        self._offset_ns = round(offset_s * NANOSECONDS)
+        self.offset_ns = round(offset_s * NANOSECONDS)
         held, self._held = self._held, None
         for each in held.calls:
             each()
@@ -166,7 +167,7 @@ class LiveEstimate:
             found += self.jumps.update(pairs, scale)
             self.trail.add(pairs)
             if self.revised is not None:  # by the estimate's own clock
-                self.revised.record(pairs._replace(stamps=pairs.stamps - self._offset_ns))
+                self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
         self._undigested = []
         return found
 
@@ -188,7 +189,7 @@ class LiveEstimate:
             pose.covariances.repeat(2, 0)
         ):
             return None
-        return int(pose.stamps[0]) + self._offset_ns, position, covariance[:3, :3]
+        return int(pose.stamps[0]) + self.offset_ns, position, covariance[:3, :3]
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` can't tell from pairs, if it has changed.
@@ -228,7 +229,7 @@ class LiveEstimate:
         path = self.revised
         if path is None or not len(path.stamps):
             return
-        stamps, positions = path.stamps + self._offset_ns, path.states[:, POSITION]
+        stamps, positions = path.stamps + self.offset_ns, path.states[:, POSITION]
         write_whole(
             self._folder / f"{self.name}{REVISED_SUFFIX}",
             lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
@@ -269,7 +270,7 @@ class LiveEstimate:
         )
 
     def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
-        self.latency.arrive(poses.stamps + self._offset_ns, received)
+        self.latency.arrive(poses.stamps + self.offset_ns, received)
         self.evaluator.add_estimate(poses.stamps, poses.states)
 
     def _now_or_later(self, side: str, stamps: Stamps, evaluate: Callable[[], None]) -> None:

@@ -130,7 +130,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             if update.stamp is None:
                 continue
             self._newest[estimate.name] = update
-            self._outputs[estimate.name].publish_update(update)
+            self._outputs[estimate.name].publish_update(
+                update,
+                self._run.groundtruth.stream.status.frame,
+                estimate.offset_ns,
+                knows_up=not estimate.doubt,
+            )
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)

@@ -13,6 +13,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import encode_path
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.trail import Trail
+from trajeval_ros.ros.stamped_errors import StampedErrors
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -23,7 +24,8 @@ _PATH_EVERY_S = 1.0
 class Outputs:
     """Publishers of one estimate; numbers without a subscriber cost nothing.
 
-    Errors are `std_msgs/Float64`, which PlotJuggler and rqt_plot draw as they are.
+    Errors are `std_msgs/Float64`, which PlotJuggler and rqt_plot draw as they are, and vectors
+    with stamps: `StampedErrors`.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -34,8 +36,11 @@ class Outputs:
 
         self._node, self._name = node, name
         self._numbers: dict[str, Any] = {}
-        for each in ("position_error", "rotation_error", "ate_position", "ate_rotation"):
+        for each in ("position_error", "rotation_error", "yaw_error", "tilt_error"):
             self._advertise(each)
+        for each in ("ate_position", "ate_rotation"):
+            self._advertise(each)
+        self._stamped = StampedErrors(node, name)
         # Whoever comes late sees the newest alignment and paths at once.
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._alignment = node.create_publisher(TransformStamped, f"~/{name}/alignment", latched)
@@ -54,10 +59,25 @@ class Outputs:
         """Advertise the ATE of the newest path, which only estimates that are paths have."""
         self._advertise("revised_ate_position")
 
-    def publish_update(self, update: Update) -> None:
-        """Publish the errors of the newest pair, and of sub-trajectories that have ended."""
+    def publish_update(
+        self, update: Update, frame: str, offset_ns: int, *, knows_up: bool
+    ) -> None:
+        """Publish the errors of new pairs, and of sub-trajectories that have ended.
+
+        Args:
+            update: What is new; of its pairs, plain numbers are about the newest one.
+            frame: The groundtruth's.
+            offset_ns: What was added to the estimate's stamps.
+            knows_up: False withholds what depends on the up axis.
+        """
         self._publish("position_error", update.position_m)
         self._publish("rotation_error", update.rotation_deg)
+        for errors in update.errors:
+            self._stamped.publish(errors, frame, offset_ns, knows_up=knows_up)
+        if update.errors and knows_up:
+            newest = update.errors[-1]
+            for name, degrees in (("yaw_error", newest.yaw_deg), ("tilt_error", newest.tilt_deg)):
+                self._publish(name, None if degrees is None else float(degrees[-1]))
         for end in update.ends:
             self._publish(_relative_error(end.length), end.position_m)
 
