@@ -54,7 +54,7 @@ test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not oracles"
 	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory test-ros,\
 		@echo "there are no wheels of ROS 2 for this machine: its tests are left out")
-	$(if $(wildcard $(ORACLES)/.installed),@$(MAKE) --no-print-directory oracles,\
+	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory oracles,\
 		@echo "the comparison with Ceres and GTSAM is left out: make oracles")
 
 test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's versions.
