@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shlex
+import signal
 import socket
 import subprocess
 import sys
@@ -154,7 +155,7 @@ def test_without_a_driver_to_draw_with_it_ends_well_and_says_what_is_where(
         assert process.stdout is not None
         assert process.stdout.readline().startswith("open http://127.0.0.1")
     finally:
-        process.kill()
+        process.send_signal(signal.SIGINT)  # a kill would leave Rerun's program running
         process.wait()
 
 

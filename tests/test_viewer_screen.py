@@ -116,7 +116,7 @@ def page(pictures: dict[str, Path]) -> Iterator[tuple[str, Any]]:
         assert process.stdout is not None
         yield process.stdout.readline().split()[1], process
     finally:
-        process.kill()
+        process.send_signal(signal.SIGINT)  # a kill would leave Rerun's program running
         process.wait()
 
 
