@@ -139,7 +139,7 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
 def test_control_characters_are_shown_and_figures_are_not_touched() -> None:
     name, figure = "a\x1b\u202eb", "<svg>\n</svg>"
     table = Matrix("t", name, name, (name,), ((name, (Cell(1.0, name),)),), ("1/1",), (1.0,))
-    text = render(name, name, [name], [table], [Plot(name, name, figure)], [], "0")
+    text = render(name, name, [name], [table], [Plot(name, name, figure)], [], "0", "")
     assert not {"\x1b", "\u202e"} & set(text)
     assert r"<h1>a\x1b\u202eb</h1>" in text
     assert figure in text
