@@ -129,7 +129,7 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
     table = Matrix("t", NASTY, NASTY, (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,))
     run = RunPage(NASTY, NASTY, NASTY, "failed", NASTY, None, None, 0.0, warnings=(NASTY,))
     page = tmp_path / "report.html"
-    page.write_text(render(NASTY, NASTY, [NASTY], [table], [], [run], "0"))
+    page.write_text(render(NASTY, NASTY, [NASTY], [table], [], [run], "0", ""))
     tab, heard = opened(browser, page)
     assert tab.title() == NASTY
     assert tab.locator("h1").inner_text() == NASTY
