@@ -101,13 +101,16 @@ class GateOutcome:
         return self.p_pooled <= self.levels.pooled
 
     @property
+    def level_of_numbers(self) -> Floats:
+        """Level of single ones, (comparisons,); after the pooled verdict they have its, too."""
+        return np.where(self.pooled, self.levels.total, self.levels.numbers)
+
+    @property
     def numbers(self) -> Booleans:
-        """Which single ones are called worse; after the pooled verdict they have its level too."""
-        levels = self.levels
-        if not levels.numbers:
+        """Which single ones are called worse, (comparisons, numbers)."""
+        if not self.levels.numbers:
             return np.zeros(self.p_numbers.shape, dtype=np.bool_)
-        level = np.where(self.pooled, levels.total, levels.numbers)
-        return self.p_numbers <= level[:, None]
+        return self.p_numbers <= self.level_of_numbers[:, None]
 
 
 def compare(

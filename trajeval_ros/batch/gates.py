@@ -99,8 +99,14 @@ def _judge_gate(gate: Gate, baseline: GateValues, now: GateValues, level: float)
         if verdict == WORSE and asks_for_more and not _is_beyond(gate, *sides[place]):
             verdict, reason = UNDECIDED, f"within {gate.deviations:g} MAD"
         alone = _finite(gate, tested.alone[place])
+        p, level_alone = tested.p_and_level_of(place)
         verdicts[group] = replace(
-            verdicts[group], verdict=verdict, reason=reason, noticeable=alone
+            verdicts[group],
+            verdict=verdict,
+            reason=reason,
+            noticeable=alone,
+            p=p,
+            level=level_alone,
         )
     return GateVerdict(gate, tested.pooled, tuple(verdicts.values()), copies, tested.advised())
 
@@ -131,11 +137,19 @@ class _Tested:
             count=len(sizes),
             verdict=_word(self._worse.pooled[0], self._better.pooled[0]),
             change=gate.change(change[0]),
-            bounds=(gate.change(change[1]), gate.change(change[2])),
+            bounds=_bounds(gate, *change[1:]),
             noticeable=_finite(gate, together),
             p=float(self._worse.p_pooled[0]),
             level=self._worse.levels.pooled,
         )
+
+    def p_and_level_of(self, place: int) -> tuple[float, float] | tuple[None, None]:
+        """Return p of a single number and what it is compared with, if it is tested."""
+        if len(self._sizes) == 1:
+            return self.pooled.p, self.pooled.level
+        if not self._worse.levels.numbers:
+            return None, None
+        return float(self._worse.p_numbers[0, place]), float(self._worse.level_of_numbers[0])
 
     def verdict_of(self, place: int) -> str:
         """Return the verdict of a single number."""
@@ -165,6 +179,12 @@ def _word(is_worse: Any, is_better: Any) -> str:
 
 def _finite(gate: Gate, logarithm: float) -> float | None:
     return abs(gate.change(logarithm)) if np.isfinite(logarithm) else None
+
+
+def _bounds(gate: Gate, low: float, high: float) -> tuple[float, float] | None:
+    """Return the bounds of a logarithm as relative changes, None where one says nothing."""
+    least, most = sorted(map(gate.change, (low, high)))
+    return (least, most) if least > -1.0 and np.isfinite(most) else None
 
 
 def _median(values: Sequence[float]) -> float | None:

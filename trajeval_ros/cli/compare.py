@@ -129,7 +129,7 @@ def compare(
 
         trajeval compare results --gauge yaw
 
-    Today against yesterday; the Markdown in gates.md is for the pull request:
+    Today against yesterday; gates.md is for the pull request, gates.json for programs:
 
         trajeval compare euroc.yaml --baseline main.parquet
         --fail-if 'ate.position_m.rmse worse than 5 %'

@@ -104,15 +104,18 @@ def judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print the verdicts; exit with status 1 if something is worse."""
     from trajeval_ros.batch import gates
     from trajeval_ros.batch.comparison import GATES as GATES_FILE
-    from trajeval_ros.batch.comparison import RUNS
+    from trajeval_ros.batch.comparison import GATES_JSON, RUNS
     from trajeval_ros.batch.gate_values import GateValues, remarks_on
+    from trajeval_ros.batch.gates_json import to_json
     from trajeval_ros.batch.gates_markdown import to_markdown
     from trajeval_ros.batch.results_table import ResultsTable
 
     now = GateValues(ResultsTable(folder / RUNS))
     judgement = gates.judge(given.gates, given.baseline, now, given.false_alarms)
-    text = to_markdown(judgement, title, remarks_on(given.baseline, now))
+    remarks = remarks_on(given.baseline, now)
+    text = to_markdown(judgement, title, remarks)
     write_text(folder / GATES_FILE, text)
+    write_text(folder / GATES_JSON, to_json(judgement, title, remarks))
     if not quiet:
         with may_break():
             print(f"\n{text}", end="")
