@@ -20,7 +20,12 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate import Gate
-from trajeval_ros.batch.gate_values import GateValues, remarks_on, require_same_settings
+from trajeval_ros.batch.gate_values import (
+    GateTrials,
+    GateValues,
+    remarks_on,
+    require_same_settings,
+)
 from trajeval_ros.batch.gate_verdicts import Judgement
 from trajeval_ros.batch.gates import judge
 from trajeval_ros.batch.gates_json import to_json
@@ -137,9 +142,10 @@ def judged(
     before: dict[str, list[float | None]],
     now: dict[str, list[float | None]],
     *gates: str,
+    paired: bool = False,
 ) -> Judgement:
     tables = (made_table(folder / "old.parquet", before), made_table(folder / "new.parquet", now))
-    return judge([Gate.parse(each) for each in gates or (GATE,)], *tables)
+    return judge([Gate.parse(each) for each in gates or (GATE,)], *tables, paired=paired)
 
 
 def pooled_word(judgement: Judgement) -> str:
@@ -380,6 +386,67 @@ def test_one_verdict_of_all_gates(tmp_path: Path) -> None:
     assert judged(tmp_path, before, failing, wide).verdict == "more failures"
 
 
+def of_seeds(factor: float, seed: int, count: int = 6) -> dict[str, list[float | None]]:
+    """Return trials of two sequences that vary by their seeds, and a little beside them."""
+    noise = np.random.default_rng(seed).lognormal(0.0, 0.01, (2, count))
+    shared = np.random.default_rng(0).lognormal(0.0, 0.3, (2, count))
+    return {f"s{each}": list(own) for each, own in enumerate(factor * shared * noise)}
+
+
+def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
+    before, now = of_seeds(1.0, 1, 9), of_seeds(1.1, 2, 9)
+    assert pooled_word(judged(tmp_path, before, now)) == "undecided"
+    judgement = judged(tmp_path, before, now, paired=True)
+    assert pooled_word(judgement) == "worse"
+    assert [each.verdict for each in judgement.gates[0].numbers] == ["worse", "worse"]
+    text = to_markdown(judgement, "runs", [])
+    assert "Trials of one name are a pair" in text
+    assert "What would have been noticed isn't known of pairs." in text
+    (found,) = as_json(judgement)["gates"]
+    assert found["paired"] is True
+    assert found["together"]["noticeable"] is None
+    assert found["together"]["bounds"][0] > 0.05
+    same = judged(tmp_path, before, of_seeds(1.0, 2, 9), paired=True)
+    assert pooled_word(same) == "no worse"
+    few = judged(tmp_path, of_seeds(1.0, 1, 4), of_seeds(1.1, 2, 4), paired=True)
+    assert {each.verdict for each in few.gates[0].numbers} == {"not judged alone"}
+    assert pooled_word(few) == "worse"
+
+
+def test_the_same_files_on_both_sides_are_no_worse_by_pairs(tmp_path: Path) -> None:
+    before = of_seeds(1.0, 1)
+    assert pooled_word(judged(tmp_path, before, before, paired=True)) == "no worse"
+    zero = "ate.position_m.rmse worse than 0 %"
+    assert not judged(tmp_path, before, before, zero, paired=True).fails
+
+
+def test_pairs_are_made_by_name_and_copies_of_a_pair_count_once() -> None:
+    old = GateTrials([], 0, {"a": ("h", 1.0), "b": ("i", 2.0), "c": ("h", 1.0)})
+    new = GateTrials([], 0, {"c": ("k", 3.0), "b": ("i", 4.0), "a": ("k", 3.0)})
+    before, now = old.paired_with(new, "vio, hall")
+    assert (before.values, now.values) == ([1.0, 2.0], [3.0, 4.0])
+    assert (before.copies, now.copies) == (1, 1)
+
+
+def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
+    before, now = of_seeds(1.0, 1), of_seeds(1.0, 2)
+    less = {**now, "s1": now["s1"][:4]}
+    said = "this comparison has no trial '4', '5' of vio, s1"
+    with pytest.raises(SettingsError, match=said):
+        judged(tmp_path, before, less, paired=True)
+    with pytest.raises(SettingsError, match="the baseline has no trial '4', '5' of vio, s1"):
+        judged(tmp_path, less, before, paired=True)
+    two = [{name: own[:2] for name, own in each.items()} for each in (before, now)]
+    with pytest.raises(
+        SettingsError, match=r"has 4 pairs .* \(2\^-4 is the least\); give 6 pairs"
+    ):
+        judged(tmp_path, two[0], two[1], paired=True)
+    # Without a test there is nothing to pair.
+    assert not judged(tmp_path, before, less, f"{GATE} untested", paired=True).gates[0].paired
+    # A failed run is a trial, and the worse one of its pair.
+    assert not judged(tmp_path, before, {**now, "s1": [None, *now["s1"][1:]]}, paired=True).fails
+
+
 def table(folder: Path, config: Path) -> Path:
     run_plan(plan_of(config, {}), folder, here)
     return folder / "runs.parquet"
@@ -525,6 +592,8 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         (["--baseline", "OLD", "--fail-if", "re worse than 5 %"], "no ''"),
         (["--baseline", "OLD", "--fail-if", GATE, "--false-alarms", "0"], "a chance in per cent"),
         (["--baseline", "OLD", "--fail-if", GATE, "--undecided", "maybe"], "pass, fail"),
+        (["--paired"], "--paired is of --baseline"),
+        (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "gives a spread"),
         (["--baseline", "none.parquet", "--fail-if", GATE], "does not exist"),
         (["--baseline", "OLD", "--fail-if", GATE, "--gauge", "yaw"], "made with gauge se3"),
     ],

@@ -87,6 +87,7 @@ class GateVerdict:
         pooled: Of all numbers together; None of an untested gate, or without numbers.
         numbers: Of single ones.
         copies: Trials that were left out as copies of others.
+        paired: Whether trials of a name were pairs; what is noticed is then not known.
         advised: What would be noticed with the advised trials, together and in the best and the
             worst number alone; None where the advice isn't needed or spreads aren't known.
     """
@@ -95,6 +96,7 @@ class GateVerdict:
     pooled: PooledVerdict | None
     numbers: tuple[NumberVerdict, ...]
     copies: int
+    paired: bool = False
     advised: tuple[float, float, float] | None = None
 
     @property

@@ -48,6 +48,7 @@ def _gate(verdict: GateVerdict) -> dict[str, Any]:
         "deviations": gate.deviations,
         "spread": None if gate.spread_percent is None else gate.spread_percent / 100.0,
         "tested": gate.tested,
+        "paired": verdict.paired,
         "verdict": verdict.verdict,
         "together": None if verdict.pooled is None else _together(verdict.pooled),
         "numbers": [_number(each) for each in verdict.numbers],

@@ -63,7 +63,7 @@ def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
         lines += [_advice(verdict, verdict.advised), ""]
     if verdict.pooled is not None and verdict.pooled.count == 1:
         (size,) = [each.trials for each in verdict.numbers if each.verdict in _JUDGED]
-        if verdict.pooled.noticeable is None:
+        if verdict.pooled.noticeable is None and not verdict.paired:
             lines += [
                 f"{_trials(size)} of one number: it can't be told from chance. Give the baseline "
                 f"{ADVISED[0]} trials and this comparison {ADVISED[1]}; or write 'spread 15 %' if "
@@ -92,6 +92,8 @@ def _notes(verdict: GateVerdict, false_alarms: float) -> list[str]:
         notes.append(
             "Untested: medians alone decide. Where trials vary, chance alone can give an alarm."
         )
+    if verdict.paired:
+        notes.append("Trials of one name are a pair: they must share a seed, and nothing else.")
     if gate.spread_percent is not None:
         notes.append(
             f"The spread of {gate.spread_percent:g} % is the user's: if trials vary more, false "
@@ -119,6 +121,8 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict) -> str:
     if pooled.bounds is not None:
         bounds = " … ".join(map(change_percent, pooled.bounds))
     text = f"**{who}: {said}**: {change_percent(pooled.change)} ({bounds})."
+    if verdict.paired:
+        return f"{text} What would have been noticed isn't known of pairs."
     if pooled.noticeable is None:
         return f"{text} No worsening, however large, would have been noticed."
     size = "worsening" if pooled.count == 1 else "common worsening"
