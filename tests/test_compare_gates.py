@@ -573,6 +573,10 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     gate = ["--baseline", str(today / "old" / "runs.parquet"), "--fail-if", GATE]
     assert main([*arguments, "--workers", "1", *gate]) == 1
     assert main([*arguments, "--workers", "1", *gate]) == 0
+    for more, is_paired in (["--paired"], True), ([], False):
+        assert main([*arguments, "--workers", "1", *gate, *more]) == 0
+        (found,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
+        assert (found["paired"], found["verdict"] == "no worse") == (is_paired, is_paired)
 
 
 @pytest.mark.parametrize(
