@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +20,15 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate import Gate
-from trajeval_ros.batch.gate_values import GateValues, remarks_on, require_same_settings
+from trajeval_ros.batch.gate_values import (
+    GateTrials,
+    GateValues,
+    remarks_on,
+    require_same_settings,
+)
 from trajeval_ros.batch.gate_verdicts import Judgement
 from trajeval_ros.batch.gates import judge
+from trajeval_ros.batch.gates_json import to_json
 from trajeval_ros.batch.gates_markdown import to_markdown
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
@@ -134,9 +142,10 @@ def judged(
     before: dict[str, list[float | None]],
     now: dict[str, list[float | None]],
     *gates: str,
+    paired: bool = False,
 ) -> Judgement:
     tables = (made_table(folder / "old.parquet", before), made_table(folder / "new.parquet", now))
-    return judge([Gate.parse(each) for each in gates or (GATE,)], *tables)
+    return judge([Gate.parse(each) for each in gates or (GATE,)], *tables, paired=paired)
 
 
 def pooled_word(judgement: Judgement) -> str:
@@ -280,6 +289,164 @@ def test_what_would_have_been_noticed_stands_beside_every_verdict(tmp_path: Path
         assert "Chance of an alarm without a change: at most 2.5 %" in text
 
 
+def as_json(judgement: Judgement, title: str = "runs", remarks: Sequence[str] = ()) -> Any:
+    """Return the judgement as JSON says it; refuses NaN and infinities."""
+
+    def refused(word: str) -> None:
+        raise AssertionError(word)
+
+    text = to_json(judgement, title, remarks)
+    assert text == to_json(judgement, title, remarks)
+    return json.loads(text, parse_constant=refused)
+
+
+def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> None:
+    before, now = trials_of(11, 10), trials_of(11, 3, seed=1)
+    now["s4"] = [2.0 * each for each in now["s4"] if each is not None]
+    untested = "association.groundtruth_coverage worse than 50 % untested"
+    judgement = judged(tmp_path, before, now, f"{GATE} + 1 MAD", untested)
+    found = as_json(judgement, 'a "title" | </script>', ["the groundtruth of s0 changed"])
+    assert (found["schema"], found["title"]) == ("trajeval-gates/1", 'a "title" | </script>')
+    assert found["notes"] == ["the groundtruth of s0 changed"]
+    assert (found["verdict"], found["false_alarms"]) == ("worse", 0.025)
+    tested, other = found["gates"]
+    parts = ("path", "margin", "deviations", "spread", "tested")
+    assert [tested[each] for each in parts] == ["ate.position_m.rmse", 0.05, 1.0, None, True]
+    assert Gate.parse(tested["gate"]) == judgement.gates[0].gate
+    pooled = judgement.gates[0].pooled
+    assert pooled is not None
+    assert pooled.bounds is not None
+    assert tested["together"] == {
+        "count": 11, "verdict": pooled.verdict, "change": pooled.change,
+        "bounds": list(pooled.bounds), "noticeable": pooled.noticeable, "p": pooled.p,
+        "level": pooled.level}  # fmt: skip
+    low, high = tested["together"]["bounds"]
+    assert low < pooled.change < high
+    (worse,) = [each for each in tested["numbers"] if each["verdict"] == "worse"]
+    medians = [float(np.median(np.array(side["s4"], float))) for side in (before, now)]
+    assert worse["sequence"] == "s4"
+    assert worse["before"] == {"median": pytest.approx(medians[0], rel=1e-12), "trials": 10}
+    assert worse["now"] == {"median": pytest.approx(medians[1], rel=1e-12), "trials": 3}
+    assert worse["change"] == pytest.approx(medians[1] / medians[0] - 1.0, rel=1e-12)
+    for each in tested["numbers"]:
+        assert (each["verdict"] == "worse") is (each["p"] <= each["level"])
+        assert 0.0 < each["level"] <= 0.025
+    assert (other["together"], other["tested"], other["verdict"]) == (None, False, "no worse")
+    assert {each["p"] for each in other["numbers"]} == {None}
+
+
+def test_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
+    found = as_json(judged(tmp_path, {"s": [1.0]}, {"s": [9.0]}))
+    (gate,) = found["gates"]
+    assert (gate["verdict"], found["verdict"]) == ("undecided", "undecided")
+    assert (gate["together"]["bounds"], gate["together"]["noticeable"]) == (None, None)
+    assert (gate["together"]["p"], gate["advised"]) == (1.0, None)
+    before, now = trials_of(11, 1), trials_of(11, 1, 1.5, seed=1)
+    (few,) = as_json(judged(tmp_path, before, now))["gates"]
+    assert {(each["p"], each["level"], each["noticeable"]) for each in few["numbers"]} == {
+        (None, None, None)
+    }
+    assert few["advised"]["before"] == {"trials": 10}
+    least, most = few["advised"]["noticeable"]["alone"]
+    assert 0.0 < few["advised"]["noticeable"]["together"] < least <= most
+
+
+def test_json_says_of_failed_runs_what_the_verdict_on_them_says(tmp_path: Path) -> None:
+    before, now = trials_of(11, 5), trials_of(11, 5, seed=1)
+    assert as_json(judged(tmp_path, before, now))["failures"]["verdict"] == "undecided"
+    for each in range(11):
+        now[f"s{each}"] = [1.0, 1.0, None, None, None]
+    found = as_json(judged(tmp_path, before, now))
+    failures = found["failures"]
+    assert failures["before"] == {"failed": 0, "runs": 55}
+    assert failures["now"] == {"failed": 33, "runs": 55}
+    assert failures["verdict"] == "more failures"
+    assert failures["p"] <= failures["level"] == 0.025
+    number = found["gates"][0]["numbers"][0]
+    assert number["now"] == {"median": None, "trials": 5}
+    assert number["change"] is None
+    now = {name: [None] * 5 for name in now}
+    lost = as_json(judged(tmp_path, before, now))
+    assert lost["verdict"] == "lost"
+    assert lost["gates"][0]["together"] is None
+    assert lost["gates"][0]["numbers"][0]["reason"] == "tracking was lost"
+
+
+def test_one_verdict_of_all_gates(tmp_path: Path) -> None:
+    loose, strict = (f"ate.position_m.rmse worse than {each} %" for each in (90, 1))
+    before, same = trials_of(11, 5), trials_of(11, 5, seed=1)
+    assert judged(tmp_path, before, same, loose).verdict == "no worse"
+    assert judged(tmp_path, before, same, loose, strict).verdict == "undecided"
+    lost = {**same, "s0": [None] * 5}
+    assert judged(tmp_path, before, lost, loose, strict).verdict == "lost"
+    worse = {name: [9.0 * each for each in own if each] for name, own in same.items()}
+    assert judged(tmp_path, before, {**worse, "s0": [None] * 5}, loose, strict).verdict == "worse"
+    failing = {name: [*own[:2], None, None, own[4]] for name, own in before.items()}
+    wide = "ate.position_m.rmse worse than 900 % untested"
+    assert judged(tmp_path, before, failing, wide).verdict == "more failures"
+
+
+def of_seeds(factor: float, seed: int, count: int = 6) -> dict[str, list[float | None]]:
+    """Return trials of two sequences that vary by their seeds, and a little beside them."""
+    noise = np.random.default_rng(seed).lognormal(0.0, 0.01, (2, count))
+    shared = np.random.default_rng(0).lognormal(0.0, 0.3, (2, count))
+    return {f"s{each}": list(own) for each, own in enumerate(factor * shared * noise)}
+
+
+def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
+    before, now = of_seeds(1.0, 1, 9), of_seeds(1.1, 2, 9)
+    assert pooled_word(judged(tmp_path, before, now)) == "undecided"
+    judgement = judged(tmp_path, before, now, paired=True)
+    assert pooled_word(judgement) == "worse"
+    assert [each.verdict for each in judgement.gates[0].numbers] == ["worse", "worse"]
+    text = to_markdown(judgement, "runs", [])
+    assert "Trials of one name are a pair" in text
+    assert "What would have been noticed isn't known of pairs." in text
+    (found,) = as_json(judgement)["gates"]
+    assert found["paired"] is True
+    assert found["together"]["noticeable"] is None
+    assert found["together"]["bounds"][0] > 0.05
+    same = judged(tmp_path, before, of_seeds(1.0, 2, 9), paired=True)
+    assert pooled_word(same) == "no worse"
+    few = judged(tmp_path, of_seeds(1.0, 1, 4), of_seeds(1.1, 2, 4), paired=True)
+    assert {each.verdict for each in few.gates[0].numbers} == {"not judged alone"}
+    assert pooled_word(few) == "worse"
+
+
+def test_the_same_files_on_both_sides_are_no_worse_by_pairs(tmp_path: Path) -> None:
+    before = of_seeds(1.0, 1)
+    assert pooled_word(judged(tmp_path, before, before, paired=True)) == "no worse"
+    zero = "ate.position_m.rmse worse than 0 %"
+    assert not judged(tmp_path, before, before, zero, paired=True).fails
+
+
+def test_pairs_are_made_by_name_and_copies_of_a_pair_count_once() -> None:
+    old = GateTrials([], 0, {"a": ("h", 1.0), "b": ("i", 2.0), "c": ("h", 1.0)})
+    new = GateTrials([], 0, {"c": ("k", 3.0), "b": ("i", 4.0), "a": ("k", 3.0)})
+    before, now = old.paired_with(new, "vio, hall")
+    assert (before.values, now.values) == ([1.0, 2.0], [3.0, 4.0])
+    assert (before.copies, now.copies) == (1, 1)
+
+
+def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
+    before, now = of_seeds(1.0, 1), of_seeds(1.0, 2)
+    less = {**now, "s1": now["s1"][:4]}
+    said = "this comparison has no trial '4', '5' of vio, s1"
+    with pytest.raises(SettingsError, match=said):
+        judged(tmp_path, before, less, paired=True)
+    with pytest.raises(SettingsError, match="the baseline has no trial '4', '5' of vio, s1"):
+        judged(tmp_path, less, before, paired=True)
+    two = [{name: own[:2] for name, own in each.items()} for each in (before, now)]
+    with pytest.raises(
+        SettingsError, match=r"has 4 pairs .* \(2\^-4 is the least\); give 6 pairs"
+    ):
+        judged(tmp_path, two[0], two[1], paired=True)
+    # Without a test there is nothing to pair.
+    assert not judged(tmp_path, before, less, f"{GATE} untested", paired=True).gates[0].paired
+    # A failed run is a trial, and the worse one of its pair.
+    assert not judged(tmp_path, before, {**now, "s1": [None, *now["s1"][1:]]}, paired=True).fails
+
+
 def table(folder: Path, config: Path) -> Path:
     run_plan(plan_of(config, {}), folder, here)
     return folder / "runs.parquet"
@@ -375,6 +542,7 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
         shutil.copy(yesterday / "good" / f"yard_trial{trial}.txt", today / "good")
     assert main([*arguments, "-q", *gate]) == 0
     assert ": no change seen" in (today / "old" / "gates.md").read_text()
+    assert json.loads((today / "old" / "gates.json").read_text())["verdict"] == "undecided"
     assert main([*arguments, "-q", *gate, "--undecided", "fail"]) == 1
     loose = [*gate[:-1], "ate.position_m.rmse worse than 90 %", "--undecided", "fail"]
     assert main([*arguments, "-q", *loose]) == 0
@@ -405,6 +573,10 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     gate = ["--baseline", str(today / "old" / "runs.parquet"), "--fail-if", GATE]
     assert main([*arguments, "--workers", "1", *gate]) == 1
     assert main([*arguments, "--workers", "1", *gate]) == 0
+    for more, is_paired in (["--paired"], True), ([], False):
+        assert main([*arguments, "--workers", "1", *gate, *more]) == 0
+        (found,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
+        assert (found["paired"], found["verdict"] == "no worse") == (is_paired, is_paired)
 
 
 @pytest.mark.parametrize(
@@ -424,6 +596,8 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         (["--baseline", "OLD", "--fail-if", "re worse than 5 %"], "no ''"),
         (["--baseline", "OLD", "--fail-if", GATE, "--false-alarms", "0"], "a chance in per cent"),
         (["--baseline", "OLD", "--fail-if", GATE, "--undecided", "maybe"], "pass, fail"),
+        (["--paired"], "--paired is of --baseline"),
+        (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "gives a spread"),
         (["--baseline", "none.parquet", "--fail-if", GATE], "does not exist"),
         (["--baseline", "OLD", "--fail-if", GATE, "--gauge", "yaw"], "made with gauge se3"),
     ],

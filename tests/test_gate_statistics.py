@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -17,12 +17,14 @@ from trajeval_ros.batch.gate_tests import FALSE_ALARMS, compare, levels_of, more
 from trajeval_ros.batch.known_spread import KnownSpread
 from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
 from trajeval_ros.batch.relabelling import (
+    Size,
     balanced_count,
     centre_and_spread,
     contrast,
     relabellings,
     studentised,
 )
+from trajeval_ros.geometry.arrays import Floats
 
 SIZES = st.tuples(st.integers(1, 12), st.integers(1, 12))
 
@@ -239,3 +241,98 @@ def test_t_of_a_number_of_the_typical_spread_is_students(size: tuple[int, int]) 
     within = sum(side.var(1) * side.shape[1] for side in (old, new)) / (sum(size) - 2)
     t = studentised(contrast(psi, size)[:, None], psi, size, np.sqrt(within))[:, 0]
     assert t == pytest.approx(stats.ttest_ind(new, old, axis=1).statistic)
+
+
+def swapped(z: list[Floats], sizes: list[Size]) -> list[Floats]:
+    """Return one comparison with old and new swapped within pairs, in all ways."""
+    ways = np.array(list(product((False, True), repeat=sum(old for old, _ in sizes))))
+    made, first = [], 0
+    for own, (pairs, _) in zip(z, sizes, strict=True):
+        swap = ways[:, first : first + pairs]
+        old, new = own[0, :pairs], own[0, pairs:]
+        made.append(np.hstack([np.where(swap, new, old), np.where(swap, old, new)]))
+        first += pairs
+    return made
+
+
+@pytest.mark.parametrize("pairs", [6, 7, 9])
+def test_p_of_pairs_is_that_of_all_their_sign_flips(pairs: int) -> None:
+    sizes = [(pairs, pairs)]
+    z = [np.random.default_rng(pairs).normal(size=(1, 2 * pairs))]
+    half = 0.5 * (z[0][0, pairs:] - z[0][0, :pairs])
+    spread = 1.2533 * math.sqrt(2 * pairs / (2 * pairs - 1)) * np.abs(half).mean()
+    differences = np.clip(half / spread, -1.5, 1.5)
+    flipped = np.array(list(product((1.0, -1.0), repeat=pairs))) @ differences
+    share = float((flipped >= differences.sum() - 1e-9).mean())
+    count = 2**pairs * -(-4000 // 2**pairs)
+    p = compare(z, sizes, paired=True).p_pooled[0]
+    assert p == pytest.approx((1.0 + share * count) / (count + 1.0), rel=1e-12)
+
+
+@given(
+    pairs=st.lists(
+        st.tuples(*2 * [st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1.0, math.inf])]),
+        min_size=8,
+        max_size=8,
+    )
+)
+@settings(max_examples=30, deadline=None)
+def test_signs_that_are_exchangeable_alarm_no_more_often_than_the_level(
+    pairs: list[tuple[float, float]],
+) -> None:
+    old, new = np.array(pairs).T
+    sizes = [(6, 6), (2, 2)]
+    z = [np.hstack([old[:6], new[:6]])[None], np.hstack([old[6:], new[6:]])[None]]
+    levels = levels_of(sizes, paired=True)
+    assert 0.0 < levels.numbers < levels.total == pytest.approx(levels.pooled + levels.numbers)
+    every = swapped(z, sizes)
+    outcome = compare(every, sizes, paired=True)
+    assert outcome.pooled.mean() <= levels.pooled
+    assert (outcome.pooled | outcome.numbers.any(1)).mean() <= FALSE_ALARMS
+
+
+@pytest.mark.parametrize("numbers", [1, 5])
+def test_many_pairs_without_a_change_seldom_alarm(numbers: int) -> None:
+    random = np.random.default_rng(numbers)
+    seeds = np.tile(random.normal(0.0, 0.15, (numbers, 800, 10)), 2)
+    z = seeds + 0.05 * random.standard_t(3, seeds.shape)
+    outcome = compare(list(z), [(10, 10)] * numbers, paired=True, count=990, random=random)
+    alarms = int((outcome.pooled | outcome.numbers.any(1)).sum())
+    assert 4 <= alarms <= stats.binom.ppf(0.999, 800, FALSE_ALARMS)
+
+
+def test_pairs_that_share_a_seed_show_what_others_do_not() -> None:
+    random = np.random.default_rng(0)
+    found = {}
+    for numbers, pairs in ((11, 3), (1, 10)):
+        seeds = np.tile(random.normal(0.0, 0.15, (numbers, 200, pairs)), 2)
+        z = seeds + random.normal(0.0, 0.03, seeds.shape)
+        z[:, :, pairs:] += math.log(1.10 / 1.05)
+        sizes = [(pairs, pairs)] * numbers
+        for paired in (False, True):
+            outcome = compare(list(z), sizes, paired=paired, count=990, random=random)
+            found[numbers, paired] = float(outcome.pooled.mean())
+    for numbers in (11, 1):
+        assert found[numbers, True] > max(0.8, found[numbers, False] + 0.6)
+
+
+def test_bounds_of_pairs_are_where_the_verdict_turns() -> None:
+    random = np.random.default_rng(3)
+    sizes = [(6, 6)] * 3
+    z = [np.tile(each, 2) + random.normal(0.0, 0.03, (1, 12))
+         for each in random.normal(0.0, 0.15, (3, 1, 6))]  # fmt: skip
+    change, low, high = common_change(z, sizes, paired=True)
+    _, lower, higher = common_change(z, sizes)
+    assert lower < low < change < high < higher
+    for shift, worse in ((low - 1e-4, True), (low + 1e-4, False)):
+        assert compare(shifted(z, sizes, shift), sizes, paired=True).pooled[0] == worse
+
+
+def test_levels_of_pairs_are_reached_by_six_of_them() -> None:
+    for pairs, way in ((5, "none"), (6, "relabelling")):
+        assert levels_of([(pairs, pairs)], paired=True).pooled_by == way
+        assert levels_of([(1, 1)] * pairs, paired=True).pooled_by == way
+    assert levels_of([(5, 5)] * 9, paired=True).numbers == 0.0
+    assert levels_of([(6, 6)] * 9, paired=True).numbers > 0.0
+    # The common verdict can't do with what single numbers leave of seven pairs.
+    assert levels_of([(6, 6), (1, 1)], paired=True).pooled == FALSE_ALARMS

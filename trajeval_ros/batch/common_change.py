@@ -19,11 +19,11 @@ from trajeval_ros.batch.gate_tests import (
 from trajeval_ros.batch.relabelling import (
     Scores,
     Size,
-    balanced_count,
     contrast,
     contrasts,
-    relabellings,
+    relabellings_of_all,
     scores_of,
+    within_pairs,
 )
 from trajeval_ros.geometry.arrays import Floats
 
@@ -31,14 +31,18 @@ Change = tuple[float, float, float]
 
 
 def common_change(
-    numbers: Sequence[Floats], sizes: Sequence[Size], total: float = FALSE_ALARMS
+    numbers: Sequence[Floats],
+    sizes: Sequence[Size],
+    total: float = FALSE_ALARMS,
+    *,
+    paired: bool = False,
 ) -> Change:
     """Return the common change of one comparison and its bounds, as logarithms.
 
     Bounds are where the pooled test turns (same relabellings at every shift); each is missed with
     the pooled level. They are infinite where nothing can be said.
     """
-    levels = levels_of(sizes, total)
+    levels = levels_of(sizes, total, paired=paired)
     changes = [float(mean_change(z, size)[0]) for z, size in zip(numbers, sizes, strict=True)]
     if levels.pooled_by == "none":
         return float(np.mean(changes)), -math.inf, math.inf
@@ -52,7 +56,7 @@ def common_change(
 
         estimate = float(np.mean(changes))
     else:
-        test = _PooledTest(numbers, sizes)
+        test = _PooledTest(numbers, sizes, paired=paired)
         span = max(float(np.ptp(z[np.isfinite(z)])) for z in numbers) + 1e-6
         p_of = test.p
         estimate = _where_it_turns(-span, span, lambda shift: test.statistic(shift) > 0.0)
@@ -74,14 +78,14 @@ def shifted(numbers: Sequence[Floats], sizes: Sequence[Size], shift: float) -> l
 class _PooledTest:
     """The pooled test of one comparison at any shift, with the relabellings of `compare`."""
 
-    def __init__(self, numbers: Sequence[Floats], sizes: Sequence[Size]) -> None:
+    def __init__(self, numbers: Sequence[Floats], sizes: Sequence[Size], *, paired: bool) -> None:
         random = np.random.default_rng(0)
-        count = max(balanced_count(RELABELLINGS, size) for size in sizes)
-        self._labels = [relabellings(random, size, count) for size in sizes]
-        self._numbers, self._sizes = numbers, sizes
+        self._labels = relabellings_of_all(random, sizes, RELABELLINGS, paired=paired)
+        self._numbers, self._sizes, self._paired = numbers, sizes, paired
 
     def _scores(self, shift: float) -> Scores:
-        return scores_of(shifted(self._numbers, self._sizes, shift))
+        numbers = shifted(self._numbers, self._sizes, shift)
+        return scores_of([within_pairs(z) for z in numbers] if self._paired else numbers)
 
     def statistic(self, shift: float) -> float:
         """Return the pooled statistic of the labels as they are."""

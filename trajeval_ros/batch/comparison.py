@@ -30,13 +30,15 @@ from trajeval_ros.batch.worker import Task, work
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.io.writing import refused_by_disk, write_text
 
-RUNS, POOLED, GATES, RECORDS = "runs.parquet", "pooled.parquet", "gates.md", "runs"
+RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
+GATES, GATES_JSON = "gates.md", "gates.json"
 _INPUTS, _ABOUT = "inputs.json", "README.txt"
 _ABOUT_TEXT = """\
 Made by trajeval compare.
 runs.parquet    a row per run x metric x length, with what each number depends on
 pooled.parquet  statistics over trials, by algorithm and sequence
-report.html, tables.*  the same for people; gates.md, if there was a baseline
+report.html, tables.*  the same for people; gates.md and gates.json, if there was a
+                       baseline
 runs/, inputs.json     finished runs: kept, they needn't be evaluated again
 """
 
@@ -93,7 +95,8 @@ def run_plan(
             tell(batch.progress)
             return batch.progress
     with refused_by_disk(f"the folder {folder}"):
-        (folder / GATES).unlink(missing_ok=True)  # is of tables that will be there no more
+        for name in (GATES, GATES_JSON):  # are of tables that will be there no more
+            (folder / name).unlink(missing_ok=True)
     write_text(folder / _ABOUT, _ABOUT_TEXT)
     batch.evaluate(batch.planned())
     state = batch.state

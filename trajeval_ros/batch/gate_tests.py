@@ -20,8 +20,10 @@ from trajeval_ros.batch.relabelling import (
     contrast,
     contrasts,
     relabellings,
+    relabellings_of_all,
     scores_of,
     studentised,
+    within_pairs,
 )
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
@@ -54,8 +56,12 @@ class Levels:
     numbers_by: Way
 
 
-def levels_of(sizes: Sequence[Size], total: float = FALSE_ALARMS) -> Levels:
+def levels_of(
+    sizes: Sequence[Size], total: float = FALSE_ALARMS, *, paired: bool = False
+) -> Levels:
     """Share the chance of a false alarm: a test that can never reject gives its share away."""
+    if paired:
+        return _levels_of_pairs(sizes, total)
     counts = [math.comb(old + new, new) for old, new in sizes]
     share = 0.0
     way: Way = "none"
@@ -67,6 +73,20 @@ def levels_of(sizes: Sequence[Size], total: float = FALSE_ALARMS) -> Levels:
         alone: Way = "none" if _is_one_trial(sizes) else "student"
         return Levels(total, total, 0.0, alone, "none")
     return Levels(total, total - share, share, "relabelling", way)
+
+
+def _levels_of_pairs(sizes: Sequence[Size], total: float) -> Levels:
+    pairs = sum(old for old, _ in sizes)
+    share = _BY_RELABELLING * total
+    alone = len(sizes) > 1 and is_enough(max(old for old, _ in sizes), share)
+    if alone and is_enough(pairs, total - share):
+        return Levels(total, total - share, share, "relabelling", "relabelling")
+    return Levels(total, total, 0.0, "relabelling" if is_enough(pairs, total) else "none", "none")
+
+
+def is_enough(pairs: int, level: float) -> bool:
+    """Whether sign flips of so many pairs can reach a level."""
+    return 2.0**pairs * level >= ENOUGH
 
 
 def levels_when_known(numbers: int, total: float) -> Levels:
@@ -101,13 +121,16 @@ class GateOutcome:
         return self.p_pooled <= self.levels.pooled
 
     @property
+    def level_of_numbers(self) -> Floats:
+        """Level of single ones, (comparisons,); after the pooled verdict they have its, too."""
+        return np.where(self.pooled, self.levels.total, self.levels.numbers)
+
+    @property
     def numbers(self) -> Booleans:
-        """Which single ones are called worse; after the pooled verdict they have its level too."""
-        levels = self.levels
-        if not levels.numbers:
+        """Which single ones are called worse, (comparisons, numbers)."""
+        if not self.levels.numbers:
             return np.zeros(self.p_numbers.shape, dtype=np.bool_)
-        level = np.where(self.pooled, levels.total, levels.numbers)
-        return self.p_numbers <= level[:, None]
+        return self.p_numbers <= self.level_of_numbers[:, None]
 
 
 def compare(
@@ -116,6 +139,7 @@ def compare(
     *,
     direction: float = 1.0,
     total: float = FALSE_ALARMS,
+    paired: bool = False,
     count: int = RELABELLINGS,
     random: np.random.Generator | None = None,
 ) -> GateOutcome:
@@ -126,24 +150,26 @@ def compare(
         sizes: Its old and new trials.
         direction: -1 tests whether they are better instead.
         total: Chance of a false alarm.
+        paired: Whether the i-th old and the i-th new trial of each number belong together.
         count: Relabellings.
         random: What they are drawn with; by default the same each time.
     """
     random = random or np.random.default_rng(0)
-    levels = levels_of(sizes, total)
+    levels = levels_of(sizes, total, paired=paired)
     shape = (len(numbers[0]), len(numbers))
     if levels.pooled_by != "relabelling":
         p = np.ones(shape[0])
         if levels.pooled_by == "student":
             p = student(numbers, sizes, direction)
         return GateOutcome(levels, p, np.ones(shape))
-    scores = scores_of(numbers)
-    count = max(balanced_count(count, size) for size in sizes)
+    scores = scores_of([within_pairs(z) for z in numbers] if paired else numbers)
+    labels_of = relabellings_of_all(random, sizes, count, paired=paired)
+    count = len(labels_of[0])
     single = levels.numbers_by == "relabelling"
     observed, sums = np.empty(shape), np.zeros((shape[0], count))
     mine, largest = np.zeros(shape[0]), np.full((shape[0], count), -np.inf)
     for place, (psi, size) in enumerate(zip(scores.psi, sizes, strict=True)):
-        labels = relabellings(random, size, count)
+        labels = labels_of[place]
         own = direction * contrast(psi, size)
         others = direction * contrasts(psi, size, labels)
         weight = weight_of(size) / scores.scales[:, place]

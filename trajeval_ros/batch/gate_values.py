@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
 
@@ -29,10 +29,38 @@ class GateTrials:
     Attributes:
         values: Infinite for runs that failed, or that have no such number.
         copies: Runs that were left out because their poses are those of another trial.
+        runs: Of each name what tells its poses from others', and its value; with copies.
     """
 
     values: list[float]
     copies: int = 0
+    runs: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    def paired_with(self, now: GateTrials, whose: str) -> tuple[GateTrials, GateTrials]:
+        """Return the trials of both tables, those of a name at the same place.
+
+        Pairs whose poses are those of another pair count once.
+
+        Raises:
+            SettingsError: A name is in one table only.
+        """
+        for has, lacks, where in (
+            (self, now, "this comparison"),
+            (now, self, "the baseline"),
+        ):
+            missing = [repr(name) for name in has.runs if name not in lacks.runs]
+            if missing:
+                raise SettingsError(
+                    f"--paired needs the same trials on both sides, and {where} has no trial "
+                    f"{', '.join(missing)} of {whose}; run the same trials or leave --paired out"
+                )
+        pairs = {
+            (old[0], now.runs[name][0]): (old[1], now.runs[name][1])
+            for name, old in self.runs.items()
+        }
+        copies = len(self.runs) - len(pairs)
+        before, after = ([pair[side] for pair in pairs.values()] for side in (0, 1))
+        return GateTrials(before, copies), GateTrials(after, copies)
 
 
 class GateValues:
@@ -87,8 +115,9 @@ class GateValues:
         made = {}
         for group, own in values.items():
             # Runs without a hash failed: each is a trial of its own.
-            distinct = {hashes.get((*group, trial)) or trial: x for trial, x in own.items()}
-            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct))
+            runs = {trial: (hashes.get((*group, trial)) or trial, x) for trial, x in own.items()}
+            distinct = dict(runs.values())
+            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), runs)
         return made
 
     def why_failed(self, group: Group) -> str:

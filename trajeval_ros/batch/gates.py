@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from trajeval_ros.batch.common_change import common_change, shifted
 from trajeval_ros.batch.gate import Gate
-from trajeval_ros.batch.gate_tests import FALSE_ALARMS, GateOutcome, compare, more_failures
+from trajeval_ros.batch.gate_tests import (
+    FALSE_ALARMS,
+    GateOutcome,
+    compare,
+    is_enough,
+    more_failures,
+)
 from trajeval_ros.batch.gate_values import GateTrials, GateValues, Group
 from trajeval_ros.batch.gate_verdicts import (
     ADVISED,
@@ -30,6 +38,7 @@ from trajeval_ros.batch.gate_verdicts import (
 from trajeval_ros.batch.known_spread import KnownSpread
 from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
 from trajeval_ros.batch.relabelling import Size
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats
 
 
@@ -38,6 +47,8 @@ def judge(
     baseline: GateValues,
     now: GateValues,
     false_alarms: float = FALSE_ALARMS,
+    *,
+    paired: bool = False,
 ) -> Judgement:
     """Judge every algorithm on every sequence by every gate.
 
@@ -46,12 +57,16 @@ def judge(
         baseline: The older table.
         now: The newer one.
         false_alarms: Chance that any gate calls anything worse without a change.
+        paired: Whether trials of a name share a seed, so that labels change within pairs.
 
     Raises:
-        SettingsError: A gate asks for a number that the baseline has not.
+        SettingsError: A gate asks for a number that the baseline has not, or pairs can't be made,
+            or are too few.
     """
     share = false_alarms / max(1, sum(gate.tested for gate in gates))
-    verdicts = tuple(_judge_gate(gate, baseline, now, share) for gate in gates)
+    verdicts = tuple(
+        _judge_gate(gate, baseline, now, share, paired=paired and gate.tested) for gate in gates
+    )
     return Judgement(verdicts, _failures(baseline, now, false_alarms), false_alarms)
 
 
@@ -63,13 +78,18 @@ def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
     return Failures(sums[0], sums[1], more_failures(old, new) if both else 1.0, level)
 
 
-def _judge_gate(gate: Gate, baseline: GateValues, now: GateValues, level: float) -> GateVerdict:
+def _judge_gate(
+    gate: Gate, baseline: GateValues, now: GateValues, level: float, *, paired: bool
+) -> GateVerdict:
     before, after = baseline.trials(gate.path), now.trials_like(gate.path, baseline)
     verdicts: dict[Group, NumberVerdict] = {}
     judged: list[Group] = []
     for group in dict.fromkeys([*before, *after]):
         old, new = (side.get(group, GateTrials([])) for side in (before, after))
         reason = ""
+        if paired and group in before and group in after:
+            old, new = old.paired_with(new, ", ".join(group))
+            before[group], after[group] = old, new
         if not np.isfinite(old.values).any():
             verdict = NEW if np.isfinite(new.values).any() else FAILED
         elif not np.isfinite(new.values).any():
@@ -92,36 +112,66 @@ def _judge_gate(gate: Gate, baseline: GateValues, now: GateValues, level: float)
     sides = [(before[group].values, after[group].values) for group in judged]
     logarithms = [np.array([[*map(gate.logarithm, [*old, *new])]]) for old, new in sides]
     sizes = [(len(old), len(new)) for old, new in sides]
-    tested = _Tested(gate, logarithms, sizes, level)
+    if paired:
+        _require_enough(gate, sum(old for old, _ in sizes), level)
+    tested = _Tested(gate, logarithms, sizes, level, paired=paired)
     for place, group in enumerate(judged):
         verdict, reason = tested.verdict_of(place), ""
         asks_for_more = gate.deviations > 0.0 and len(judged) > 1
         if verdict == WORSE and asks_for_more and not _is_beyond(gate, *sides[place]):
             verdict, reason = UNDECIDED, f"within {gate.deviations:g} MAD"
         alone = _finite(gate, tested.alone[place])
+        p, level_alone = tested.p_and_level_of(place)
         verdicts[group] = replace(
-            verdicts[group], verdict=verdict, reason=reason, noticeable=alone
+            verdicts[group],
+            verdict=verdict,
+            reason=reason,
+            noticeable=alone,
+            p=p,
+            level=level_alone,
         )
-    return GateVerdict(gate, tested.pooled, tuple(verdicts.values()), copies, tested.advised())
+    return GateVerdict(
+        gate, tested.pooled, tuple(verdicts.values()), copies, paired, tested.advised()
+    )
+
+
+def _require_enough(gate: Gate, pairs: int, level: float) -> None:
+    if is_enough(pairs, level):
+        return
+    needed = next(each for each in count() if is_enough(each, level))
+    raise SettingsError(
+        f"--paired: the gate '{gate}' has {pairs} pairs of trials, whose sign flips can't reach "
+        f"its level of {100 * level:g} % (2^-{pairs} is the least); give {needed} pairs in all "
+        "or leave --paired out"
+    )
 
 
 class _Tested:
     """The tests of a gate on numbers that both comparisons have."""
 
     def __init__(
-        self, gate: Gate, numbers: Sequence[Floats], sizes: Sequence[Size], level: float
+        self,
+        gate: Gate,
+        numbers: Sequence[Floats],
+        sizes: Sequence[Size],
+        level: float,
+        *,
+        paired: bool,
     ) -> None:
+        self._paired = paired
         self._gate, self._numbers, self._sizes, self._level = gate, numbers, sizes, level
         moved = shifted(numbers, sizes, gate.margin)
         self._worse: GateOutcome
         self._better: GateOutcome
         if gate.spread_percent is None:
-            self._worse = compare(moved, sizes, total=level)
-            self._better = compare(moved, sizes, direction=-1.0, total=level)
-            change = common_change(numbers, sizes, level)
-            spreads = spreads_within(numbers, sizes)
-            together = float(noticeable(spreads, sizes, gate.margin, level)[0])
-            self.alone = noticeable_alone(spreads, sizes, gate.margin, level)[0]
+            self._worse = compare(moved, sizes, total=level, paired=paired)
+            self._better = compare(moved, sizes, direction=-1.0, total=level, paired=paired)
+            change = common_change(numbers, sizes, level, paired=paired)
+            together, self.alone = math.inf, np.full(len(sizes), np.inf)
+            if not paired:
+                spreads = spreads_within(numbers, sizes)
+                together = float(noticeable(spreads, sizes, gate.margin, level)[0])
+                self.alone = noticeable_alone(spreads, sizes, gate.margin, level)[0]
         else:
             known = KnownSpread(gate.spread_percent / 100.0, sizes, level)
             self._worse, self._better = known.compare(moved), known.compare(moved, -1.0)
@@ -131,22 +181,35 @@ class _Tested:
             count=len(sizes),
             verdict=_word(self._worse.pooled[0], self._better.pooled[0]),
             change=gate.change(change[0]),
-            bounds=(gate.change(change[1]), gate.change(change[2])),
+            bounds=_bounds(gate, *change[1:]),
             noticeable=_finite(gate, together),
             p=float(self._worse.p_pooled[0]),
             level=self._worse.levels.pooled,
         )
+
+    def p_and_level_of(self, place: int) -> tuple[float, float] | tuple[None, None]:
+        """Return p of a single number and what it is compared with, if it is tested."""
+        if len(self._sizes) == 1:
+            return self.pooled.p, self.pooled.level
+        if not self._worse.levels.numbers:
+            return None, None
+        return float(self._worse.p_numbers[0, place]), float(self._worse.level_of_numbers[0])
 
     def verdict_of(self, place: int) -> str:
         """Return the verdict of a single number."""
         if len(self._sizes) == 1:
             return self.pooled.verdict
         word = _word(self._worse.numbers[0, place], self._better.numbers[0, place])
-        return NOT_ALONE if word == UNDECIDED and np.isinf(self.alone[place]) else word
+        if self._paired:
+            levels = self._worse.levels
+            is_judged = is_enough(self._sizes[place][0], levels.numbers)
+        else:
+            is_judged = bool(np.isfinite(self.alone[place]))
+        return NOT_ALONE if word == UNDECIDED and not is_judged else word
 
     def advised(self) -> tuple[float, float, float] | None:
         """Return what would be noticed with the advised trials, if single numbers have too few."""
-        if np.isfinite(self.alone).any() or len(self._sizes) == 1:
+        if self._paired or np.isfinite(self.alone).any() or len(self._sizes) == 1:
             return None
         margin, sizes = self._gate.margin, [ADVISED] * len(self._sizes)
         spreads = spreads_within(self._numbers, self._sizes)
@@ -165,6 +228,12 @@ def _word(is_worse: Any, is_better: Any) -> str:
 
 def _finite(gate: Gate, logarithm: float) -> float | None:
     return abs(gate.change(logarithm)) if np.isfinite(logarithm) else None
+
+
+def _bounds(gate: Gate, low: float, high: float) -> tuple[float, float] | None:
+    """Return the bounds of a logarithm as relative changes, None where one says nothing."""
+    least, most = sorted(map(gate.change, (low, high)))
+    return (least, most) if least > -1.0 and np.isfinite(most) else None
 
 
 def _median(values: Sequence[float]) -> float | None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from trajeval_ros.batch.gate_verdicts import (
     ADVISED,
     FAILED,
     LOST,
+    MORE_FAILURES,
     NEW,
     NO_WORSE,
     NOT_ALONE,
@@ -45,18 +45,14 @@ def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str
 
 
 def _head(judgement: Judgement) -> str:
-    numbers = [number for gate in judgement.gates for number in gate.numbers]
-    pooled = [gate.pooled.verdict for gate in judgement.gates if gate.pooled is not None]
-    if WORSE in pooled or any(each.verdict == WORSE for each in numbers):
-        return "worse"
-    if any(each.verdict == LOST for each in numbers):
-        return "numbers were lost"
-    if judgement.failures.fails:
-        return "more failed runs"
-    if not judgement.is_no_worse:
-        return "no change seen"
     margins = dict.fromkeys(f"{each.gate.percent:g} %" for each in judgement.gates)
-    return f"no worse than {' and '.join(margins)}"
+    return {
+        WORSE: "worse",
+        LOST: "numbers were lost",
+        MORE_FAILURES: "more failed runs",
+        UNDECIDED: "no change seen",
+        NO_WORSE: f"no worse than {' and '.join(margins)}",
+    }[judgement.verdict]
 
 
 def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
@@ -67,7 +63,7 @@ def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
         lines += [_advice(verdict, verdict.advised), ""]
     if verdict.pooled is not None and verdict.pooled.count == 1:
         (size,) = [each.trials for each in verdict.numbers if each.verdict in _JUDGED]
-        if verdict.pooled.noticeable is None:
+        if verdict.pooled.noticeable is None and not verdict.paired:
             lines += [
                 f"{_trials(size)} of one number: it can't be told from chance. Give the baseline "
                 f"{ADVISED[0]} trials and this comparison {ADVISED[1]}; or write 'spread 15 %' if "
@@ -96,6 +92,8 @@ def _notes(verdict: GateVerdict, false_alarms: float) -> list[str]:
         notes.append(
             "Untested: medians alone decide. Where trials vary, chance alone can give an alarm."
         )
+    if verdict.paired:
+        notes.append("Trials of one name are a pair: they must share a seed, and nothing else.")
     if gate.spread_percent is not None:
         notes.append(
             f"The spread of {gate.spread_percent:g} % is the user's: if trials vary more, false "
@@ -119,10 +117,12 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict) -> str:
         UNDECIDED: f"no change beyond {margin} seen",
     }[pooled.verdict]
     who = "The one number" if pooled.count == 1 else f"All {pooled.count} numbers together"
-    bounds = " … ".join(map(change_percent, sorted(pooled.bounds)))
-    if not all(map(math.isfinite, pooled.bounds)) or min(pooled.bounds) <= -1.0:
-        bounds = "no bounds"
+    bounds = "no bounds"
+    if pooled.bounds is not None:
+        bounds = " … ".join(map(change_percent, pooled.bounds))
     text = f"**{who}: {said}**: {change_percent(pooled.change)} ({bounds})."
+    if verdict.paired:
+        return f"{text} What would have been noticed isn't known of pairs."
     if pooled.noticeable is None:
         return f"{text} No worsening, however large, would have been noticed."
     size = "worsening" if pooled.count == 1 else "common worsening"
@@ -158,33 +158,26 @@ def _failures(failures: Failures) -> str:
     text = f"Failed runs: {old} of {of_old} then, {new} of {of_new} now"
     if not old + new:
         return f"{text}."
-    word = "**more failures**" if failures.fails else "not more than by chance"
+    word = f"**{MORE_FAILURES}**" if failures.fails else "not more than by chance"
     return f"{text} (p = {failures.p:.2g}): {word}."
 
 
 def _table(numbers: Sequence[NumberVerdict]) -> list[str]:
     headings = ["algorithm, sequence", "old", "new", "change", "trials", "noticeable", "verdict"]
-    rows: list[list[TextCell]] = []
-    for each in numbers:
-        change = NOTHING
-        if each.before and each.now is not None and math.isfinite(each.before + each.now):
-            change = change_percent((each.now - each.before) / each.before)
-        rows.append(
-            [
-                f"{each.algorithm}, {each.sequence}",
-                three_decimals(each.before),
-                three_decimals(each.now),
-                change,
-                "{} / {}".format(*each.trials),
-                NOTHING if each.noticeable is None else _size(each.noticeable),
-                MarkedText(
-                    each.verdict,
-                    BOLD if each.fails else "",
-                    f": {each.reason}" if each.reason else "",
-                ),
-            ]
-        )
-    return markdown_table(headings, rows)
+    return markdown_table(headings, [_row(each) for each in numbers])
+
+
+def _row(number: NumberVerdict) -> list[TextCell]:
+    more = f": {number.reason}" if number.reason else ""
+    return [
+        f"{number.algorithm}, {number.sequence}",
+        three_decimals(number.before),
+        three_decimals(number.now),
+        NOTHING if number.change is None else change_percent(number.change),
+        "{} / {}".format(*number.trials),
+        NOTHING if number.noticeable is None else _size(number.noticeable),
+        MarkedText(number.verdict, BOLD if number.fails else "", more),
+    ]
 
 
 def _size(share: float) -> str:

@@ -3,7 +3,9 @@
 A *number* is one algorithm on one sequence. Its trials are logarithms of errors, old ones first,
 in an array (comparisons, old + new): an evaluation has one comparison, a simulation many. A failed
 trial is +inf. If nothing changed, labels "old" and "new" are exchangeable within each number,
-whatever the distribution, and a statistic's values under other labels are its distribution.
+whatever the distribution, and a statistic's values under other labels are its distribution. Where
+trials are pairs (the i-th old and the i-th new one share a seed), labels are exchangeable within
+each pair.
 """
 
 from __future__ import annotations
@@ -44,6 +46,42 @@ def balanced_count(count: int, size: Size) -> int:
     """Return a count of relabellings, a multiple of all there are if they are few."""
     total = math.comb(sum(size), size[1])
     return total * -(-count // total) if total <= count else count
+
+
+def relabellings_of_all(
+    random: np.random.Generator, sizes: Sequence[Size], count: int, *, paired: bool
+) -> list[Booleans]:
+    """Return relabellings of every number, at least `count` of each and as many of all."""
+    if paired:
+        return _swaps(random, [old for old, _ in sizes], count)
+    count = max(balanced_count(count, size) for size in sizes)
+    return [relabellings(random, size, count) for size in sizes]
+
+
+def within_pairs(z: Floats) -> Floats:
+    """Return trials less the middle of their pair, which a swap doesn't change.
+
+    What a seed does to both is gone. A pair with one failed run is -inf and inf, with two 0.
+    """
+    old, new = np.split(z, 2, axis=1)
+    failed = np.isinf(old) & np.isinf(new)
+    half = 0.5 * (np.where(failed, 0.0, new) - np.where(failed, 0.0, old))
+    return np.concatenate([-half, half], axis=1)
+
+
+def _swaps(random: np.random.Generator, pairs: Sequence[int], count: int) -> list[Booleans]:
+    """Return relabellings that swap old and new within pairs: sign flips of their differences.
+
+    If there are no more than `count` of all numbers together, all occur, equally often.
+    """
+    amount = sum(pairs)
+    if 2**amount <= count:
+        every = (np.arange(2**amount)[:, None] >> np.arange(amount)) & 1 == 1
+        swapped = np.tile(every, (-(-count // 2**amount), 1))
+    else:
+        swapped = random.random((count, amount)) < 0.5
+    parts = np.split(swapped, np.cumsum(pairs)[:-1], axis=1)
+    return [np.concatenate([part, ~part], axis=1) for part in parts]
 
 
 def relabellings(random: np.random.Generator, size: Size, count: int) -> Booleans:

@@ -96,6 +96,7 @@ def compare(
     fail_if: gating.FailIfOption = None,
     undecided: gating.UndecidedOption = "pass",
     false_alarms: gating.FalseAlarmsOption = 2.5,
+    paired: gating.PairedOption = False,
     output: Annotated[
         Path,
         typer.Option(
@@ -129,7 +130,7 @@ def compare(
 
         trajeval compare results --gauge yaw
 
-    Today against yesterday; the Markdown in gates.md is for the pull request:
+    Today against yesterday; gates.md is for the pull request, gates.json for programs:
 
         trajeval compare euroc.yaml --baseline main.parquet
         --fail-if 'ate.position_m.rmse worse than 5 %'
@@ -166,7 +167,7 @@ def compare(
         target, said, common_time_span=common_time_span, allow_remote=allow_remote or ()
     )
     # Read before anything is written: it may be the table of the same folder.
-    gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan)
+    gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan, paired=paired)
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
         with _progress_bar() as tell:
             progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)

@@ -53,6 +53,15 @@ FalseAlarmsOption = Annotated[
         rich_help_panel=GATES,
     ),
 ]
+PairedOption = Annotated[
+    bool,
+    typer.Option(
+        "--paired",
+        help="Trials of one name share a seed with the baseline's, so gates compare them pair by "
+        "pair.",
+        rich_help_panel=GATES,
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -64,16 +73,24 @@ class Gates:
         baseline: The older comparison.
         undecided_fails: Whether the exit status asks for evidence that nothing got worse.
         false_alarms: Chance of an alarm without a change.
+        paired: Whether trials of a name share a seed.
     """
 
     gates: list[Gate]
     baseline: GateValues
     undecided_fails: bool
     false_alarms: float
+    paired: bool
 
 
 def gates_of(
-    path: Path | None, texts: list[str], undecided: str, false_alarms: float, plan: Plan
+    path: Path | None,
+    texts: list[str],
+    undecided: str,
+    false_alarms: float,
+    plan: Plan,
+    *,
+    paired: bool,
 ) -> Gates | None:
     """Return gates and what they compare with; refuses what can't be compared before the work."""
     from trajeval_ros.batch.gate import Gate
@@ -91,28 +108,41 @@ def gates_of(
             "20, such as 2.5"
         )
     if path is None:
+        if paired:
+            raise SettingsError("--paired is of --baseline and --fail-if; give them, too")
         return None
     gates = [Gate.parse(text) for text in texts]
+    for gate in gates:
+        if paired and gate.spread_percent is not None:
+            raise SettingsError(
+                f"--paired measures how much pairs vary, and the gate '{gate}' gives a spread; "
+                "leave one of them out"
+            )
     values = GateValues(ResultsTable(path))
     require_same_settings(values, settings_of(plan), gates)
     for gate in gates:
         values.find(gate.path)
-    return Gates(gates, values, undecided == "fail", false_alarms / 100.0)
+    return Gates(gates, values, undecided == "fail", false_alarms / 100.0, paired)
 
 
 def judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print the verdicts; exit with status 1 if something is worse."""
     from trajeval_ros.batch import gates
     from trajeval_ros.batch.comparison import GATES as GATES_FILE
-    from trajeval_ros.batch.comparison import RUNS
+    from trajeval_ros.batch.comparison import GATES_JSON, RUNS
     from trajeval_ros.batch.gate_values import GateValues, remarks_on
+    from trajeval_ros.batch.gates_json import to_json
     from trajeval_ros.batch.gates_markdown import to_markdown
     from trajeval_ros.batch.results_table import ResultsTable
 
     now = GateValues(ResultsTable(folder / RUNS))
-    judgement = gates.judge(given.gates, given.baseline, now, given.false_alarms)
-    text = to_markdown(judgement, title, remarks_on(given.baseline, now))
+    judgement = gates.judge(
+        given.gates, given.baseline, now, given.false_alarms, paired=given.paired
+    )
+    remarks = remarks_on(given.baseline, now)
+    text = to_markdown(judgement, title, remarks)
     write_text(folder / GATES_FILE, text)
+    write_text(folder / GATES_JSON, to_json(judgement, title, remarks))
     if not quiet:
         with may_break():
             print(f"\n{text}", end="")
