@@ -16,6 +16,10 @@ import pytest
 from comparison_runs import here, write_run, write_runs
 from waiting import PATIENCE_S, until
 
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
+
 from trajeval_ros.batch import output_lock, source_hash, worker
 from trajeval_ros.batch.comparison import POOLED, RECORDS, RUNS, run_plan
 from trajeval_ros.batch.config import plan_of

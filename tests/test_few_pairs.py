@@ -72,6 +72,7 @@ def test_the_warning_says_how_to_pair_sparse_groundtruth() -> None:
 
 
 def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = write_runs(tmp_path, trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.01, count=5)
     summary = compare(config, tmp_path / "out", workers=1, report=False)

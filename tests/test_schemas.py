@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+
 import pyarrow
 import pyarrow.parquet
-import pytest
 
 from trajeval_ros import run, simulate, write_result
 from trajeval_ros.batch import pooling, records, results_table

@@ -526,6 +526,7 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_comparison_has_the_same_word(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     write_tum(tmp_path / "truth_a.txt", standing(car(1), "-y"))
     write_tum(tmp_path / "vio_a.txt", standing(erring(car(1)), "-y"))
     config = tmp_path / "config.yaml"
