@@ -381,7 +381,7 @@ class PathSender:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    with mounted(tmp_path / "disk", "40k") as folder:
+    with mounted(tmp_path / "disk", "72k") as folder:
         yield folder
 
 
