@@ -18,7 +18,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.merging import merged
 from trajeval_ros.geometry.optical_axes import AXES, with_body_axes, with_world_axes
 from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.geometry.thinning import at_rate, by_motion, evenly
+from trajeval_ros.geometry.thinning import at_rate, by_motion, evenly, every_nth
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import AssociationRule
@@ -111,6 +111,15 @@ def test_even_thinning(count: int, wanted: int) -> None:
     if len(rows) > 1:
         assert rows[-1] == count - 1
         assert np.ptp(np.diff(rows)) <= 1
+
+
+@given(st.integers(1, 300), st.integers(1, 300))
+def test_every_nth_takes_the_least_step_that_leaves_so_few(count: int, most: int) -> None:
+    rows = np.arange(count)[every_nth(count, most)]
+    step = int(rows[1] - rows[0]) if len(rows) > 1 else count
+    assert rows[0] == 0
+    assert len(rows) <= most
+    assert step == 1 or len(np.arange(count)[:: step - 1]) > most
 
 
 def test_a_rate_that_divides_is_exact() -> None:

@@ -23,6 +23,7 @@ from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
 from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds, nearest_rows
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.thinning import every_nth
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 # Columns of a Jacobian.
@@ -121,7 +122,7 @@ class Increments:
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
         self.horizon_s = max(HORIZON_S, 3.0 * track.step_s)  # of sparse keyframes
         stamps = track.stamps
-        first = np.arange(0, len(stamps), -(-len(stamps) // most))
+        first = np.arange(len(stamps))[every_nth(len(stamps), most)]
         last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))
         stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > nanoseconds(track.gap_s))])
         length_s = (stamps[last] - stamps[first]) / NANOSECONDS

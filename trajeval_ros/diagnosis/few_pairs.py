@@ -35,11 +35,10 @@ def about_few_pairs(evaluation: Evaluation) -> list[str]:
             f": with fewer than {enough}, the alignment by {protocol.gauge.value} takes out most "
             "of what it should show"
         )
-    steps_s = np.diff(truth.stamps) / NANOSECONDS
-    is_sparse = len(steps_s) > 0 and float(np.median(steps_s)) > pairs.rule.max_gap_s
-    if is_sparse and pairs.rule.method == "linear":
+    step_s = float(np.median(np.diff(truth.stamps))) / NANOSECONDS if len(truth) > 1 else 0.0
+    if step_s > pairs.rule.max_gap_s and pairs.rule.method == "linear":
         warning += (
-            f"; the groundtruth's {len(truth)} states are {float(np.median(steps_s)):.1f} s apart "
+            f"; the groundtruth's {len(truth)} states are {step_s:.1f} s apart "
             f"(median) and nothing is interpolated across more than {pairs.rule.max_gap_s:g} s: "
             "pair surveyed points by --association nearest --max-time-difference SECONDS"
         )

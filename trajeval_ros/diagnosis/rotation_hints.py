@@ -9,6 +9,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.thinning import every_nth
 from trajeval_ros.metrics.moments import Moments
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _is_turned(evaluation: Evaluation) -> bool:
 def _body_rotation(evaluation: Evaluation) -> BodyRotation | None:
     """Return the rotation of another body if one explains all errors under positions alone."""
     alignment, pairs = evaluation.alignment, evaluation.association
-    some = slice(None, None, -(-len(pairs) // _ENOUGH))
+    some = every_nth(len(pairs), _ENOUGH)
     truth, estimate = pairs.groundtruth[some].quaternions, pairs.estimate[some].quaternions
     if truth is None or estimate is None or alignment.undetermined:
         return None

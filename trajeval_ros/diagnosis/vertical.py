@@ -18,6 +18,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.thinning import every_nth
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 
@@ -68,7 +69,7 @@ def vertical_of(positions: Floats, quaternions: Floats) -> Floats | None:
     Returns:
         None where the motion shows none: no turns, turns about several axes, a climb, a line.
     """
-    some = slice(None, None, -(-len(positions) // _ENOUGH))
+    some = every_nth(len(positions), _ENOUGH)
     positions, quaternions = positions[some], quaternions[some]
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     if len(positions) < _FEWEST or not steps.sum() > 0.0:

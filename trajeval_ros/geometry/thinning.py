@@ -18,6 +18,11 @@ def evenly(count: int, wanted: int) -> Indices:
     return np.round(np.linspace(0, count - 1, wanted)).astype(np.int64)
 
 
+def every_nth(count: int, most: int) -> slice:
+    """Return a slice of every n-th of `count` > 0 rows, with the least n that leaves `most`."""
+    return slice(None, None, -(-count // most))
+
+
 def at_rate(stamps: Stamps, rate_hz: float) -> Indices:
     """Return the first row at or after each tick of a clock of that rate, which starts with them.
 
