@@ -12,6 +12,7 @@ LOCK := .venv-lock
 ATHERIS := .venv-fuzz
 MUTATE := .venv-mutate
 AUDIT := .venv-audit
+SITE := .venv-site
 BENCH ?=
 FUZZ ?=
 KERNELS ?=
@@ -27,9 +28,10 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-jazzy test-ros lint format bench bench-live \
-	bench-runs parity fuzz fuzz-bytes chaos chaos-ros mutate audit lock colcon-environment \
-	ros-environment clean test-kernels test-all test-stress oracles
+.PHONY: help install demo test test-jazzy test-ros lint format bench bench-gnss bench-live \
+	bench-runs bench-scale bench-black-box bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
+	chaos-ros mutate audit lock colcon-environment ros-environment clean site serve-site test-kernels \
+	test-all test-stress oracles
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -95,8 +97,36 @@ parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by numb
 bench-runs: $(VENV)/.installed ## Time comparisons of a thousand runs; BENCH="--runs 200".
 	$(VENV)/bin/python -m benchmarks.many_runs $(BENCH)
 
+bench-scale: $(VENV)/.installed ## Measure what tens of thousands of runs cost beside their evaluation; BENCH="--runs 400,2000".
+	$(VENV)/bin/python -m benchmarks.scale $(BENCH)
+
+bench-gnss: $(VENV)/.installed ## Measure how often intervals by GNSS fixes hold; BENCH="--draws 3".
+	$(VENV)/bin/python -m benchmarks.gnss $(BENCH)
+
+bench-diagnosis: $(VENV)/.installed ## Print which mistakes a diagnosis names, and its false alarms; BENCH="--only cpu".
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.diagnosis $(BENCH)
+
+bench-watch: $(VENV)/.installed ## Measure what `trajeval watch` finds on the recordings in DATA.
+	$(VENV)/bin/python -m benchmarks.watch $(or $(DATA),$(error DATA=FOLDER with euroc, bags and gnss)) \
+		$(BENCH)
+
 bench-live: $(ROS)/.installed ## Measure the live node over DDS on loopback.
 	$(ROS)/bin/python -m benchmarks.live_node $(BENCH)
+
+HOURS ?= 2
+
+soak: $(ROS)/.installed ## Measure the live node's memory and losses over two hours of data, at 20 times their speed.
+	$(ROS)/bin/python -m benchmarks.live_node --soak $(HOURS) $(BENCH)
+
+bench-black-box: $(ROS)/.installed ## Measure the black box: CPU, clips of 100 alarms, and kills.
+	$(ROS)/bin/python -m benchmarks.black_box $(BENCH)
+
+# The figures of the gallery are drawn anew, which takes a minute. A warning is an error.
+site: $(SITE)/.installed ## Build the documentation in site/; nothing in it needs a network.
+	NO_MKDOCS_2_WARNING=1 OPENBLAS_NUM_THREADS=1 $(SITE)/bin/mkdocs build --quiet
+
+serve-site: site ## Build the documentation and serve it on http://127.0.0.1:8000.
+	$(SITE)/bin/python -m http.server --bind 127.0.0.1 --directory site 8000
 
 FUZZ_S ?= 300
 
@@ -133,10 +163,11 @@ COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade
 	--no-header --no-annotate --no-emit-index-url
 
 lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with the newest releases.
-	$(COMPILE) --extra plot --extra rerun --extra cluster --extra dev \
-		--output-file constraints.txt setup.py .ci/colcon-requirements.txt
+	$(COMPILE) --extra dev \
+		--output-file constraints.txt pyproject.toml .ci/colcon-requirements.txt \
+		.ci/site-requirements.txt
 	$(COMPILE) --extra ros --extra plot --extra test --constraint constraints-jazzy.txt \
-		--output-file constraints-ros.txt setup.py .ci/rerun-requirements.txt
+		--output-file constraints-ros.txt pyproject.toml .ci/rerun-requirements.txt
 	rm -rf trajeval_ros.egg-info
 
 colcon-environment: $(COLCON)/.installed
@@ -145,7 +176,7 @@ ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 
 
 clean: ## Remove the environments and all that runs leave behind.
 	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
-		$(AUDIT) build install log dist *.egg-info \
+		$(AUDIT) $(SITE) site build install log dist *.egg-info \
 		demo_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -161,12 +192,12 @@ $(PYTHON) -m venv --clear $(@D)
 touch $(@D)/COLCON_IGNORE
 endef
 
-$(VENV)/.installed: setup.py constraints.txt
+$(VENV)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
-$(JAZZY)/.installed: setup.py constraints-jazzy.txt
+$(JAZZY)/.installed: pyproject.toml setup.py constraints-jazzy.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] > (3, 12))' || \
 		{ echo "numpy 1.26.4 has wheels up to Python 3.12; choose one: make PYTHON=..." >&2; exit 2; }
 	$(make_venv)
@@ -174,7 +205,7 @@ $(JAZZY)/.installed: setup.py constraints-jazzy.txt
 		--editable ".[test]"
 	touch $@
 
-$(ROS)/.installed: setup.py constraints-ros.txt constraints.txt .ci/rerun-requirements.txt
+$(ROS)/.installed: pyproject.toml setup.py constraints-ros.txt constraints.txt .ci/rerun-requirements.txt
 	$(make_venv)
 	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
 		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
@@ -186,7 +217,7 @@ $(ROS)/.tf2_msgs: $(ROS)/.installed .ci/make_tf2_msgs .ci/tf2_msgs-requirements.
 		$(wildcard tests/tf2_msgs/* tests/tf2_msgs/msg/*)
 	bash .ci/make_tf2_msgs $(ROS)
 
-$(COLCON)/.installed: setup.py constraints.txt .ci/colcon-requirements.txt
+$(COLCON)/.installed: pyproject.toml setup.py constraints.txt .ci/colcon-requirements.txt
 	$(make_venv)
 	$(COLCON)/bin/python -m pip install --quiet --constraint constraints.txt \
 		--requirement .ci/colcon-requirements.txt --editable .
@@ -200,12 +231,12 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 	touch $@
 
 # atheris has wheels for Python 3.11 to 3.13 on Linux.
-$(ATHERIS)/.installed: setup.py constraints.txt
+$(ATHERIS)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
 	$(ATHERIS)/bin/python -m pip install --quiet --constraint constraints.txt --editable . atheris==3.0.0
 	touch $@
 
-$(MUTATE)/.installed: setup.py constraints.txt
+$(MUTATE)/.installed: pyproject.toml setup.py constraints.txt
 	$(make_venv)
 	$(MUTATE)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]" \
 		cosmic-ray==8.7.0
@@ -216,8 +247,14 @@ $(AUDIT)/.installed:
 	$(AUDIT)/bin/python -m pip install --quiet pip-audit==2.10.1
 	touch $@
 
+$(SITE)/.installed: pyproject.toml setup.py constraints.txt .ci/site-requirements.txt
+	$(make_venv)
+	$(SITE)/bin/python -m pip install --quiet --constraint constraints.txt \
+		--requirement .ci/site-requirements.txt --editable ".[compare]"
+	touch $@
+
 # Wheels for Linux and macOS.
-$(ORACLES)/.installed: setup.py constraints.txt .ci/oracles-requirements.txt
+$(ORACLES)/.installed: pyproject.toml setup.py constraints.txt .ci/oracles-requirements.txt
 	$(make_venv)
 	$(ORACLES)/bin/python -m pip install --quiet --constraint constraints.txt \
 		--requirement .ci/oracles-requirements.txt --editable ".[test]"

@@ -1,6 +1,7 @@
 """CPU, losses and latency of the live node, over DDS from another process.
 
-Usage: make bench-live, or BENCH="--soak 2". Traffic stays on the loopback interface.
+Usage: make bench-live, or BENCH="--soak 2", or BENCH="--latency". Traffic stays on the loopback
+interface.
 """
 
 from __future__ import annotations
@@ -14,14 +15,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+
+from benchmarks.publish_traffic import MARKER_M
+from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.geometry.trajectory import add_counts
 
 HERE = Path(__file__).parent
 SETTLE_S = 4.0
 ENOUGH = 10_000  # bytes of pairs, after which it is in full swing
 SOAK_SPEED = 20.0
+# Of estimates side by side; none divides the tick's rate but 20.
+LATENCY_HZ = (7, 17, 20, 33, 200)
 # Groundtruth Hz, odometry Hz, number of estimates, and what of a core it may take.
 LOADS = ((1000, 200, 1, 40.0), (200, 20, 1, 12.0), (200, 20, 4, None))
 
@@ -51,16 +58,19 @@ def cpu_s(pid: int) -> float:
 
 @contextmanager
 def running(
-    rates: Sequence[float],
-    topics: Sequence[str],
+    groundtruth_hz: float,
+    topics: Mapping[str, float],
     seconds: float,
     speed: float = 1.0,
     rerun: str = "none",
+    *,
+    field: bool = False,
 ) -> Iterator[tuple[subprocess.Popen[str], subprocess.Popen[str], Path]]:
     """Run the node and its traffic: yields both processes, once pairs are made, and the folder."""
     variables = environment()
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"
+        more = _in_the_field(Path(folder)) if field else []
         node = subprocess.Popen(
             [
                 sys.executable, "-m", "trajeval_ros", "evaluator", "--ros-args",
@@ -68,12 +78,15 @@ def running(
                 "-p", f"estimate_topics:=[{','.join(topics)}]",
                 "-p", f"output:={output}",
                 "-p", f"rerun:={rerun}",
+                *more,
             ],
             env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
-        numbers = [str(each) for each in (*rates, seconds, speed)]
+        numbers = [str(each) for each in (groundtruth_hz, seconds, speed)]
+        published = [f"{topic}@{hz}" for topic, hz in topics.items()]
+        numbers = ["--field", *numbers] if field else numbers
         traffic = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.publish_traffic", *numbers, *topics],
+            [sys.executable, "-m", "benchmarks.publish_traffic", *numbers, *published],
             env=variables, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:
@@ -92,10 +105,9 @@ def measure(
     groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float, rerun: str
 ) -> dict[str, float]:
     """Return what one run of the node took: percent of a core, losses, latency, picture."""
-    topics = [f"/vio_{number}/odometry" for number in range(estimates)]
-    rates = groundtruth_hz, odometry_hz
+    topics = dict.fromkeys((f"/vio_{each}/odometry" for each in range(estimates)), odometry_hz)
     length_s = SETTLE_S + seconds + 1.0
-    with running(rates, topics, length_s, rerun=rerun) as (node, traffic, output):
+    with running(groundtruth_hz, topics, length_s, rerun=rerun) as (node, traffic, output):
         time.sleep(SETTLE_S)
         before, begin = cpu_s(node.pid), time.monotonic()
         time.sleep(seconds)
@@ -111,23 +123,96 @@ def measure(
     received = result["groundtruth"]["poses"] + result["runs"][0]["estimate"]["poses"]
     return {
         "cpu_percent": 100.0 * share,
-        "lost": sum(sent) - received,
+        "lost": sum(sent[:2]) - received,
         "latency_p95_ms": 1e3 * max(each["latency_p95_s"] for each in live),
         "picture_kb_per_s": size / length_s / 1e3,
     }
 
 
+def latency(seconds: float) -> None:
+    """Print latencies of estimates side by side, and the CPU beside that of an empty node."""
+    topics = {f"/vio_{hz}/odometry": hz for hz in LATENCY_HZ}
+    length_s = SETTLE_S + seconds + 1.0
+    command = [sys.executable, "-m", "benchmarks.empty_node", "/groundtruth/pose", *topics]
+    empty = subprocess.Popen(command, env=environment())
+    try:
+        with running(200, topics, length_s) as (node, traffic, output):
+            time.sleep(SETTLE_S)
+            pids = node.pid, empty.pid
+            before, begin = [cpu_s(each) for each in pids], time.monotonic()
+            time.sleep(seconds)
+            took = time.monotonic() - begin
+            shares = [(cpu_s(each) - was) / took for each, was in zip(pids, before, strict=True)]
+            traffic.wait()
+            node.send_signal(signal.SIGINT)
+            node.wait()
+            result = json.loads((output / "result.json").read_text())
+    finally:
+        empty.kill()
+        empty.wait()
+    for run in result["runs"]:
+        p95_ms = 1e3 * run["live"]["latency_p95_s"]
+        print(f"{run['estimate']['source']}: latency p95 {p95_ms:.1f} ms")
+    print(
+        f"CPU {100 * shares[0]:.1f} % of a core, an empty node {100 * shares[1]:.1f} %: "
+        f"{shares[0] / shares[1]:.2f} times; load average {os.getloadavg()[0]:.1f}"
+    )
+
+
+def _in_the_field(folder: Path) -> list[str]:
+    """Return what of the node's parameters makes it do the most; a file is written for it."""
+    marker = {
+        "header": {"frame_id": "base_link"},
+        "child_frame_id": "marker",
+        "transform": {
+            "translation": dict(zip("xyz", MARKER_M, strict=True)),
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        },
+    }
+    file = folder / "marker.yaml"
+    file.write_text(json.dumps(marker))
+    values = {
+        "gauge": "yaw",
+        "hand_eye": file,
+        "covariance": "message",
+        "groundtruth_noise": "'0.01,0.1'",
+        "on_restart": "segment",
+        "max_delay": 10.0 * SOAK_SPEED,  # of stamps
+        "window": "60s",
+    }
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+
+
 def soak(hours: float, speed: float) -> None:
-    """Print the resident memory of a long run at every tenth of it."""
+    """Print the resident memory of a long run at every tenth of it, and what was lost.
+
+    The run has all of the field: a marker body, covariances, restarts and two estimates.
+    """
     seconds = 3600.0 * hours
-    with running((200, 20), ["/vio/odometry"], seconds, speed) as (node, traffic, _):
+    topics = {"/vio/odometry": 20.0, "/slam/odometry": 10.0}
+    with running(200, topics, seconds, speed, field=True) as (node, traffic, output):
         begin, sizes = time.monotonic(), []
         for tenth in range(1, 11):
             time.sleep(max(0.0, begin + 0.098 * tenth * seconds / speed - time.monotonic()))
             sizes.append(resident_mb(node.pid))
             growth = 100.0 * (sizes[-1] / sizes[0] - 1.0)
             print(f"{10 * tenth} %: {sizes[-1]:.1f} MB, {growth:+.1f} %", flush=True)
-        traffic.wait()
+        sent = [int(each) for each in traffic.communicate()[0].split()]
+        time.sleep(2.0)
+        node.send_signal(signal.SIGINT)
+        node.wait()
+        runs = json.loads((output / "result.json").read_text())["runs"]
+    print(f"groundtruth: {sent[0]} messages, {runs[0]['live']['groundtruth_messages_lost']} lost")
+    for topic, count in zip(topics, sent[1:], strict=True):
+        own = [run for run in runs if run["estimate"]["source"] == topic]
+        pairs = sum(run["association"]["pairs"] for run in own)
+        dropped = add_counts(*(run["association"]["dropped"] for run in own))
+        print(
+            f"{topic}: {count} messages, {own[-1]['live']['messages_lost']} lost, {pairs} pairs "
+            f"in {len(own)} segments, {reasons(dropped) or 'none'} dropped; position ATE up to "
+            f"{max(run['ate']['position_m']['rmse'] for run in own):.4f} m"
+        )
+    print(f"load average {os.getloadavg()[0]:.1f}")
 
 
 def main() -> None:
@@ -141,8 +226,14 @@ def main() -> None:
     parser.add_argument(
         "--rerun", default="none", help="the node's parameter: file draws a Rerun picture as well"
     )
+    parser.add_argument(
+        "--latency", action="store_true", help="instead, of estimates at rates side by side"
+    )
     options = parser.parse_args()
     print(f"load average {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores", flush=True)
+    if options.latency:
+        latency(options.seconds)
+        return
     if options.soak:
         soak(options.soak, SOAK_SPEED)
         return

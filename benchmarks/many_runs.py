@@ -22,40 +22,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from benchmarks.generated_runs import ALGORITHMS, write_runs
+
 HERE = Path(__file__).parent
-ALGORITHMS, SEQUENCES = 10, 10
+SEQUENCES = 10
 LOOP, ALONE, ONE, TWO = "a bare loop", "one process", "1 worker", "2 workers"
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-
-
-def write_runs(folder: Path, count: int, poses: int) -> Path:
-    """Write so many runs, if they aren't there yet, and what compares them; return that."""
-    import numpy as np
-
-    from benchmarks.tum_pairs import OFFSET_NS, RATE_HZ, START_NS, estimate_of, flight, write_tum
-
-    stamps = START_NS + np.arange(poses, dtype=np.int64) * int(1e9 / RATE_HZ)
-    trials = max(1, count // (ALGORITHMS * SEQUENCES))
-    for sequence in range(SEQUENCES):
-        random = np.random.default_rng(sequence)
-        positions, attitudes = flight(random, poses)
-        (folder / "groundtruth").mkdir(parents=True, exist_ok=True)
-        truth = folder / "groundtruth" / f"s{sequence}.txt"
-        if not truth.exists():
-            write_tum(truth, stamps, positions, attitudes)
-        for algorithm in range(ALGORITHMS):
-            (folder / f"a{algorithm}").mkdir(exist_ok=True)
-            for trial in range(trials):
-                path = folder / f"a{algorithm}" / f"s{sequence}_{trial}.txt"
-                if not path.exists():
-                    seed = np.random.default_rng([sequence, algorithm, trial])
-                    estimate = estimate_of(seed, positions, attitudes)
-                    write_tum(path, stamps + OFFSET_NS, *estimate)
-    config = folder / "runs.yaml"
-    names = [f"  a{each}: a{each}/{{sequence}}_{{trial}}.txt" for each in range(ALGORITHMS)]
-    lines = ["groundtruth: groundtruth/{sequence}.txt", "gauge: yaw", "runs:", *names]
-    config.write_text("\n".join([*lines, f"trials: [{', '.join(map(str, range(trials)))}]", ""]))
-    return config
 
 
 def measure(config: Path, out: Path, how: str) -> dict[str, float]:
@@ -132,7 +104,9 @@ def main() -> None:
         config, out, how = options.measure
         print(json.dumps(measure(Path(config), Path(out), how)))
         return
-    config = write_runs(options.data, options.runs, options.poses)
+    trials = max(1, options.runs // (ALGORITHMS * SEQUENCES))
+    file = options.data / "runs.yaml"
+    config = write_runs(file, SEQUENCES, trials, options.poses, ["gauge: yaw"])
     few = config.with_name("few.yaml")
     text = config.read_text()
     few.write_text(f"{text[: text.index('trials:')]}trials: [0]\n")

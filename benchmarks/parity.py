@@ -142,8 +142,11 @@ def tolerance(pair: str, options: str, error: str, value: float) -> float:
     usual = max(1e-8 * abs(value), 1e-10)
     if not error.startswith("angle") and pair.startswith("utm"):
         return max(usual, 3e-9)  # a float64 step at 5e6 m is 9.3e-10 m
-    if error == "trans_part" and pair == "straight_flat":
+    if pair == "straight_flat" and error == "trans_part":
         return max(usual, 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.05)
+    if pair == "straight_flat" and options == "-a":
+        # Straight to 1 cm over 240 m: so far positions determine the rotation about the line.
+        return float(np.degrees(16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2))
     if pair == "car_kitti" and options == "--align_origin":
         # evo turns all poses by the file's first matrices, which are rotations to 1e-9: 1 km from
         # the first pose that is 1e-6 m.

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
+KERNEL = "OPENBLAS_CORETYPE"  # the processor that numpy's linear algebra is to be written for
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -73,7 +75,8 @@ def environment(home: Path) -> dict[str, str]:
     An inherited PYTHONDONTWRITEBYTECODE would make the checkout's own sources be compiled
     at every start, and theirs in site-packages not.
     """
-    kept = {name: os.environ[name] for name in ("PATH", "LANG", "TMPDIR") if name in os.environ}
+    names = ("PATH", "LANG", "TMPDIR", KERNEL)
+    kept = {name: os.environ[name] for name in names if name in os.environ}
     return {**kept, "HOME": str(home)}
 
 

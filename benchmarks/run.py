@@ -4,7 +4,7 @@ Every round runs each command once, one after the other, so that what else the m
 strikes all of them. Medians and their ratios go to the terminal and to results.json.
 
 Usage: make bench BENCH="--sizes 10000,100000 --runs 3", or BENCH="--only online"
-(or evo, continuous, estimator, or bags, of which --scale 0.1 makes a tenth of 7 GB)
+(or evo, limit, continuous, estimator, or bags, of which --scale 0.1 makes a tenth of 7 GB)
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.pair_paths import pair_paths
-from benchmarks.process import Cost, environment, median_cost, run
+from benchmarks.process import KERNEL, Cost, environment, median_cost, run
 
 HERE = Path(__file__).parent
 BIN = Path(sys.executable).parent
 SMALL = 1_000
-PARTS = ("evo", "online", "continuous", "bags", "estimator")
+PARTS = ("evo", "limit", "online", "continuous", "bags", "estimator")
 CONTINUOUS = tuple(
     (work, count)
     for work in ("matern", "wnoa", "wnoj", "likelihood")
@@ -42,6 +42,7 @@ CONTINUOUS = tuple(
 TRAJEVAL = "trajeval"
 EVO_POSITION = "evo_ape -a"
 EVO_BOTH = "evo_ape -a, and angle"
+BARE = "bare script"
 
 Environment = Mapping[str, str]
 Job = Callable[[Environment], Cost]
@@ -166,6 +167,21 @@ def compare_startup(options: argparse.Namespace, env: Environment) -> list[Row]:
     return rows_beside(f"start, {SMALL // 1000}k poses", "imports alone", costs)
 
 
+def compare_with_limit(options: argparse.Namespace, count: int, env: Environment) -> list[Row]:
+    """Compare with a script that does nothing but compute the two numbers."""
+    pair = generate(options.data, count)
+    bare = [sys.executable, str(HERE / "limit.py"), *map(str, pair)]
+    costs = interleave(
+        {BARE: lambda env: run(bare, env), TRAJEVAL: trajeval(*pair)}, options.runs, env
+    )
+    ate = json.loads(costs[TRAJEVAL].output)["runs"][0]["ate"]
+    for metric, theirs in json.loads(costs[BARE].output).items():
+        ours = ate[metric]["rmse"]
+        if abs(ours - theirs) > 1e-9 * theirs:
+            raise DisagreementError(f"rmse of {metric}: {ours}, bare script {theirs}")
+    return rows_beside(f"ATE, {count // 1000}k poses", BARE, costs)
+
+
 def rows_beside(work: str, reference: str, costs: Mapping[str, Cost]) -> list[Row]:
     """Return a row for each, with ratios to one of them."""
     base = costs[reference]
@@ -261,6 +277,15 @@ def evo_part(options: argparse.Namespace, env: Environment, console: Console) ->
     return {"processes": [as_json(row) for row in rows], "relative_error_cpu_s": relative}
 
 
+def limit_part(options: argparse.Namespace, env: Environment, console: Console) -> dict[str, Any]:
+    """Measure how far an evaluation is from the least that it can cost."""
+    sizes = [SMALL, *map(int, options.sizes.split(","))]
+    rows = [row for count in sizes for row in compare_with_limit(options, count, env)]
+    console.print(as_table(rows))
+    console.print("goal: at most 2 times the CPU time of the bare script at 1000k")
+    return {"limit": [as_json(row) for row in rows]}
+
+
 def online_part(options: argparse.Namespace, env: Environment, console: Console) -> dict[str, Any]:
     """Time the live evaluator."""
     costs = online_costs(options.messages, env)
@@ -328,6 +353,7 @@ def main() -> None:
     results: dict[str, Any] = {
         "machine": {
             "cpus": os.cpu_count(),
+            "kernel": os.environ.get(KERNEL, "its own"),
             "load_before": os.getloadavg(),
             "python": platform.python_version(),
             "numpy": version("numpy"),
@@ -342,6 +368,8 @@ def main() -> None:
         parts = PARTS if options.only is None else (options.only,)
         if "evo" in parts:
             results |= evo_part(options, env, console)
+        if "limit" in parts:
+            results |= limit_part(options, env, console)
         if "online" in parts:
             results |= online_part(options, env, console)
         if "continuous" in parts:

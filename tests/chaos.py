@@ -132,7 +132,7 @@ class Campaign:
         log = self.work / "log"
         status = self._start(command, log).wait(PATIENCE_S)
         said = log.read_text(errors="replace")
-        is_empty = then is not None and ("no live run" in said or "no pair of" in said)
+        is_empty = then is not None and ("no live run" in said or "no pairs of" in said)
         if status and not is_empty:
             self._fault(f"the next start ends with {status}: {said[-300:]}")
 
@@ -270,7 +270,7 @@ def verbs(work: Path) -> list[Verb]:
                 "compare", config, "--gauge", gauges[setting], "--workers", 2, "--output",
                 folder / "out"),
             "out",
-            kept="runs/*.run",
+            kept="runs/*.records",
         ),
         Verb(
             "finish",
@@ -315,6 +315,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kills", type=int, default=200, help="of each verb")
     given = parser.parse_args()
+    # In the background or under nohup they would be ignored, and so by what is started here.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     faults = 0
     with tempfile.TemporaryDirectory(prefix="chaos_") as name:
         work = Path(name)

@@ -35,7 +35,8 @@ from test_io_damage import definition, payloads
 
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate_values import GateValues
-from trajeval_ros.batch.records import Record, encode, read_record, write_record
+from trajeval_ros.batch.record_store import OWN, RecordStore
+from trajeval_ros.batch.records import HEAD_BYTES, Record, decode, encode, entry_head
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
@@ -334,16 +335,19 @@ def make_pairs(random: Random, folder: Path) -> Changed:
 def make_records(random: Random, folder: Path) -> Changed:
     """Change a record of a comparison, or the columns of its table in Parquet."""
     if random.random() < 0.4:
-        encoded = encode(Record("key", {"runs": [{}]}, ("8m",), (0, 1), {"x": np.zeros((4, 3))}))
+        columns = {"path": np.zeros((4, 3)), "8m.position_m": np.zeros(5)}
+        entry = encode(Record("0" * 32, {"runs": [{}]}, ("8m",), (0, 1), columns))
         if random.random() < 0.5:
-            head, _, values = encoded.partition(b"\n")
-            encoded = (
-                json.dumps(with_other_values(random, json.loads(head))).encode() + b"\n" + values
-            )
-        else:
-            encoded, _ = with_other_bytes(random, encoded)
-        write_record(folder, "key", encoded)
-        return Changed("record", lambda strict: read_record(folder, "key") and None)
+            head = entry_head(entry)
+            assert head is not None
+            line, _, values = entry[HEAD_BYTES:].partition(b"\n")
+            changed = json.dumps(with_other_values(random, json.loads(line))).encode()
+            drawn = changed + b"\n" + values[:-40]
+            head = head._replace(drawn_bytes=len(drawn), drawn_sum=zlib.crc32(drawn))
+            return Changed("record", lambda strict: decode(head, drawn, values[-40:]) and None)
+        entry, _ = with_other_bytes(random, entry)
+        (folder / OWN).write_bytes(entry)
+        return Changed("record", lambda strict: RecordStore(folder).read("0" * 32) and None)
     import pyarrow
     from pyarrow import parquet
 

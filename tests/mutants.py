@@ -50,6 +50,13 @@ ROOMS = {
         "statistics columns score settings protocol": (
             "statistics protocol columns benchmark_protocols"
         ),
+        "pair_steps log_histogram enough_pairs": "coverage no_match degenerate",
+        "editing": "editing",
+        "error_vectors": "error_vectors",
+        "own_error fix_jumps": "own_error",
+        "orientation_sum rotation_freedom": "rotation_freedom",
+        "pose_relations relative_evaluation": "relative_error evo_reference",
+        "states_table": "states_table",
         "evaluation input_summary": (
             "degenerate columns kitti_protocol benchmark_protocols relative_error evaluation_laws"
         ),
@@ -60,6 +67,7 @@ ROOMS = {
             "consistency_long_runs"
         ),
         "joint_covariance covariance_request judge": "consistency_reference consistency_cli",
+        "integrity": "integrity",
     },
     "calibration": {
         "hand_eye increments observability robust_fit pose_interpolator solve clock_offset": (

@@ -52,11 +52,13 @@ def odometry_message(
     position: Sequence[float],
     quaternion: Sequence[float],
     body_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    covariance: Any = None,
 ) -> bytes:
     types = STORE.types
     Vector3 = types["geometry_msgs/msg/Vector3"]
     nothing = np.zeros(36)
-    pose = types["geometry_msgs/msg/PoseWithCovariance"](_pose(position, quaternion), nothing)
+    own = nothing if covariance is None else np.ravel(covariance)
+    pose = types["geometry_msgs/msg/PoseWithCovariance"](_pose(position, quaternion), own)
     twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(0.0, 0.0, 0.0))
     twist = types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing)
     return _serialised(ODOM, types[ODOM](_header(stamp, "odom"), "base_link", pose, twist))
@@ -118,9 +120,12 @@ def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world")
     velocities = np.zeros((len(source), 3))
     if source.velocities is not None and source.rotations is not None:
         velocities = source.rotations.inv().apply(source.velocities)
+    covariances: Any = [None] * len(source) if source.covariances is None else source.covariances
     return [
-        (topic, kind, stamp, odometry_message(stamp, place, turn, velocity))
-        for stamp, place, turn, velocity in zip(*columns, velocities, strict=True)
+        (topic, kind, stamp, odometry_message(stamp, place, turn, velocity, covariance))
+        for stamp, place, turn, velocity, covariance in zip(
+            *columns, velocities, covariances, strict=True
+        )
     ]
 
 

@@ -32,10 +32,11 @@ from trajeval_ros.ros.message_types import message_class
 ROOT = Path(__file__).resolve().parent.parent
 LISTENER = Path(__file__).with_name("ros_listener.py")
 EVALUATOR = ROOT / "launch_free_scripts" / "run_evaluator.py"
-TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
+TRUTH, ODOMETRY, IMU = "/groundtruth/pose", "/vio/odometry", "/imu"
 TYPES = {TRUTH: POSE, ODOMETRY: ODOM}
 # What two results of the same run may differ in: where it came from.
-APART = {"source", "name", "inputs", "live"}
+# How much a mistake explains is of pairs alone live, and of all groundtruth in a recording.
+APART = {"source", "name", "inputs", "live", "evidence", "explained"}
 
 Received = dict[str, list[bytes]]
 
@@ -76,7 +77,18 @@ def listening(
 
 def replay_command(bag: Path, *options: object) -> list[str]:
     waiting = ["--wait-for-subscribers", str(PATIENCE_S)]
-    return [sys.executable, "-m", "trajeval_ros", "replay", str(bag), *waiting, *map(str, options)]
+    topics = [] if "--topic" in options else _without_imu(bag)
+    command = [sys.executable, "-m", "trajeval_ros", "replay", str(bag)]
+    return [*command, *waiting, *topics, *map(str, options)]
+
+
+def _without_imu(bag: Path) -> list[str]:
+    """Return options that leave out the IMU of a simulated flight, which nobody waits for."""
+    with Bag(bag) as opened:
+        names = [each.name for each in opened.topics]
+    if IMU not in names:
+        return []
+    return [word for name in names if name != IMU for word in ("--topic", name)]
 
 
 def replay(bag: Path, environment: dict[str, str], *options: object) -> str:
@@ -376,7 +388,9 @@ def offline(bag: Path, folder: Path, truth: str, estimates: list[str], *options:
     assert main([*arguments, *options, "--json", str(file)]) == 0
     result = json.loads(file.read_text())
     for run in result["runs"]:
-        run["warnings"] = [each for each in run["warnings"] if " repeated stamps (of " not in each]
+        run["warnings"] = [
+            each for each in run["warnings"] if " repeated timestamps (of " not in each
+        ]
     return result
 
 

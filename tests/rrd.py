@@ -64,7 +64,8 @@ class Rrd:
 def _values(values: pyarrow.Array) -> Any:
     kind = values.type
     if pyarrow.types.is_list(kind):
-        return [np.array(each.values.flatten()).reshape(-1, 3) for each in values]
+        width = kind.value_type.list_size
+        return [np.array(each.values.flatten()).reshape(-1, width) for each in values]
     if pyarrow.types.is_fixed_size_list(kind):
         return np.array(values.flatten()).reshape(len(values), kind.list_size)
     return values.to_pylist()

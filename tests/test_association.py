@@ -187,7 +187,7 @@ def test_evo_pairs_the_shorter_ones_states_with_their_nearest(seed: int) -> None
 def test_interpolation_is_linear_in_position_and_slerp_in_rotation(seed: int) -> None:
     groundtruth = make_groundtruth(seed, 60)
     estimate = make_estimate(groundtruth, seed + 1)
-    truth = associate(groundtruth, estimate, AssociationRule()).groundtruth
+    truth = associate(groundtruth, estimate, AssociationRule("linear")).groundtruth
     assert truth.rotations is not None
     assert groundtruth.rotations is not None
     start = groundtruth.stamps[0]
@@ -227,7 +227,7 @@ def test_interpolation_never_crosses_gaps_nor_leaves_the_groundtruth(
             reasons["gap"] += 1
     if not expected_rows:
         return
-    pairs = associate(truth, estimate, AssociationRule(max_gap_s=gap_s))
+    pairs = associate(truth, estimate, AssociationRule("linear", max_gap_s=gap_s))
     assert rows(pairs.estimate) == expected_rows
     assert pairs.dropped.get("before_groundtruth", 0) == reasons["before"]
     assert pairs.dropped.get("after_groundtruth", 0) == reasons["after"]
@@ -239,7 +239,7 @@ def test_exact_stamps_take_exact_states_also_at_the_ends_and_beside_gaps() -> No
     groundtruth = make_groundtruth(3, 30)
     stamps = groundtruth.stamps + np.arange(30) * 2 * NANOSECONDS  # nothing but gaps
     groundtruth = dataclasses.replace(groundtruth, stamps=stamps)
-    pairs = associate(groundtruth, groundtruth, AssociationRule())
+    pairs = associate(groundtruth, groundtruth, AssociationRule("linear"))
     assert len(pairs) == 30
     np.testing.assert_array_equal(pairs.groundtruth.positions, groundtruth.positions)
     np.testing.assert_array_equal(pairs.groundtruth.velocities, groundtruth.velocities)
@@ -255,14 +255,14 @@ def test_exact_stamps_take_exact_states_also_at_the_ends_and_beside_gaps() -> No
 
 
 def test_one_groundtruth_state_pairs_with_its_own_stamp_alone() -> None:
-    pairs = associate(at([50]), at([49, 50, 51]), AssociationRule())
+    pairs = associate(at([50]), at([49, 50, 51]), AssociationRule("linear"))
     assert rows(pairs.estimate) == [1]
     assert pairs.dropped == {"before_groundtruth": 1, "after_groundtruth": 1}
 
 
 def test_rows_dropped_by_the_reader_are_counted_too() -> None:
     estimate = dataclasses.replace(at([0, 10, 500]), dropped={"not_finite": 7})
-    pairs = associate(at([0, 10, 20]), estimate, AssociationRule())
+    pairs = associate(at([0, 10, 20]), estimate, AssociationRule("linear"))
     assert pairs.dropped == {"not_finite": 7, "after_groundtruth": 1}
 
 
@@ -292,21 +292,21 @@ def test_files_without_stamps_pair_row_by_row() -> None:
     estimate = dataclasses.replace(
         groundtruth, stamps=np.arange(len(groundtruth)) * NANOSECONDS, stamped=False
     )
-    pairs = associate(groundtruth, estimate, AssociationRule())
+    pairs = associate(groundtruth, estimate, AssociationRule("linear"))
     assert pairs.rule.method == "index"
     np.testing.assert_array_equal(pairs.estimate.stamps, groundtruth.stamps)
-    with pytest.raises(InputError, match=r"120 poses .* 119"):
-        associate(groundtruth, estimate[1:], AssociationRule())
+    with pytest.raises(InputError, match=r"120 poses, the estimate has 119"):
+        associate(groundtruth, estimate[1:], AssociationRule("linear"))
 
 
 def test_coverage_is_a_share_of_time_without_gaps() -> None:
     truth = at(np.concatenate([np.arange(0, 10_000, 10), np.arange(60_000, 70_000, 10)]))
-    half = associate(truth, at(np.arange(5, 9_990, 50)), AssociationRule())
+    half = associate(truth, at(np.arange(5, 9_990, 50)), AssociationRule("linear"))
     assert half.groundtruth_coverage == pytest.approx(0.5, abs=0.01)
     whole = associate(
         truth,
         at(np.concatenate([np.arange(5, 9_990, 50), np.arange(60_005, 69_990, 50)])),
-        AssociationRule(),
+        AssociationRule("linear"),
     )
     assert whole.groundtruth_coverage == pytest.approx(1.0, abs=0.02)
     assert whole.estimate_coverage == 1.0
@@ -314,7 +314,7 @@ def test_coverage_is_a_share_of_time_without_gaps() -> None:
 
 def test_keyframes_far_apart_cover_the_time_between_them() -> None:
     truth = at(np.arange(0, 60_000, 10))
-    sparse = associate(truth, at(np.arange(0, 59_000, 2000)), AssociationRule())
+    sparse = associate(truth, at(np.arange(0, 59_000, 2000)), AssociationRule("linear"))
     assert sparse.groundtruth_coverage > 0.95
 
 
@@ -381,7 +381,7 @@ def test_no_match_is_explained_with_both_time_ranges(
 def test_a_first_stamp_of_zero_is_no_clock_that_counts_from_zero() -> None:
     truth, estimate = at(1.7e12 + np.arange(0, 10_000, 1000)), at(np.array([0.0, 1.6e12]))
     for one, other in ((truth, estimate), (estimate, truth)):
-        with pytest.raises(NoMatchError, match=r"1e\+08 s apart; if the clocks differ"):
+        with pytest.raises(NoMatchError, match=r"1e\+08 s apart; for a constant clock difference"):
             associate(one, other, AssociationRule("linear"))
 
 
@@ -400,8 +400,8 @@ def test_other_units_of_the_stamps_are_told_by_a_power_of_a_thousand(
     seconds = np.array([2_000.0, 2_001.0, 2_002.0])
     truth, estimate = at(1e3 * seconds, start=0), at(1e3 * factor * seconds, start=0)
     with pytest.raises(NoMatchError) as raised:
-        associate(truth, estimate, AssociationRule())
-    assert ("units of the stamps seem to differ" in str(raised.value)) is told
+        associate(truth, estimate, AssociationRule("linear"))
+    assert ("units of the timestamps probably differ" in str(raised.value)) is told
 
 
 @pytest.mark.parametrize(
@@ -430,7 +430,7 @@ def test_empty_trajectories_are_refused(empty: str) -> None:
     sides = {"groundtruth": at([0, 10]), "estimate": at([0, 10])}
     sides[empty] = sides[empty][:0]
     with pytest.raises(InputError, match="no usable pose"):
-        associate(sides["groundtruth"], sides["estimate"], AssociationRule())
+        associate(sides["groundtruth"], sides["estimate"], AssociationRule("linear"))
 
 
 def test_rotations_a_half_turn_apart_do_not_become_nan() -> None:
@@ -444,6 +444,6 @@ def test_rotations_a_half_turn_apart_do_not_become_nan() -> None:
         np.zeros((1, 3)),
         Rotation.identity(1).as_quat(),
     )
-    truth = associate(groundtruth, middle, AssociationRule()).groundtruth
+    truth = associate(groundtruth, middle, AssociationRule("linear")).groundtruth
     assert truth.rotations is not None
     assert truth.rotations.magnitude()[0] == pytest.approx(np.pi / 2)

@@ -22,7 +22,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report.calibration_lines import calibration_lines
 
 FAULT = Fault(0.1, 0.0, (0.6, -1.0, 1.5), (0.1, -0.05, 0.2))
@@ -110,9 +110,7 @@ def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -
     assert found.calibration is not None
     assert found.calibration.offset.value == pytest.approx([-apart_ns / 1e9], abs=5e-3)
     assert (found.before is None) == (pairs < YAW.gauge.minimum_states)
-    said = (
-        "before, no stamps matched, or too few to be aligned" in calibration_lines("", found)[-1]
-    )
+    said = "before, too few pairs for an alignment" in calibration_lines("", found)[-1]
     assert said == (found.before is None)
 
 
@@ -131,10 +129,10 @@ def test_the_terminal_says_what_was_done(
     assert main([*files, "--time-offset", "auto", "--hand-eye", "auto"]) == 0
     out = capsys.readouterr().out
     assert "clock offset   +100." in out or "clock offset   +99." in out
-    assert "rotations alone" in out
+    assert "from rotations" in out
     assert out.count("significant, applied") == 3
     assert "ATE of the body" in out
-    assert "before," in out
+    assert "before" in out
 
 
 def test_a_right_calibration_is_left_alone() -> None:
@@ -248,7 +246,9 @@ def test_a_body_that_hardly_moves_has_no_scale_beside_its_lever_arm() -> None:
     noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(estimate), 3))
     truth = dataclasses.replace(truth, positions=noise)
     about = dataclasses.replace(estimate, positions=-estimate.rotations.apply(FAULT.lever_m))
-    with pytest.raises(DegenerateGeometryError, match="no scale of the estimate agrees with"):
+    with pytest.raises(
+        DegenerateGeometryError, match="no scale of the estimate is compatible with"
+    ):
         evaluate_calibrated(truth, about, SIM3, CalibrationRequest(known=LEVER, source="x.yaml"))
 
 
@@ -320,17 +320,17 @@ def test_velocities_of_another_point_are_left_out(pair: tuple[Trajectory, Trajec
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("a: [", "is no YAML in line"),
-        ("- 1\n- 2\n", "holds no transform: it must be a mapping"),
-        ("", "holds no transform"),
-        ("transfrom: {}\n", "has no 'transfrom'; did you mean transform?"),
-        ("child_frame_id: marker\n", "transform is missing or no mapping"),
-        ("!!python/object/apply:os.system ['true']\n", "is no YAML"),
-        ("a: 1\na: 2\n", "is no YAML"),
-        ("\x00", "is no YAML"),
+        ("a: [", "is not valid YAML in line"),
+        ("- 1\n- 2\n", "has no transform; write a mapping"),
+        ("", "has no transform"),
+        ("transfrom: {}\n", "has an unknown key 'transfrom'; did you mean transform?"),
+        ("child_frame_id: marker\n", "transform is missing or not a mapping"),
+        ("!!python/object/apply:os.system ['true']\n", "is not valid YAML"),
+        ("a: 1\na: 2\n", "is not valid YAML"),
+        ("\x00", "is not valid YAML"),
         (
             "transform: {translation: {x: 0, y: 0, z: 0}, rotation: {x: 0, y: 0, z: 0, w: 0}}",
-            "has length 0, so it is no unit quaternion",
+            "has length 0 and is not a unit quaternion",
         ),
         (
             "transform: {translation: {x: .nan, y: 0, z: 0}, rotation: {x: 0, y: 0, z: 0, w: 1}}",
@@ -382,7 +382,7 @@ def test_the_inverse_of_what_is_needed_is_refused(pair: tuple[Trajectory, Trajec
     )
     hand_eye = HandEye.of(None, np.array([0.1, 0.0, 0.0]))
     wrong = dataclasses.replace(hand_eye, body="marker", marker="imu")
-    with pytest.raises(Exception, match="its inverse is needed, with frame_id imu"):
+    with pytest.raises(Exception, match="give its inverse, with frame_id imu"):
         evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=wrong, source="x"))
     right = dataclasses.replace(hand_eye, body="imu", marker="marker")
     found = evaluate_calibrated(truth, estimate, YAW, CalibrationRequest(known=right, source="x"))

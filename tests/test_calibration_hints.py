@@ -18,13 +18,13 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 CLOCKS, BODIES, ARRIVAL = (
-    "--time-offset auto tests it",
-    "--hand-eye auto tests it",
-    "times of arrival",
+    "estimate the offset with --time-offset auto",
+    "estimate it with --hand-eye auto",
+    "arrival times",
 )
 HINTS = (CLOCKS, BODIES, ARRIVAL)
 Recording = Callable[[str], Trajectory]
@@ -99,7 +99,7 @@ def test_clocks_apart_are_noticed_by_errors_along_the_speed() -> None:
     truth, estimate = fly(1, 9.0, fault=Fault(0.1), drift=0.1)
     (hint,) = hints(evaluate(truth, estimate, YAW))
     assert CLOCKS in hint
-    assert "the position error goes with the speed" in hint
+    assert "the position error is proportional to the speed" in hint
 
 
 @pytest.mark.parametrize("name", ["default", "rpg", "evo"])
@@ -137,7 +137,7 @@ def test_stamps_of_arrival_are_noticed(side: str) -> None:
     pair = (late, estimate) if side == "groundtruth" else (truth, late)
     found = [each for each in hints(evaluate(*pair, YAW)) if ARRIVAL in each]
     assert len(found) == 1
-    assert f"the {side}'s stamps jitter" in found[0]
+    assert f"the {side}'s timestamps are probably arrival times" in found[0]
 
 
 def test_irregular_but_honest_stamps_are_no_arrivals() -> None:

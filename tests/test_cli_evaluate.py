@@ -207,17 +207,17 @@ def test_every_relative_error_can_be_required(
         (["--require", "re.10%.position_m.rmse < 1"], "results have no '10%'"),
         (["--require", "re.poled.position_percent.rmse < 1"], "did you mean 'pooled'"),
         (["--require", "ate.position.rmse < 1"], "did you mean 'position_m'"),
-        (["--require", "ate.position_m < 1"], "is no number; add one of rmse"),
+        (["--require", "ate.position_m < 1"], "is not a number; add one of rmse"),
         (["--require", "nonsense"], "write it as"),
         (["--gauge", "se4"], "none, translation, yaw, planar, se3, sim3"),
         (["--gauge", "se3", "--modality", "mono"], "modality mono means gauge sim3"),
         (["--modality", "sonar"], "use one of mono"),
         (["--protocol", "kiti"], "did you mean kitti?"),
-        (["--lengths", "8,banana"], "'banana' is no length"),
+        (["--lengths", "8,banana"], "'banana' is not a length"),
         (["--lengths", "-3"], "-3"),
         (["--align-states", "0"], "all or a number"),
-        (["--gauge", "sim3", "--align-states", "1"], "one state has no scale"),
-        (["--max-gap", "-1"], "must be above 0"),
+        (["--gauge", "sim3", "--align-states", "1"], "one state does not determine a scale"),
+        (["--max-gap", "-1"], "must be greater than 0"),
         (["--ate-form", "best"], "plain, tutorial"),
         (["--gage", "se3"], "--gauge"),
     ],
@@ -280,7 +280,7 @@ def test_clocks_that_never_meet_are_explained(
     shifted = write_tum(tmp_path / "shifted.txt", start=START + 3600.0)
     line = refused([*pair[:3], "-e", str(shifted)], capsys)
     assert "time offset" in line
-    offset = re.search(r"would be (-?[\d.]+) s", line)
+    offset = re.search(r"common start: (-?[\d.]+) s", line)
     assert offset is not None
     assert main([*pair[:3], "-e", str(shifted), "-q", "--time-offset", offset[1]]) == 0
 

@@ -87,7 +87,7 @@ def test_a_scale_is_a_number_above_zero(
         f"  rotation: {{x: 0.0, y: 0.0, z: 0.0, w: 1.0}}\nscale: {scale}\n"
     )
     assert main(["trajectory", EST, "--transform-left", str(path)]) == 2
-    assert "scale must be a number above zero" in capsys.readouterr().err
+    assert "scale must be a number greater than zero" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -95,14 +95,14 @@ def test_a_scale_is_a_number_above_zero(
     [
         (["--synchronise"], "give --reference"),
         (["--gauge", "se3"], "give --reference"),
-        (["--align-states", "1"], "add --gauge"),
-        (["--association", "nearest"], "nothing is paired"),
-        (["--message", "Path"], "--message is for bags"),
-        (["--save-as", "csv"], "no format 'csv'"),
-        (["--motion-filter", "1"], "can't read the motion filter"),
-        (["--start", "yesterday"], "can't read the start"),
-        (["--start", "1e6"], "est: it has no pose in the time span"),
-        (["--world-axes", "camera"], "no axes 'camera'"),
+        (["--align-states", "1"], "need --gauge"),
+        (["--association", "nearest"], "need --synchronise"),
+        (["--message", "Path"], "--message applies to bags"),
+        (["--save-as", "csv"], "unknown format 'csv'"),
+        (["--motion-filter", "1"], "--motion-filter '1' is not valid"),
+        (["--start", "yesterday"], "start 'yesterday' is not valid"),
+        (["--start", "1e6"], "est: no pose in the time span"),
+        (["--world-axes", "camera"], "unknown axes 'camera'"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(

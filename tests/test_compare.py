@@ -17,10 +17,12 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 import pyarrow
 import pyarrow.parquet
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, Progress, run_plan
+from trajeval_ros.batch.comparison import Progress, run_plan
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, summary_of
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.pooling import pooled_rows
+from trajeval_ros.batch.record_store import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.summary_tables import matrices
@@ -34,9 +36,13 @@ def run(config: Path, **more: bool) -> tuple[Progress, ComparisonSummary]:
     return progress, summary_of(out)
 
 
-def records(config: Path) -> dict[str, int]:
-    folder = config.parent / "out" / RECORDS
-    return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.run")}
+def records(config: Path) -> bytes:
+    return (config.parent / "out" / RECORDS / OWN).read_bytes()
+
+
+def stored(config: Path) -> int:
+    """Return how many runs have a record."""
+    return len(RecordStore(config.parent / "out" / RECORDS))
 
 
 def test_nothing_is_done_twice(tmp_path: Path) -> None:
@@ -95,7 +101,7 @@ def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path)
     config = write_runs(tmp_path)
     run(config)
     run_plan(plan_of(config, {"gauge": "yaw"}), tmp_path / "out", here)
-    assert len(records(config)) == 16
+    assert stored(config) == 16
     progress, _ = run(config)
     assert progress.done == 0
 
@@ -104,7 +110,7 @@ def test_what_can_not_be_read_any_more_is_made_anew(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     _, before = run(config)
     out = tmp_path / "out"
-    for path in (out / RUNS, next((out / RECORDS).glob("*.run"))):
+    for path in (out / RUNS, out / RECORDS / OWN):
         path.write_bytes(path.read_bytes()[:100])
     (out / "inputs.json").write_text('{"')
     _, after = run(config)
@@ -122,7 +128,7 @@ def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     out = tmp_path / "out"
     assert main(["compare", str(config), "--workers", "1", "--output", str(out)]) == 0
     told = capsys.readouterr()
-    assert "warning: good yard 2 missing: there is no" in told.err
+    assert "warning: good yard 2 missing: " in told.err
     assert "warning: good yard 0 failed:" in told.err
     assert "3/6" in told.out
     with (out / "ate_position_m.csv").open() as file:
@@ -156,7 +162,7 @@ def test_who_lost_runs_is_never_the_best_in_relative_errors(tmp_path: Path) -> N
     assert bad[0].value < good[0].value
     assert [cells[0].note for _, cells in table.rows] == ["", "1/2"]
     assert [ranks[0] for ranks in table.ranks()] == [1, 0]
-    assert "is not ranked" in table.caption
+    assert "are not ranked" in table.caption
 
 
 def test_a_common_time_span_takes_the_early_end_of_one_from_all(tmp_path: Path) -> None:
@@ -189,7 +195,7 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
     assert path.exists()
     _, summary = run(config, cut=True)
     assert {trial.reason for trial in summary.trials} == {
-        "the runs of hall have no time in common"
+        "the runs of hall have no common time span"
     }
 
 
@@ -258,7 +264,7 @@ def test_urls_are_sources_too(tmp_path: Path) -> None:
     store.put(str(write_run(tmp_path / "x.txt", 1.1)), "/runs/bad/yard_trial0.txt")
     assert run_plan(plan_of(remote, {}), far, here).done == 1
     remote.write_text(text.replace("bad/{seq", "worse/{seq"))
-    with pytest.raises(InputError, match="nothing matches"):
+    with pytest.raises(InputError, match="no file matches"):
         plan_of(remote, {})
 
 
@@ -270,22 +276,26 @@ def test_a_folder_that_can_not_be_written_loses_nothing(
     finished = records(config)
     write_run(tmp_path / "bad" / "yard_trial1.txt", 1.2)
 
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
+    write = os.pwrite
+
+    def full(file: int, data: bytes, place: int) -> int:
+        if len(data) < 100:
+            raise OSError(28, "No space left on device")
+        return write(file, data[: len(data) // 2], place)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
+        patch.setattr(os, "pwrite", full)
         with pytest.raises(InputError, match="can't be written: no space left"):
             run(config)
     assert records(config) == finished
-    assert not list((tmp_path / "out" / RECORDS).glob(".*"))
+    assert {each.name for each in (tmp_path / "out" / RECORDS).iterdir()} == {OWN}
     progress, _ = run(config)
     assert (progress.done, progress.kept) == (1, 7)
 
 
 def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
     for name, content, said in (
-        ("half", b"PAR1 and then the disk was full", "no whole Parquet file"),
+        ("half", b"PAR1 and then the disk was full", "not a complete Parquet file"),
         ("none", None, "does not exist"),
     ):
         path = tmp_path / f"{name}.parquet"
@@ -295,16 +305,16 @@ def test_tables_that_are_none_are_refused(tmp_path: Path) -> None:
             ResultsTable(path)
     other = tmp_path / "other.parquet"
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
-    with pytest.raises(InputError, match="no table of trajeval compare"):
+    with pytest.raises(InputError, match="not a table of trajeval compare"):
         ResultsTable(other)
 
 
 def test_usage_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = str(write_runs(tmp_path))
     for arguments, said in (
-        (["--workers", "2", "--cluster", "tcp://127.0.0.1:1"], "give one"),
+        (["--workers", "2", "--cluster", "tcp://127.0.0.1:1"], "give one of them"),
         (["--workers", "0"], "workers"),
-        (["--gauge", "yaww"], "no gauge 'yaww'"),
+        (["--gauge", "yaww"], "unknown gauge 'yaww'"),
     ):
         assert main(["compare", config, *arguments]) == 2
         (line,) = capsys.readouterr().err.splitlines()

@@ -53,13 +53,13 @@ def test_noise_has_the_size_that_was_asked_for() -> None:
 
 
 def test_refuses_what_cannot_be_done() -> None:
-    with pytest.raises(SettingsError, match="above 0 Hz"):
+    with pytest.raises(SettingsError, match="greater than 0 Hz"):
         Degradation(0.0)
-    with pytest.raises(SettingsError, match="-1 dropouts"):
+    with pytest.raises(SettingsError, match="not -1"):
         Degradation(dropouts=-1)
-    with pytest.raises(SettingsError, match="in order"):
+    with pytest.raises(SettingsError, match="ascending order"):
         Degradation(shortest_s=3.0, longest_s=1.0)
-    with pytest.raises(InputError, match="don't fit into"):
+    with pytest.raises(InputError, match="do not fit into"):
         Degradation(dropouts=50).of(DENSE)
 
 
@@ -102,8 +102,8 @@ def test_the_papers_argument(files: Path, capsys: pytest.CaptureFixture[str]) ->
         assert 0.0 < low < high
     assert weighted == sorted(weighted)
     printed = capsys.readouterr().out
-    assert "all groundtruth (the truth)" in printed
-    assert "2 Hz with 3 dropouts" in printed
+    assert "all groundtruth (accurate)" in printed
+    assert "2 Hz, 3 dropouts" in printed
 
 
 def test_what_an_association_cannot_report_is_said(
@@ -116,18 +116,18 @@ def test_what_an_association_cannot_report_is_said(
     options = ["--rate", "0.3", "--dropouts", "0"]
     assert main([*arguments, "-e", str(files / "off.txt"), *options]) == 0
     printed = capsys.readouterr().out
-    assert "linear, gaps up to 0.5 s: no pose of the estimate has a groundtruth" in printed
-    assert "fall into gaps longer than 0.5 s" in printed
+    assert "linear, gaps up to 0.5 s: no pairs" in printed
+    assert "are in groundtruth gaps longer than 0.5 s" in printed
     assert "nan" not in printed
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--rate", "0"], "above 0 Hz"),
-        (["--dropout-length", "2"], "can't read the dropouts' length"),
-        (["--groundtruth-noise", "0"], "can't read the groundtruth noise"),
-        (["--continuous-model", "spline"], "no continuous model"),
+        (["--rate", "0"], "greater than 0 Hz"),
+        (["--dropout-length", "2"], "--dropout-length '2' is not valid"),
+        (["--groundtruth-noise", "0"], "the groundtruth noise '0' is not valid"),
+        (["--continuous-model", "spline"], "unknown continuous model"),
         (["--gauge", "planar"], "gauge planar"),
     ],
 )

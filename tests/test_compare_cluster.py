@@ -21,11 +21,13 @@ pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 pytest.importorskip("distributed", reason="dask.distributed is missing, the extra `cluster`")
 
-from trajeval_ros.batch import comparison, executors
+from trajeval_ros.batch import executors
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.comparison_summary import summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import dask_pool
+from trajeval_ros.batch.record_store import RecordStore
+from trajeval_ros.batch.records import entry_head
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
@@ -112,15 +114,17 @@ def test_a_worker_is_killed_and_nothing_is_lost_or_twice(
     config = write_runs(tmp_path, trials=25)
     plan = plan_of(config, {})
     kept: list[str] = []
-    write = comparison.write_record
+    add = RecordStore.add
 
-    def write_and_kill(folder: Path, key: str, encoded: bytes) -> None:
-        write(folder, key, encoded)
-        kept.append(key)
+    def add_and_kill(store: RecordStore, entry: bytes) -> None:
+        add(store, entry)
+        head = entry_head(entry)
+        assert head is not None
+        kept.append(head.key)
         if len(kept) == 30:
             cluster.processes[-1].kill()
 
-    monkeypatch.setattr(comparison, "write_record", write_and_kill)
+    monkeypatch.setattr(RecordStore, "add", add_and_kill)
     progress = run_plan(plan, tmp_path / "far", lambda: dask_pool(cluster.address))
     assert cluster.processes[-1].wait(PATIENCE_S) != 0
     assert (progress.done, progress.failed) == (100, 0)
@@ -141,7 +145,11 @@ def test_workers_of_other_sources_are_refused(
     cluster.add_worker()
     assert dask_pool(cluster.address).workers == 1
     monkeypatch.setattr(executors, "hash_of_numbers", os.getpid)  # another one over there
-    with pytest.raises(InputError, match=r"^tcp://127.* has other sources of trajeval-ros than"):
+    with pytest.raises(
+        InputError,
+        match=r"^tcp://127.* has a different version of trajeval-ros "
+        r"than",
+    ):
         dask_pool(cluster.address)
 
 
@@ -189,9 +197,13 @@ def test_the_command_line_reads_urls_on_the_workers(cluster: Cluster, tmp_path: 
 def test_a_scheduler_without_workers_or_none_at_all_is_told(cluster: Cluster) -> None:
     with pytest.raises(InputError, match="has no workers"):
         dask_pool(cluster.address)
-    with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+    with pytest.raises(
+        InputError,
+        match=r"no response from a Dask scheduler at "
+        r"tcp://127\.0\.0\.1:9",
+    ):
         dask_pool("tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match="no Dask scheduler answers"):
+    with pytest.raises(InputError, match="no response from a Dask scheduler"):
         dask_pool("nowhere at all")
 
 
@@ -200,16 +212,16 @@ def test_a_lost_scheduler_keeps_what_is_finished(
 ) -> None:
     cluster.add_worker()
     plan = plan_of(write_runs(tmp_path, trials=25), {})
-    write = comparison.write_record
-    kept: list[str] = []
+    add = RecordStore.add
+    kept: list[bytes] = []
 
-    def write_and_kill(folder: Path, key: str, encoded: bytes) -> None:
-        write(folder, key, encoded)
-        kept.append(key)
+    def add_and_kill(store: RecordStore, entry: bytes) -> None:
+        add(store, entry)
+        kept.append(entry)
         if len(kept) == 10:
             cluster.processes[0].kill()
 
-    monkeypatch.setattr(comparison, "write_record", write_and_kill)
+    monkeypatch.setattr(RecordStore, "add", add_and_kill)
     with pytest.raises(InputError, match="the connection to the cluster is lost"):
         run_plan(plan, tmp_path / "out", lambda: dask_pool(cluster.address))
     progress = run_plan(plan, tmp_path / "out", here)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import here, write_run, write_runs
 
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.patterns import Pattern
 from trajeval_ros.batch.plan import Plan, natural
+from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.io.yaml_file import read_mapping
+from trajeval_ros.pipeline.pipeline import evaluate
 
 
 def plan(target: Path, **settings: str) -> Plan:
@@ -39,8 +47,8 @@ def test_what_others_have_and_one_lacks_is_missing(tmp_path: Path) -> None:
     (tmp_path / "bad" / "yard_trial1.txt").unlink()
     (tmp_path / "groundtruth" / "hall.txt").unlink()
     missing = {run.name: run.missing for run in plan(config).runs if run.missing}
-    assert missing["bad yard 1"] == f"there is no {tmp_path}/bad/yard_trial1.txt"
-    assert missing["good hall 0"] == "there is no groundtruth of hall"
+    assert missing["bad yard 1"] == f"{tmp_path}/bad/yard_trial1.txt does not exist"
+    assert missing["good hall 0"] == "no groundtruth of hall"
     assert len(missing) == 5
 
 
@@ -108,7 +116,7 @@ def test_ov_evals_folders(tmp_path: Path) -> None:
     assert len(runs) == 6
     assert runs[0].groundtruth == str(tmp_path / "truths" / "V1_01.txt")
     write_run(tmp_path / "algorithms" / "mono" / "V1_01" / "1_estimate.csv", 1.01)
-    with pytest.raises(TrajevalError, match="two files are of the same run"):
+    with pytest.raises(TrajevalError, match="two files for the same run"):
         plan(tmp_path)
 
 
@@ -151,7 +159,7 @@ def test_an_algorithm_without_any_estimate_is_missing_everywhere(tmp_path: Path)
     config = write_runs(named, trials=1)
     nowhere = "  crashed: crashed/{sequence}_trial{trial}.txt\nlengths"
     config.write_text(config.read_text().replace("lengths", nowhere))
-    assert "nothing matches the pattern 'crashed/" in refused(config, config.read_text())
+    assert "no file matches the pattern 'crashed/" in refused(config, config.read_text())
     config.write_text(config.read_text() + "sequences: [hall, yard]\n")
     lost = [run for run in plan(config).runs if run.missing]
     assert [(run.algorithm, run.sequence) for run in lost] == [
@@ -169,8 +177,53 @@ def test_folders_of_sequences_by_algorithm(tmp_path: Path) -> None:
     assert names == ["a traj_est MH_01", "b traj_est MH_01"]
 
 
+def test_the_toolboxs_start_and_end_are_those_of_the_groundtruth(tmp_path: Path) -> None:
+    for sequence in ("whole", "part"):
+        folder = tmp_path / "laptop" / "vio" / f"laptop_vio_{sequence}"
+        write_run(folder / "stamped_groundtruth.txt")
+        write_run(folder / "stamped_traj_estimate.txt", 1.01)
+    times = folder / "start_end_time.yaml"
+    times.write_text("start_time_sec: 12.25\nend_time_sec: 20\nwhat_else: 1\n")
+    runs = {run.sequence: run for run in plan(tmp_path).runs}
+    assert runs["whole"].time_span is None
+    assert runs["part"].time_span == TimeSpan.parse("@12.25", "@20")
+    found = plan(tmp_path)
+    assert found.request_of(runs["part"]).time_span == TimeSpan.parse("@12.25", "@20")
+    assert found.request_of(runs["whole"]) == found.request
+    said = plan_of(tmp_path, {"start": "3"})
+    assert said.request_of(runs["part"]).time_span == TimeSpan.parse("3", None)
+    times.write_text("end_time_sec: 15.5\n")
+    (run,) = (run for run in plan(tmp_path).runs if run.sequence == "part")
+    assert run.time_span == TimeSpan.parse(None, "@15.5")
+    for text in ("start_time_sec: noon\n", "start_time_sec: .inf\n", "start_time_sec: [1]\n"):
+        times.write_text(text)
+        with pytest.raises(TrajevalError, match=r"start_end_time.yaml: start"):
+            plan(tmp_path)
+
+
+def test_the_toolboxs_start_and_end_are_applied(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    folder = tmp_path / "laptop" / "vio" / "laptop_vio_part"
+    truth = write_run(folder / "stamped_groundtruth.txt")
+    estimate = write_run(folder / "stamped_traj_estimate.txt", 1.01)
+    times = "start_time_sec: 1700000005.0\nend_time_sec: 1700000012.0\n"
+    (folder / "start_end_time.yaml").write_text(times)
+    run_plan(plan(tmp_path), tmp_path / "out", here)
+    (row,) = ResultsTable(tmp_path / "out" / RUNS).select(
+        ["rmse", "count"], kind="ate", metric="position_m"
+    )
+    span = TimeSpan.parse("5", "12")
+    assert span is not None
+    sides = [read_trajectory(each) for each in (truth, estimate)]
+    first = int(sides[0].stamps[0])
+    ate = evaluate(*(span.cut(each, first) for each in sides)).ate["position_m"]
+    assert ate is not None
+    assert (row["rmse"], row["count"]) == (ate.rmse, ate.count)
+    assert row["count"] == 105
+
+
 def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None:
-    with pytest.raises(TrajevalError, match=r"neither .* nor .*write a YAML file"):
+    with pytest.raises(TrajevalError, match=r"neither .* nor .*write a YAML configuration"):
         plan(tmp_path)
     with pytest.raises(TrajevalError, match="does not exist"):
         plan(tmp_path / "no.yaml")
@@ -181,24 +234,24 @@ def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None
     [
         ("groundtruht: a", "did you mean groundtruth?"),
         ("modalty: mono", "did you mean modality?"),
-        ("groundtruth: truths/{sequence}.txt", "nothing matches the pattern 'truths/{sequence}"),
+        ("groundtruth: truths/{sequence}.txt", "no file matches the pattern 'truths/{sequence}"),
         ("groundtruth: groundtruth/{sequnce}.txt", "did you mean {sequence}?"),
         ("groundtruth: groundtruth/hall.txt", "no {sequence}"),
-        ("groundtruth: groundtruth/{sequence}{trial}.txt", "leave out {trial}"),
+        ("groundtruth: groundtruth/{sequence}{trial}.txt", "remove {trial}"),
         ("runs: good/{sequence}.txt", "mapping of algorithms to patterns"),
         ("runs: {good: 3}", "good must be a text"),
         ("runs: {good: '{sequence}/*.txt'}", "two files are bad"),
         ("trials: 3", "trials must be a list"),
-        ("sequences: [00, 01]", "0 of sequences is no text; write a name such as 00 in quotes"),
-        ("sequences: [hall, hall]", "names hall twice"),
-        ("trials: [null]", "None of trials is no text"),
-        ('groundtruth: "x\\0/{sequence}.txt"', "no path has"),
+        ("sequences: [00, 01]", "0 in sequences is not text; write names such as 00 in quotes"),
+        ("sequences: [hall, hall]", "lists hall twice"),
+        ("trials: [null]", "None in trials is not text"),
+        ('groundtruth: "x\\0/{sequence}.txt"', "not valid in a path"),
         ("common_time_span: 1", "must be true or false"),
         ("max_gap: wide", "max_gap must be a number"),
-        ("modality: moon", "no modality 'moon'"),
+        ("modality: moon", "unknown modality 'moon'"),
         ("lengths: [4, 4]", "given twice"),
-        ("runs: [", "no YAML"),
-        ("- a", "no YAML"),
+        ("runs: [", "is not valid YAML"),
+        ("- a", "is not valid YAML"),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(tmp_path: Path, wrong: str, said: str) -> None:
@@ -251,8 +304,8 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
         return str(error.value)
 
     url = "https://host.net/x/{sequence}.txt"
-    trust = "which is not on this machine; if you trust the file, add --allow-remote "
-    assert said(url) == f"{config} names {url}, {trust}https://host.net"
+    trust = "; if you trust the file, add --allow-remote "
+    assert said(url) == f"{config} has the remote URL {url}{trust}https://host.net"
     for other in (
         "https://host.net.evil.org/{sequence}.txt",
         "https://{sequence}.host.net/{sequence}.txt",
@@ -268,7 +321,7 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
     chain = "zip://{sequence}.txt::https://evil.org/x.zip"
     assert "is a chain of URLs" in said(chain, "https://host.net")
     assert "is a chain of URLs" in said(chain.replace("zip", "file"))
-    assert "names no host" in said("https:///{sequence}.txt", "https://host.net")
+    assert "has no host" in said("https:///{sequence}.txt", "https://host.net")
     assert not asked
     for host in ("https://host.net", "https://host.net/", "HTTPS://host.net"):
         assert "can't be listed: nobody is asked" in said(url, "s3://bucket", host)
@@ -278,7 +331,9 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
 
 @pytest.mark.parametrize("text", ["s3", "s3://", "bucket/x", "s3://bucket/x", "://x"])
 def test_a_host_that_is_none_is_told(text: str, tmp_path: Path) -> None:
-    with pytest.raises(TrajevalError, match="is no host; write SCHEME://HOST, as in s3://bucket"):
+    with pytest.raises(
+        TrajevalError, match="is not a host; write SCHEME://HOST, as in s3://bucket"
+    ):
         plan_of(write_runs(tmp_path), {}, allow_remote=[text])
 
 
@@ -295,3 +350,83 @@ def test_each_file_of_runs_is_checked_and_the_command_line_names_hosts(
     assert "--allow-remote" not in said
     assert "nosuch://bucket/" in said
     assert not (tmp_path / "out").exists()
+
+
+def w_first(path: Path) -> None:
+    """Write a TUM file anew with the quaternion's w before x, y and z, and no header."""
+    np.savetxt(path, np.loadtxt(path)[:, [0, 1, 2, 3, 7, 4, 5, 6]], fmt="%.9f")
+
+
+def test_columns_of_one_algorithm_s_files(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    config = write_runs(tmp_path, trials=1)
+    run_plan(plan(config), tmp_path / "out", here)
+    numbers = ["algorithm", "sequence", "metric", "rmse"]
+    expected = ResultsTable(tmp_path / "out" / RUNS).select(numbers)
+    for path in (tmp_path / "bad").iterdir():
+        w_first(path)
+    with config.open("a") as file:
+        file.write("columns: {bad: t x y z qw qx qy qz}\n")
+    run_plan(plan(config), tmp_path / "out", here)
+    assert ResultsTable(tmp_path / "out" / RUNS).select(numbers) == expected
+
+
+def test_columns_of_all_algorithms_and_the_command_line_comes_first(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1)
+    with config.open("a") as file:
+        file.write("columns: t_s x y z qx qy qz qw\nframe_rate: 10\n")
+    hints = {run.hints for run in plan(config).runs}
+    assert hints == {TextHints.of("t_s x y z qx qy qz qw", 10.0)}
+    said = plan_of(config, {}, columns="t x y z _ _ _ _", frame_rate=5.0)
+    assert {run.hints for run in said.runs} == {TextHints.of("t x y z _ _ _ _", 5.0)}
+
+
+def test_other_columns_are_another_run(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    config = write_runs(tmp_path, trials=1)
+    first = run_plan(plan(config), tmp_path / "out", here)
+    again = run_plan(plan_of(config, {}, columns="t x y z _ _ _ _"), tmp_path / "out", here)
+    assert (first.done, again.done, again.kept) == (4, 4, 0)
+
+
+def test_a_folder_s_estimates_have_columns_and_a_rate_as_well(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    write_run(tmp_path / "truths" / "hall.txt")
+    estimate = write_run(tmp_path / "algorithms" / "vio" / "hall" / "0.txt")
+    w_first(estimate)
+    out = tmp_path / "out"
+    columns = ["--columns", "t x y z qw qx qy qz", "--quiet"]
+    assert main(["compare", str(tmp_path), "--output", str(out), *columns]) == 0
+    (turned,) = ResultsTable(out / RUNS).select(["rmse"], kind="ate", metric="rotation_deg")
+    assert turned["rmse"] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_files_without_stamps_have_a_rate(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    for name in ("truths/hall.txt", "algorithms/vio/hall/0.txt"):
+        path = write_run(tmp_path / name, count=300)
+        np.savetxt(path, np.loadtxt(path)[:, 1:], fmt="%.9f")
+    out = tmp_path / "out"
+    assert main(["compare", str(tmp_path), "--output", str(out), "--frame-rate", "2", "-q"]) == 0
+    (row,) = ResultsTable(out / RUNS).select(["span_s"], kind="ate", metric="position_m")
+    assert row["span_s"] == 149.5
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("columns: {bat: t x y z}", "columns has an unknown key 'bat'; did you mean bad?"),
+        ("columns: [t, x]", "columns must be a text"),
+        ("columns: t x", "columns t x have no position"),
+        ("columns: {bad: ''}", "--columns is empty"),
+        ("frame_rate: 0", "the frame rate must be greater than zero"),
+        ("frame_rate: fast", "frame_rate must be a number"),
+    ],
+)
+def test_columns_that_mean_nothing_are_told_with_the_file(
+    tmp_path: Path, line: str, told: str
+) -> None:
+    config = write_runs(tmp_path, trials=1)
+    said = refused(config, f"{config.read_text()}{line}\n")
+    assert str(config) in said
+    assert told in said

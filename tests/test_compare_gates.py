@@ -58,13 +58,13 @@ def test_gates_are_read_and_written(text: str, gate: Gate) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        *((each, "can't read the gate") for each in (
+        *((each, "is not valid; write it") for each in (
             "", "ate.position_m.rmse < 3", "a worse than", "a worse than 5",
             "a worse than 5 % + 5 %", "a worse than 1.2.3 %", "a worse than much",
             "a worse than . %", "a worse than .. MAD", "a worse than 5 % spread",
             "a worse than 5 % spread 3 % untested", "a worse than untested")),
         ("a worse than 5 % spread 0 %", "write 'untested'"),
-        ("association.x worse than 100 %", "more than 100 %"),
+        ("association.x worse than 100 %", "below 100 %"),
     ],
 )  # fmt: skip
 def test_other_words_are_refused(text: str, said: str) -> None:
@@ -215,8 +215,8 @@ def test_one_trial_of_one_number_is_undecided_and_says_what_to_do(tmp_path: Path
     assert not judgement.is_no_worse
     assert [each.verdict for each in judgement.gates[0].numbers] == ["undecided"]
     text = to_markdown(judgement, "runs", [])
-    assert "1 trial each of one number: it can't be told from chance" in text
-    assert "No worsening, however large, would have been noticed." in text
+    assert "1 trial on both sides of one value: too few for a test" in text
+    assert "No worsening of any size is detectable." in text
 
 
 def test_one_trial_of_many_numbers_is_judged_together_alone(tmp_path: Path) -> None:
@@ -231,7 +231,7 @@ def test_a_spread_of_the_user_judges_one_trial(tmp_path: Path) -> None:
     assert judged(tmp_path, {"s": [1.0]}, {"s": [2.0]}, gate).fails
     same = judged(tmp_path, {"s": [1.0]}, {"s": [1.3]}, gate)
     assert pooled_word(same) == "undecided"
-    assert "is the user's" in to_markdown(same, "runs", [])
+    assert "is given by the user" in to_markdown(same, "runs", [])
 
 
 def test_untested_medians_decide_by_the_limit_alone(tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_copies_of_a_run_are_one_trial(tmp_path: Path) -> None:
     judgement = judge([Gate.parse(GATE)], before, now)
     assert judgement.gates[0].numbers[0].trials == (1, 1)
     assert not judgement.fails
-    assert "count once: 18" in to_markdown(judgement, "runs", [])
+    assert "counted once: 18" in to_markdown(judgement, "runs", [])
 
 
 def test_gates_share_the_chance_of_a_false_alarm(tmp_path: Path) -> None:
@@ -285,8 +285,8 @@ def test_what_would_have_been_noticed_stands_beside_every_verdict(tmp_path: Path
     for factor in (1.0, 1.02, 1.3, 0.5):
         text = to_markdown(judged(tmp_path, trials_of(11, 5), trials_of(11, 5, factor, seed=1)),
                            "runs", [])  # fmt: skip
-        assert "would have been noticed in 80 % of comparisons" in text
-        assert "Chance of an alarm without a change: at most 2.5 %" in text
+        assert "is detected in 80 % of comparisons" in text
+        assert "Probability of a false alarm: at most 2.5 %" in text
 
 
 def as_json(judgement: Judgement, title: str = "runs", remarks: Sequence[str] = ()) -> Any:
@@ -400,8 +400,8 @@ def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
     assert pooled_word(judgement) == "worse"
     assert [each.verdict for each in judgement.gates[0].numbers] == ["worse", "worse"]
     text = to_markdown(judgement, "runs", [])
-    assert "Trials of one name are a pair" in text
-    assert "What would have been noticed isn't known of pairs." in text
+    assert "Paired by trial name" in text
+    assert "The detectable worsening is not known for pairs." in text
     (found,) = as_json(judgement)["gates"]
     assert found["paired"] is True
     assert found["together"]["noticeable"] is None
@@ -437,9 +437,7 @@ def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="the baseline has no trial '4', '5' of vio, s1"):
         judged(tmp_path, less, before, paired=True)
     two = [{name: own[:2] for name, own in each.items()} for each in (before, now)]
-    with pytest.raises(
-        SettingsError, match=r"has 4 pairs .* \(2\^-4 is the least\); give 6 pairs"
-    ):
+    with pytest.raises(SettingsError, match=r"has 4 pairs .*2\^-4\); use 6 pairs"):
         judged(tmp_path, two[0], two[1], paired=True)
     # Without a test there is nothing to pair.
     assert not judged(tmp_path, before, less, f"{GATE} untested", paired=True).gates[0].paired
@@ -533,7 +531,7 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     printed = capsys.readouterr().out
     text = (today / "old" / "gates.md").read_text()
     assert printed.endswith(text)
-    assert ": numbers were lost" in text
+    assert ": missing values" in text
     row = next(line for line in text.splitlines() if "**lost**" in line)
     assert row.startswith("| good, yard |")
     assert "yard_trial0.txt" in row
@@ -541,7 +539,7 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     for trial in range(4):
         shutil.copy(yesterday / "good" / f"yard_trial{trial}.txt", today / "good")
     assert main([*arguments, "-q", *gate]) == 0
-    assert ": no change seen" in (today / "old" / "gates.md").read_text()
+    assert ": inconclusive" in (today / "old" / "gates.md").read_text()
     assert json.loads((today / "old" / "gates.json").read_text())["verdict"] == "undecided"
     assert main([*arguments, "-q", *gate, "--undecided", "fail"]) == 1
     loose = [*gate[:-1], "ate.position_m.rmse worse than 90 %", "--undecided", "fail"]
@@ -589,15 +587,18 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         (["--baseline", "OLD", "--fail-if", "re.9m.position_m.rmse worse than 5 %"], "'9m'"),
         (
             ["--baseline", "OLD", "--fail-if", "eta.position_m.rmse worse than 5 %"],
-            "it has ate, re",
+            "use one of ate, re",
         ),
         (["--baseline", "OLD", "--fail-if", "association.pairs worse than 5 %"], "'pairs'"),
         (["--baseline", "OLD", "--fail-if", "association worse than 5 %"], "coverage"),
         (["--baseline", "OLD", "--fail-if", "re worse than 5 %"], "no ''"),
-        (["--baseline", "OLD", "--fail-if", GATE, "--false-alarms", "0"], "a chance in per cent"),
+        (
+            ["--baseline", "OLD", "--fail-if", GATE, "--false-alarms", "0"],
+            "--false-alarms 0 is out of range",
+        ),
         (["--baseline", "OLD", "--fail-if", GATE, "--undecided", "maybe"], "pass, fail"),
-        (["--paired"], "--paired is of --baseline"),
-        (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "gives a spread"),
+        (["--paired"], "--paired needs --baseline"),
+        (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "also gives one"),
         (["--baseline", "none.parquet", "--fail-if", GATE], "does not exist"),
         (["--baseline", "OLD", "--fail-if", GATE, "--gauge", "yaw"], "made with gauge se3"),
     ],
@@ -695,4 +696,4 @@ def test_another_groundtruth_is_told_by_its_sequence_and_a_missing_run_is_none(
     now.groundtruths["vio", "s1"] = "another"
     del now.groundtruths["vio", "s0"]
     (told,) = remarks_on(before, now)
-    assert "the groundtruth of s1 is not that of the baseline" in told
+    assert "the groundtruth of s1 differs from the baseline" in told

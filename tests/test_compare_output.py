@@ -21,11 +21,13 @@ pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 from trajeval_ros.batch import output_lock, source_hash, worker
-from trajeval_ros.batch.comparison import POOLED, RECORDS, RUNS, run_plan
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.finished_comparison import POOLED, RUNS
 from trajeval_ros.batch.output_lock import LOCK, only_writer
 from trajeval_ros.batch.page import REPORT, is_drawn
 from trajeval_ros.batch.pooling import read_pooled
+from trajeval_ros.batch.record_store import RECORDS
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.bag import Bag
@@ -76,8 +78,8 @@ def test_a_second_comparison_is_refused_and_names_the_first(
         said = capsys.readouterr().err
         assert contents(out) == before
     assert said == (
-        f"trajeval: {out} is being written by process {os.getpid()} on {os.uname().nodename}; "
-        "wait for it with --wait, or name another --output\n"
+        f"trajeval: {out} is in use by process {os.getpid()} on {os.uname().nodename}; wait with "
+        "--wait, or choose another --output\n"
     )
     assert not (out / LOCK).exists()
 
@@ -106,7 +108,7 @@ def test_with_wait_it_comes_after_the_first(
         held.__exit__(None, None, None)
         second.join()
     assert (out / "tables.md").exists()
-    assert f"waiting: {out} is being written by process" in capsys.readouterr().err
+    assert f"waiting: {out} is in use by process" in capsys.readouterr().err
     assert not (out / LOCK).exists()
 
 
@@ -130,7 +132,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-        with pytest.raises(InputError, match=f"is being written by process {process.pid} on "):
+        with pytest.raises(InputError, match=f"is in use by process {process.pid} on "):
             only_writer(out, RECORDS).__enter__()
         process.send_signal(signal.SIGKILL)
         process.wait()

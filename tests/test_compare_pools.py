@@ -17,16 +17,18 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import RECORDS, RUNS, run_plan
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
 from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
+from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.record_store import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.worker import Task
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.protocol import Protocol, metres
-from trajeval_ros.pipeline import Request
+from trajeval_ros.pipeline.request import Request
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -60,15 +62,18 @@ def test_a_run_that_kills_its_process_fails_alone(
     assert all(len(outcomes) == 1 for outcomes in finished.values())
     died = [trial for trial, (outcome,) in finished.items() if isinstance(outcome, str)]
     assert sorted(died) == ["1", "7"]
-    assert "process that evaluated it died" in str(finished["7"][0])
+    assert "worker process was killed" in str(finished["7"][0])
 
 
 def test_workers_use_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+    for name in names:
+        monkeypatch.delenv(name, raising=False)
+    # What the user says stays.
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     with local_pool(1).start(1) as executor:
-        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-            assert executor.submit(os.getenv, name).result() == "1"
+        found = [executor.submit(os.getenv, name).result() for name in names]
+    assert found == ["7", "1", "1"]
     assert os.environ["OPENBLAS_NUM_THREADS"] == "7"
     assert "OMP_NUM_THREADS" not in os.environ
 
@@ -82,7 +87,7 @@ def test_a_deadly_run_stays_in_the_table(tmp_path: Path, monkeypatch: pytest.Mon
     progress = run_plan(plan, tmp_path / "out", lambda: local_pool(2))
     assert (progress.done, progress.failed) == (7, 1)
     (lost,) = ResultsTable(tmp_path / "out" / RUNS).select(["trial", "reason"], status="failed")
-    assert "died" in lost["reason"]
+    assert "was killed" in lost["reason"]
 
 
 def test_figures_are_drawn_by_processes_as_here() -> None:
@@ -97,7 +102,7 @@ def test_figures_are_drawn_by_processes_as_here() -> None:
 def test_a_process_that_dies_while_it_draws_is_told() -> None:
     draws: list[Draw] = [functools.partial(str, number) for number in range(30)]
     draws[7] = functools.partial(os._exit, 1)
-    with pytest.raises(InputError, match="a process that drew the report died"):
+    with pytest.raises(InputError, match="a process that draws figures was killed"):
         draw_all(draws, local_pool(2), lambda done, total: None)
 
 
@@ -137,7 +142,7 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     process = subprocess.Popen(command, env=environment, text=True)
     try:
         until(
-            lambda: process.poll() is not None or len(list(out.glob("runs/*.run"))) > 10,
+            lambda: process.poll() is not None or len(RecordStore(out / RECORDS)) > 10,
             "ten runs are finished",
         )
         workers = children_of(process.pid)
@@ -151,12 +156,13 @@ def test_after_a_kill_the_finished_runs_are_there_and_it_goes_on(tmp_path: Path)
     finally:
         process.kill()
         process.wait()
-    kept = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
-    assert 10 < len(kept) < 120
+    kept = (out / RECORDS / OWN).read_bytes()
+    assert 10 < len(RecordStore(out / RECORDS)) < 120
     subprocess.run(command, env=environment, check=True)
-    again = {path.name: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.run")}
-    assert len(again) == 120
-    assert {name: again[name] for name in kept} == kept
+    assert len(RecordStore(out / RECORDS)) == 120
+    # What was whole stays; what was being written is cut off.
+    again = (out / RECORDS / OWN).read_bytes()
+    assert again.startswith(kept[: len(kept) * 9 // 10])
     rows = ResultsTable(out / RUNS).select(["key"], kind="ate", metric="position_m", status="ok")
     assert len(rows) == len({row["key"] for row in rows}) == 120
 

@@ -13,14 +13,15 @@ from rpg_toolbox import METRICS, SLIPPED
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
-from trajeval_ros.batch.comparison import POOLED, RUNS, run_plan
+from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
+from trajeval_ros.batch.finished_comparison import POOLED, RUNS
 from trajeval_ros.batch.pooling import read_pooled
 from trajeval_ros.batch.results_table import STATISTICS, ResultsTable
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 pytestmark = pytest.mark.slow
 

@@ -13,11 +13,9 @@ from comparison_runs import write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
-pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.report.comparison_figures import Box, box_plot
-from trajeval_ros.report.comparison_page import Plot, RunPage, render
+from trajeval_ros.report.comparison_page import Plot, ReportPages, RunPage
 from trajeval_ros.report.matrix import Cell, Matrix
 
 pytestmark = pytest.mark.slow
@@ -129,7 +127,10 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
     table = Matrix("t", NASTY, NASTY, (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,))
     run = RunPage(NASTY, NASTY, NASTY, "failed", NASTY, None, None, 0.0, warnings=(NASTY,))
     page = tmp_path / "report.html"
-    page.write_text(render(NASTY, NASTY, [NASTY], [table], [], [run], "0", ""))
+    pages = ReportPages(NASTY, "0", "")
+    details = [pages.details(1, run)]
+    written = pages.overview(NASTY, [NASTY], [table], [], [run], ["#run1"], details, "All runs")
+    page.write_text(written)
     tab, heard = opened(browser, page)
     assert tab.title() == NASTY
     assert tab.locator("h1").inner_text() == NASTY
@@ -139,10 +140,70 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
 def test_control_characters_are_shown_and_figures_are_not_touched() -> None:
     name, figure = "a\x1b\u202eb", "<svg>\n</svg>"
     table = Matrix("t", name, name, (name,), ((name, (Cell(1.0, name),)),), ("1/1",), (1.0,))
-    text = render(name, name, [name], [table], [Plot(name, name, figure)], [], "0", "")
+    plots = [Plot(name, name, figure)]
+    pages = ReportPages(name, "0", "")
+    text = pages.overview(name, [name], [table], plots, [], [], [], "All runs")
     assert not {"\x1b", "\u202e"} & set(text)
     assert r"<h1>a\x1b\u202eb</h1>" in text
     assert figure in text
+
+
+def test_details_of_many_runs_are_on_pages_of_their_own(
+    tmp_path: Path, browser: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trajeval_ros.batch.page._MOST_ON_A_PAGE", 3)
+    config, out = write_runs(tmp_path), tmp_path / "out"
+    command = ["compare", str(config), "--workers", "1", "--output", str(out), "--quiet"]
+    assert main(command) == 0
+    assert {each.name for each in (out / "report").iterdir()} == {
+        f"runs_{number}.html" for number in (1, 2, 3)
+    }
+    report = out / "report.html"
+    assert "<details " not in report.read_text()
+    tab, heard = opened(browser, report)
+    links = tab.locator("table.sortable").last.locator("tbody a")
+    assert links.count() == 8
+    links.nth(5).click()
+    tab.wait_for_url("**/report/runs_2.html#run6")
+    assert tab.locator("#run6 svg").first.is_visible()
+    assert tab.locator("details").count() == 3
+    tab.get_by_role("link", name="Report").click()
+    tab.wait_for_url("**/report.html#runs")
+    assert [each for each in heard if not each.startswith(out.as_uri())] == []
+    # With fewer runs no page of the older report stays.
+    (tmp_path / "bad" / "hall_trial0.txt").unlink()
+    monkeypatch.setattr("trajeval_ros.batch.page._MOST_ON_A_PAGE", 100)
+    assert main(command) == 0
+    assert not (out / "report").exists()
+    assert report.read_text().count("<details ") == 8
+
+
+def test_of_very_many_runs_details_are_of_those_that_stand_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trajeval_ros.batch.page._MOST_DETAILS", 3)
+    config, out = write_runs(tmp_path, trials=3), tmp_path / "out"
+    (tmp_path / "good" / "yard_trial1.txt").write_text("no trajectory\n")
+    assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
+    text = (out / "report.html").read_text()
+    names = re.findall(r"<summary><b>([^<]*)</b>", text)
+    assert names == ["good yard 1", "bad hall 1", "bad hall 2"]
+    assert "Details are shown for 3 runs: failed runs first" in text
+    assert ">12 runs of 2 algorithms on 2 sequences: 11 evaluated" in text
+
+
+def test_a_table_that_is_too_large_for_a_page_is_cut_and_keeps_its_ranks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("trajeval_ros.report.comparison_page._MOST_CELLS", 4)
+    values = ((3.0, 3.0, 3.0), (1.0, 2.0, 1.0))
+    rows = tuple((f"a{row}", tuple(map(Cell, each))) for row, each in enumerate(values))
+    table = Matrix("ate", "ATE", "", ("x", "y", "z"), rows, ("1/1",) * 2, (1.0, 1.0))
+    text = ReportPages("t", "0", "").overview("", [], [table], [], [], [], [], "All runs")
+    assert re.findall(r'class="rank(\d)">([\d.]+)', text) == [
+        ("2", "3.000"), ("2", "3.000"), ("1", "1.000"), ("1", "2.000"),
+    ]  # fmt: skip
+    assert "first 2 of 2 rows and 2 of 3 columns; all are in ate.csv" in text
 
 
 def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Path) -> None:
@@ -154,20 +215,8 @@ def test_two_reports_are_the_same_bytes_and_failed_runs_are_in_them(tmp_path: Pa
         assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
         pages.append((out / "report.html").read_text())
     assert pages[0] == pages[1]
-    assert "1 failed or missing, which count as worse than all" in pages[0]
+    assert "1 failed or missing. Failed runs are ranked last" in pages[0]
     assert '<span class="failed">failed</span>' in pages[0]
-
-
-def test_numbers_and_names_in_figures_are_whole() -> None:
-    series = [
-        (f"thr_0.00{place}5", [Box.of([0.005123 + 0.0002 * place, 0.005345])]) for place in (1, 2)
-    ]
-    drawn = box_plot("small", ["hall"], series, "", "position [m]")
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawn)
-    assert {"thr_0.0015", "thr_0.0025"} <= set(texts)
-    ticks = [text for text in texts if re.fullmatch(r"[0-9.]+", text)]
-    assert len(ticks) > 3
-    assert len(set(ticks)) == len(ticks)
 
 
 def test_a_tie_has_two_winners(tmp_path: Path) -> None:
@@ -176,7 +225,7 @@ def test_a_tie_has_two_winners(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["compare", str(config), "--output", str(out), "--quiet"]) == 0
     text = (out / "report.html").read_text()
-    assert "most often: one and other, on 2 of 2 sequences each." in text
+    assert "smallest position ATE: one and other, on 2 of 2 sequences." in text
 
 
 def test_runs_that_are_cut_are_counted_once(

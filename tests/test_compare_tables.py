@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import math
 import re
@@ -19,6 +20,7 @@ from trajeval_ros.report.console import console
 from trajeval_ros.report.matrix import (
     Cell,
     Matrix,
+    ranked,
     to_csv,
     to_latex,
     to_markdown,
@@ -106,13 +108,52 @@ def test_no_name_breaks_a_markdown_table(name: str) -> None:
     assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {5}
 
 
-def test_latex_compiles_as_pasted(tmp_path: Path) -> None:
+@pytest.mark.parametrize("transpose", [False, True])
+@pytest.mark.parametrize("columns", [2, 11])
+def test_latex_compiles_as_pasted_and_fits_the_page(
+    columns: int, transpose: bool, tmp_path: Path
+) -> None:
     program = shutil.which("tectonic") or shutil.which("pdflatex")
     if program is None:
         pytest.skip("there is no LaTeX")
-    text = to_latex(matrix([[0.1, None], [0.2, math.inf]], r"odd_na&me%{}\~^#$–†"))
-    head = "\\documentclass{article}\\usepackage{booktabs}\\begin{document}"
+    values = [[0.1 * row + place for place in range(columns)] for row in range(4)]
+    values[3][-1], values[2][0] = math.inf, None
+    table = matrix(values, r"odd_na&me%{}\~^#$–†" if columns == 2 else "vio_{}")
+    euroc = [f"MH_0{place}_difficult" for place in range(columns)]
+    table = dataclasses.replace(table, columns=tuple(euroc), has_average=True)
+    text = to_latex(table, transpose=transpose)
+    packages = re.findall(r"\\usepackage\{.*?\}", text)
+    # As IEEE's pages: two columns, 7.16 inches together.
+    head = (
+        "\\documentclass[twocolumn,10pt]{article}\\usepackage[textwidth=7.16in]{geometry}"
+        f"{''.join(packages)}\\begin{{document}}"
+    )
     (tmp_path / "a.tex").write_text(f"{head}\n{text}\\end{{document}}\n")
     command = [program, *(["-interaction=nonstopmode"] if "pdflatex" in program else []), "a.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+    if columns == 11:
+        assert "Overfull" not in done.stdout
+
+
+def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
+    table = dataclasses.replace(
+        matrix([[float(each) for each in range(11)]] * 3), has_average=True
+    )
+    wide, tall = to_latex(table), to_latex(table, transpose=True)
+    assert r"\begin{table*}" in wide
+    assert r"\begin{tabularx}{\textwidth}{l*{14}" in wide
+    assert r"\begin{table}" in tall
+    assert len([line for line in tall.splitlines() if line.endswith(r"\\")]) == 15
+    assert r"MH\_05 & \textbf{5.000} & \textbf{5.000} & \textbf{5.000}" in tall
+    assert "average & " in tall
+
+
+def test_the_average_is_of_all_columns_or_none() -> None:
+    table = matrix([[1.0, 3.0], [2.0, None], [1.0, math.inf]])
+    assert [cell.value for cell in table.averages()] == [2.0, None, math.inf]
+
+
+def test_what_leaves_out_more_of_the_way_is_no_winner() -> None:
+    cells = [Cell(0.1, "†", is_ranked=False), Cell(0.3), Cell(0.2)]
+    assert ranked(cells) == [0, 2, 1]

@@ -121,10 +121,10 @@ def test_output_holds_the_bands(honest: Path, tmp_path: Path) -> None:
             assert imread(folder / figure).std() > 0.05
     with np.load(folder / "errors.npz") as arrays:
         errors, sigmas, nees = (
-            arrays[f"vio/odometry.consistency.{name}"] for name in ("errors", "sigmas", "nees")
+            arrays[f"vio_odometry.consistency.{name}"] for name in ("errors", "sigmas", "nees")
         )
         np.testing.assert_allclose(
-            np.linalg.norm(errors[:, :3], axis=1), arrays["vio/odometry.position_m"], atol=1e-12
+            np.linalg.norm(errors[:, :3], axis=1), arrays["vio_odometry.position_m"], atol=1e-12
         )
     assert errors.shape == sigmas.shape == (61, 6)
     assert np.abs(errors / sigmas).max() < 6.0
@@ -184,23 +184,23 @@ def test_says_what_is_wrong_with_a_joint_covariance(
     cases: list[tuple[dict[str, Any], str]] = [
         ({"cov": covariance[:-9, :-9], **no_information}, "540 x 540"),
         ({"cov": skew, **no_information}, "not symmetric"),
-        ({"cov": negative, **no_information}, "no positive diagonal"),
+        ({"cov": negative, **no_information}, "is not positive"),
         ({"cov": covariance * np.nan, **no_information}, "not finite"),
-        ({"cov": low_rank, **no_information}, "rank is lower"),
-        (no_information, "neither a covariance nor information"),
-        ({"stamps_ns": stamps + 1}, "no pose at stamp"),
-        ({"positions": positions + 0.01}, "of other poses"),
-        ({"positions": positions[:-1]}, "must be as many"),
-        ({"positions": None}, "lacks positions"),
+        ({"cov": low_rank, **no_information}, "rank is too low"),
+        (no_information, "neither a covariance nor an information"),
+        ({"stamps_ns": stamps + 1}, "no pose at timestamp"),
+        ({"positions": positions + 0.01}, "differ from the estimate"),
+        ({"positions": positions[:-1]}, "their numbers must be equal"),
+        ({"positions": None}, "has no positions"),
         ({"block": "p,v"}, "block is 'p,v'"),
         ({"gauge": "mine"}, "gauge is 'mine'"),
-        ({"info_indptr": np.array([0, 1])}, "no 549 x 549 matrix"),
+        ({"info_indptr": np.array([0, 1])}, "not a 549 x 549 matrix"),
     ]
     for changes, why in cases:
         np.savez(file, **_changed(source, **changes))
         assert why in _refused(honest, capsys, "--gauge", "yaw", "--covariance", str(file)), why
     file.write_text("not an archive")
-    assert "no npz archive" in _refused(
+    assert "not an npz archive" in _refused(
         honest, capsys, "--gauge", "yaw", "--covariance", str(file)
     )
     assert "align by gauge yaw" in _refused(
@@ -224,7 +224,7 @@ def test_information_with_a_prior_must_not_claim_the_free_gauge(
         parts = joint.stamps, joint.positions, joint.quaternions, 9, None, information.tocsr()
         write_joint_covariance(file, JointCovariance(*parts, gauge))
         if gauge == "free":
-            assert "it has a prior" in _refused(
+            assert "set gauge prior" in _refused(
                 honest, capsys, "--gauge", "yaw", "--covariance", str(file)
             )
         else:
@@ -256,11 +256,14 @@ def test_right_perturbations_are_turned(honest: Path, tmp_path: Path) -> None:
     [
         (["--gauge", "planar", "--covariance", "message"], "gauge planar"),
         (["--gauge", "translation", "--covariance", "message"], "gauge translation"),
-        (["--rotation-covariance-frame", "camera"], "no rotation covariance frame"),
+        (["--rotation-covariance-frame", "camera"], "unknown rotation covariance frame"),
         (["--rotation-covariance-frame", "body"], "add --covariance message"),
         (["--groundtruth-noise", "0.1,0.1"], "add --covariance"),
-        (["--covariance", "message", "--groundtruth-noise", "0.1"], "can't read"),
-        (["--covariance", "message", "--groundtruth-noise", "0,1"], "must be above zero"),
+        (["--covariance", "message", "--groundtruth-noise", "0.1"], "is not valid"),
+        (
+            ["--covariance", "message", "--groundtruth-noise", "0,1"],
+            "must be greater than zero",
+        ),
     ],
 )
 def test_says_what_settings_mean_nothing(
@@ -281,8 +284,8 @@ def test_unknown_covariances_in_messages_are_recognised(
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--profile", "honest"], "no profile"),
-        (["--runs", "3"], "--runs is for estimators"),
+        (["--profile", "honest"], "unknown profile"),
+        (["--runs", "3"], "--runs needs a simulated estimator"),
         (["--profile", "euroc", "--runs", "0"], "--runs must be at least 1"),
         (["--profile", "euroc", "--duration", "2"], "flight takes 5 to 1800 s"),
         (["--profile", "euroc", "--duration", "nan"], "flight takes 5 to 1800 s"),
@@ -314,6 +317,6 @@ def test_runs_need_a_name(
     command = ["simulate", folder, "--profile", "paper", "--duration", "5", "--runs", runs]
     assert main(command) == 2
     said = capsys.readouterr().err
-    assert f"{folder} has no name of its own" in said
+    assert f"{folder} has no folder name" in said
     assert len(said.splitlines()) == 1
     assert [path.name for path in tmp_path.rglob("*")] == ["inside"]

@@ -229,13 +229,13 @@ def test_refuses_what_has_no_covariance_in_the_gauge(
     with pytest.raises(InputError, match="no orientations"):
         STransformation.of_alignment(Gauge.YAW, None, bare, estimate)
     still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.quaternions)
-    with pytest.raises(DegenerateGeometryError, match="don't determine"):
+    with pytest.raises(DegenerateGeometryError, match="do not determine"):
         STransformation.of_alignment(Gauge.SE3, None, still, still)
     each = aligned_run(
         Gauge.YAW, None, truth, estimate, some_covariance(run.information.toarray())
     )
     low_rank = np.diag(np.r_[np.ones(25), np.zeros(35)])
-    with pytest.raises(InputError, match="rank is lower"):
+    with pytest.raises(InputError, match="rank is too low"):
         joint_nees(
             each.errors, each.transformation.covariance(low_rank), each.transformation.normals
         )

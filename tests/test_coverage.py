@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import seeds
 
-from trajeval_ros import AssociationRule, OnlineEvaluator, Trajectory, evaluate, simulate
+from trajeval_ros import AssociationRule, OnlineEvaluator, Protocol, Trajectory, evaluate, simulate
 from trajeval_ros import run as evaluate_all
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -96,14 +96,14 @@ def without(run: Trajectory, begin_s: float, end_s: float) -> Trajectory:
 
 
 def coverage_by(truth: Trajectory, run: Trajectory, **rule: float) -> Coverage:
-    return associate(truth, run, AssociationRule(**rule)).coverage  # type: ignore[arg-type]
+    return associate(truth, run, AssociationRule("linear", **rule)).coverage  # type: ignore[arg-type]
 
 
 def live_coverage(
     truth: Trajectory, run: Trajectory, window: str, cuts: list[int]
 ) -> Coverage | None:
     """Return what the live evaluator tells; the estimate comes half a second late."""
-    live = OnlineEvaluator(OnlineSettings(window=Window.parse(window)))
+    live = OnlineEvaluator(OnlineSettings(Protocol(association="linear"), Window.parse(window)))
     sides = (
         (truth, live.add_groundtruth, 0),
         (run, live.add_estimate, SECOND // 2),
@@ -563,7 +563,7 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
         [_, _, said] = verdict(evaluation)
         assert f"{len(run)} keyframe pairs cover 100.0 % of the estimate's poses" in said
         assert f"and {100 * coverage.covered:.1f} % of the groundtruth's time" in said
-        told = f", {100 * coverage.span:.1f} % from the first to the last pair, the longest gap "
+        told = f", {100 * coverage.span:.1f} % from the first to the last pair, longest gap "
         assert (told in said) != is_whole
         warned = [each for each in evaluation.warnings if "keyframe pairs cover" in each]
         assert len(warned) == (not is_whole)

@@ -34,7 +34,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_equal_results_agree(recorded: Any) -> None:
     lines = comparison(recorded, recorded)
-    assert lines[-1] == "Every message arrived, and both columns agree."
+    assert lines[-1] == "All messages arrived, and both columns agree."
     assert "lost" not in "".join(lines)
 
 
@@ -48,13 +48,13 @@ def test_lost_messages_stand_beside_the_columns_and_explain_them(recorded: Any) 
     (odometry,) = [line for line in lines if line.startswith("odometry messages")]
     assert truth.endswith("3034 lost")
     assert odometry.endswith("2 lost")
-    assert "differ because 3036 messages were lost" in lines[-1]
+    assert "differ: 3036 messages lost" in lines[-1]
 
 
 def test_a_difference_without_a_loss_is_not_explained_away(recorded: Any) -> None:
     live = copy.deepcopy(recorded)
     live["runs"][0]["ate"]["position_m"]["rmse"] *= 1 + 1e-6
-    assert "please report" in comparison(live, recorded)[-1]
+    assert "Please report" in comparison(live, recorded)[-1]
 
 
 def test_a_folder_with_other_things_is_left_alone(
@@ -64,7 +64,7 @@ def test_a_folder_with_other_things_is_left_alone(
     mine.parent.mkdir()
     mine.write_text("mine")
     assert main(["demo", str(tmp_path)]) == 2
-    assert "is not of an earlier demo" in capsys.readouterr().err
+    assert "is not from an earlier demo" in capsys.readouterr().err
     assert mine.read_text() == "mine"
 
 
@@ -87,7 +87,9 @@ def test_a_screenshot_that_takes_too_long_is_one_sentence(
 
     monkeypatch.setattr(screenshot, "_PATIENCE_S", 0.2)
     # Shorter than the viewer takes to settle on any machine.
-    with pytest.raises(InputError, match=r"did not draw .* within 0\.2 s; try again") as caught:
+    with pytest.raises(
+        InputError, match=r"did not draw .* within 0\.2 s; close other programs"
+    ) as caught:
         screenshot.save_png(recording, tmp_path / "screen.png")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "screen.png").exists()
@@ -123,7 +125,7 @@ def demo(folder: str, where: Path, environment: dict[str, str]) -> str:
 
 def last_words(said: str) -> dict[str, str]:
     """Return the last lines by what they are about."""
-    lines = said[said.index("--- What is where") :].splitlines()[1:]
+    lines = said[said.index("--- Results") :].splitlines()[1:]
     words = dict(line.split(":", 1) for line in lines[:3])
     words["next"] = lines[-1]
     assert lines[-2].startswith("next, ")
@@ -138,7 +140,7 @@ def test_without_a_driver_to_draw_with_it_ends_well_and_says_what_is_where(
     # The Vulkan loader finds no driver, as on a machine without one.
     blind = dict.fromkeys(("VK_DRIVER_FILES", "VK_ICD_FILENAMES"), "/nonexistent")
     words = last_words(demo("out", tmp_path, {**environment, **blind}))
-    assert words["picture"].startswith("none: Rerun's viewer finds nothing to draw with")
+    assert words["picture"].startswith("none: Rerun's viewer needs a Vulkan driver")
     assert (tmp_path / words["recording"]).is_file()
     assert (tmp_path / words["report"].split(",")[0]).is_file()
     command = shlex.split(words["next"])
@@ -165,5 +167,5 @@ def test_live_and_recorded_agree(environment: dict[str, str], tmp_path: Path) ->
         "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
     )
     said = demo("out", tmp_path, environment)
-    assert "Every message arrived, and both columns agree." in said
+    assert "All messages arrived, and both columns agree." in said
     assert (tmp_path / last_words(said)["report"].split(",")[0]).is_file()

@@ -11,7 +11,7 @@ import pytest
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import PROTOCOLS
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 Recording = Callable[[str], Trajectory]
 Reference = Callable[[str], Any]
@@ -85,5 +85,7 @@ def test_default_warns_of_repeated_stamps_that_conflict(recording: Recording) ->
         recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
     )
     first = evaluate(groundtruth, estimate).warnings[0]
-    assert first.startswith("uzh_run2_mocap has 2 repeated stamps (of 1787) with positions")
-    assert "by up to 10.1 m" in first
+    assert first.startswith(
+        "uzh_run2_mocap has 2 repeated timestamps (of 1787) with different positions"
+    )
+    assert "up to 10.1 m apart" in first

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import os
-import shutil
 import sys
+from html import escape
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -39,12 +39,12 @@ def test_the_status_line_is_one_line_that_controls_nothing(
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((200, 24)))
+    monkeypatch.setattr("trajeval_ros.ros.terminal._width", lambda: 200)
     StatusLine().show([f"{NAME}: ATE 1 m", "b"])
     begin = "\r\x1b[K"
     assert terminal.getvalue() == f"{begin}{SEEN}: ATE 1 m  |  b"
     # Cut as it is shown, so that nothing wraps.
-    monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((20, 24)))
+    monkeypatch.setattr("trajeval_ros.ros.terminal._width", lambda: 20)
     StatusLine().show([NAME])
     assert len(terminal.getvalue().rpartition(begin)[2]) == 19
 
@@ -54,10 +54,11 @@ def test_figures_show_names_and_no_formulas(evaluation: Evaluation) -> None:
     from matplotlib.text import Text
 
     from trajeval_ros.report import absolute_figure, canvas
+    from trajeval_ros.report.figure_style import house_style
 
     [name] = canvas.short_names([NAME])
     assert name == SEEN
-    with canvas.house_style():
+    with house_style():
         figure = absolute_figure.absolute_error([evaluation], [f"{name} {name}"])
         figure.canvas.draw()
         texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
@@ -67,16 +68,29 @@ def test_figures_show_names_and_no_formulas(evaluation: Evaluation) -> None:
 
 def test_figures_of_a_comparison_show_names_and_no_formulas() -> None:
     pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
-    from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
+    from matplotlib.text import Text
+
+    from trajeval_ros.report.comparison_figures import figure_of
+    from trajeval_ros.report.comparison_plots import Box, BoxPlot, PathsPlot
+    from trajeval_ros.report.figure_style import house_style
+    from trajeval_ros.report.page_figures import box_svg, paths_svg
 
     box, path = Box.of([1.0, 2.0]), np.zeros((2, 3))
-    for drawn in (
-        box_plot("a", [NAME], [("_vio", [box]), (NAME, [box])], "", "m"),
-        overlay("b", UpAxis(), path, [None, (NAME, path)]),
-    ):
-        assert not controls(drawn.replace("\n", ""))
-        assert SEEN in drawn
-    assert "_vio" in box_plot("c", ["x"], [("_vio", [box])], "", "m")
+    boxes = BoxPlot([NAME], [("_vio", [box]), (NAME, [box])], "", "m")
+    paths = PathsPlot(UpAxis(), path, {1: (NAME, path)})
+    for drawn in (box_svg(boxes), paths_svg(paths)):
+        assert not controls(drawn)
+        assert escape(SEEN) in drawn
+        assert ElementTree.fromstring(f"<figure>{drawn}</figure>") is not None
+    assert "_vio" in box_svg(boxes)
+    with house_style():
+        for plot in (boxes, paths):
+            figure = figure_of(plot)
+            figure.canvas.draw()
+            texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
+            assert not any(text.get_parse_math() for text in texts)
+            assert any(SEEN in text.get_text() for text in texts)
+            assert not controls("".join(text.get_text() for text in texts).replace("\n", ""))
 
 
 def test_the_picture_shows_names(evaluation: Evaluation, tmp_path: Path) -> None:

@@ -150,7 +150,10 @@ def test_lines_of_a_table_end_without_blanks() -> None:
     table = new_table("title", ["name"], ["value"])
     add_rows(table, [["a", "10000"], ["longer", ""]])
     show(console(stream), table)
-    assert stream.getvalue().splitlines() == ["title", "name    value", "a       10000", "longer"]
+    lines = stream.getvalue().splitlines()
+    assert lines == [line.rstrip() for line in lines]
+    cells = [line.split() for line in lines]  # versions of rich differ in the space between
+    assert cells == [["title"], ["name", "value"], ["a", "10000"], ["longer"]]
 
 
 @given(st.floats(1e-9, 1e9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -37,8 +38,13 @@ def interrupted_at(module: str, program: str, prelude: str = "") -> tuple[int, s
     return done.returncode, done.stderr
 
 
-@pytest.mark.parametrize("module", ["typer", "numpy", "trajeval_ros.cli.app"])
-@pytest.mark.parametrize("program", ["main", "ros_replay", "ros_evaluator"])
+@pytest.mark.parametrize(
+    ("module", "program"),
+    [
+        *itertools.product(("typer", "numpy", "trajeval_ros.cli.app"), ("main", "ros_replay")),
+        *itertools.product(("numpy", "trajeval_ros.cli.evaluator_program"), ("ros_evaluator",)),
+    ],
+)
 def test_ctrl_c_in_the_first_second_is_one_line(module: str, program: str) -> None:
     assert interrupted_at(module, program) == (130, "trajeval: interrupted\n")
 

@@ -159,7 +159,7 @@ def test_every_version(
     topics[0]["message_count"] += 7
     rewrite(bag, content)
     [said] = read_trajectory(str(bag)).damage
-    assert said == f"{bag} counts 67 messages on /pose, but 60 were read"
+    assert said == f"{bag} declares 67 messages on /pose, but 60 were read"
     (bag / "metadata.yaml").unlink()
     assert not assert_whole(bag)
 
@@ -186,13 +186,13 @@ def test_nothing_outside_of_the_folder_is_read(
     rewrite(bag, information(9, written))
     [note] = assert_whole(bag)
     assert note == (
-        f"{bag}/metadata.yaml names {written[0]}, which is outside of the bag's folder; only "
-        "files in the folder are read"
+        f"{bag}/metadata.yaml lists {written[0]}, which is outside the bag's folder; move it "
+        "into the folder"
     )
     (bag / names[1]).unlink()
     read = read_trajectory(str(bag))
     assert len(read) == COUNT
-    assert f"{bag}/metadata.yaml names {written[1]}, which is missing" in read.damage
+    assert f"{bag}/metadata.yaml lists {written[1]}, which is missing" in read.damage
     with pytest.raises(InputError, match="which is missing"):
         read_trajectory(str(bag), strict=True)
 
@@ -204,7 +204,7 @@ def test_what_names_no_file_is_missing(path: str, bags: dict[Any, Path], tmp_pat
     rewrite(bag, information(9, [*names_in(bag), path]))
     read = read_trajectory(str(bag))
     assert len(read) == 2 * COUNT
-    assert read.damage == (f"{bag}/metadata.yaml names {path}, which is missing",)
+    assert read.damage == (f"{bag}/metadata.yaml lists {path}, which is missing",)
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ def test_odd_metadata_is_not_used(
     content["rosbag2_bagfile_information"] |= change
     rewrite(bag, content)
     [note] = assert_whole(bag)
-    said = f"{bag}/metadata.yaml holds no information about a bag; metadata.yaml was not used"
+    said = f"{bag}/metadata.yaml has no bag information; metadata.yaml ignored"
     assert note == said
 
 
@@ -251,7 +251,7 @@ def test_a_decompressed_copy_is_not_read_twice(
     (bag / "metadata.yaml").unlink()
     names = names_in(plain)
     assert assert_whole(bag) == [
-        f"{bag / each} was not read, since {each}.zstd holds the same" for each in names
+        f"{bag / each} skipped, since {each}.zstd has the same data" for each in names
     ]
     # Decompressed by hand, and the compressed ones removed.
     for name in compressed:

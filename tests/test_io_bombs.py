@@ -59,7 +59,7 @@ def test_a_file_that_becomes_a_thousand_times_its_size_is_refused(
         writer.write(sqlite_file(tmp_path).read_bytes())
         writer.write(bytes(128 * MIB))
     assert path.stat().st_size < MIB // 4
-    with pytest.raises(InputError, match="times its size, which no recording does"):
+    with pytest.raises(InputError, match="compression ratio above"):
         read_trajectory(str(path))
 
 
@@ -86,7 +86,7 @@ def test_a_chunk_that_becomes_much_is_left_out(has_summary: bool, tmp_path: Path
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert rows_of(read) == list(range(20))
-    assert "a chunk becomes more than 500 times its size" in read.damage[0]
+    assert "a chunk has a compression ratio above 500" in read.damage[0]
     assert "3 times" in read.damage[0]
     assert peak < 20 * MIB
 
@@ -98,7 +98,7 @@ def test_a_file_of_which_no_chunk_becomes_too_much_but_all_do(
     path = with_zeros(tmp_path / "x.mcap", 5, 4 * MIB, has_summary=has_summary)
     assert rows_of(read_trajectory(str(path))) == list(range(20))
     monkeypatch.setattr("trajeval_ros.io.bags.mcap_chunks.LARGEST", 16 * MIB)
-    with pytest.raises(InputError, match="500 times its size, which no recording does"):
+    with pytest.raises(InputError, match="compression ratio above 500"):
         read_trajectory(str(path))
 
 
@@ -141,5 +141,5 @@ def test_a_leap_of_ids_in_a_damaged_file_ends(tmp_path: Path) -> None:
     middle = len(content) // 2 // 4096 * 4096
     content[middle : middle + 4096] = b"\xff" * 4096
     path.write_bytes(content)
-    read = assert_damaged(path, "is damaged", "were not looked for")
+    read = assert_damaged(path, "is damaged", "ignored")
     assert len(read) > 0.8 * COUNT

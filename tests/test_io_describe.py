@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from strategies import make_groundtruth
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.cli.info import info
 from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 from trajeval_ros.io.describe import describe
@@ -58,7 +59,34 @@ def test_a_text_file(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 def test_without_stamps(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     info(str(shared_data / "kitti/KITTI_00_ORB.txt"))
-    assert "no stamps" in capsys.readouterr().out
+    assert "no timestamps" in capsys.readouterr().out
+
+
+def test_columns_that_nothing_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "odom.txt"
+    path.write_text("".join(f"{time}000 7 {time} 0.0 90\n" for time in range(5)))
+    assert main(["info", str(path)]) == 2
+    assert "--columns" in capsys.readouterr().err
+    assert main(["info", str(path), "--columns", "t_ms _ x y yaw_deg"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "columns as named poses 5 rate 1.0 Hz stamps 0.000 to 4.000 s" in printed
+    assert "path length 4.000 m" in printed
+
+
+def test_a_rate_of_a_file_without_stamps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "airsim.txt"
+    path.write_text("".join(f"{x} 0 0 0 0 0 1\n" for x in range(5)))
+    assert main(["info", str(path), "--frame-rate", "10"]) == 0
+    assert "10.0 Hz" in capsys.readouterr().out
+
+
+def test_columns_of_a_folder_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(tmp_path), "--columns", "t x y z"]) == 2
+    assert "name the file" in capsys.readouterr().err
 
 
 def test_a_topic_that_cannot_be_evaluated_is_still_listed(
@@ -73,7 +101,7 @@ def test_a_topic_that_cannot_be_evaluated_is_still_listed(
     ]
     bag = write(tmp_path / "bag", messages)
     bad, good = describe(str(bag)).trajectories
-    assert "all stamps are zero" in bad.problem
+    assert "all timestamps are zero" in bad.problem
     assert not good.problem
     info(str(bag))
-    assert "all stamps are zero" in capsys.readouterr().out
+    assert "all timestamps are zero" in capsys.readouterr().out

@@ -74,7 +74,7 @@ def test_a_recorder_killed_between_the_indexes_of_its_last_chunk(
         path = written(tmp_path, dataclasses.replace(layout([part]), has_summary=False))
         content = path.read_bytes()
         path.write_bytes(content[: content.rfind(record(0x0F, bytes(4)))])
-        read = assert_damaged(path, "it was cut short")
+        read = assert_damaged(path, "it is truncated")
         assert rows_of(read) == list(range(COUNT))
 
 
@@ -88,7 +88,7 @@ def test_strict_opens_chunks_that_their_index_says_hold_nothing(
     assert rows_of(read_trajectory(str(path), strict=True)) == list(range(COUNT))
     read = read_trajectory(str(path))
     assert len(read) == COUNT - EACH
-    assert f"counts {COUNT} messages on /pose, but {COUNT - EACH} were read" in read.damage[0]
+    assert f"declares {COUNT} messages on /pose, but {COUNT - EACH} were read" in read.damage[0]
 
 
 @pytest.mark.parametrize("repeats", [True, False])
@@ -96,7 +96,7 @@ def test_what_the_statistics_count_must_be_there(repeats: bool, tmp_path: Path) 
     given = layout(parts())
     counts = {POSE: COUNT + 1, OTHER: COUNT}
     path = written(tmp_path, dataclasses.replace(given, counts=counts, repeats=repeats))
-    read = assert_damaged(path, f"counts {COUNT + 1} messages on /pose, but {COUNT} were read")
+    read = assert_damaged(path, f"declares {COUNT + 1} messages on /pose, but {COUNT} were read")
     assert rows_of(read) == list(range(COUNT))
 
 
@@ -148,8 +148,8 @@ def test_records_between_chunks_that_cannot_be_followed_lose_no_other(tmp_path: 
     path.write_bytes(content.replace(b"\x42\x10\0\0", b"\x42\xff\xff\xff"))
     read = read_trajectory(str(path))
     assert rows_of(read) == list(range(COUNT))
-    assert "can't be followed" in read.damage[0]
-    with pytest.raises(InputError, match="can't be followed"):
+    assert "are not readable" in read.damage[0]
+    with pytest.raises(InputError, match="are not readable"):
         read_trajectory(str(path), strict=True)
 
 
@@ -160,14 +160,14 @@ def test_records_in_a_chunk_that_cannot_be_followed_are_told(
     several = parts("zstd")
     several[1].inside = inside
     given = dataclasses.replace(layout(several), has_summary=False)
-    read = assert_damaged(written(tmp_path, given), "can't be followed to their end")
+    read = assert_damaged(written(tmp_path, given), "has incomplete records")
     assert rows_of(read) == list(range(COUNT))
 
 
 def test_messages_of_channels_that_nothing_describes_are_told(tmp_path: Path) -> None:
     several = [*parts(), Part([(7, SECOND, b"?")] * 3), Part([(8, SECOND, b"?")], is_chunk=False)]
     given = dataclasses.replace(layout(several), has_summary=False)
-    read = assert_damaged(written(tmp_path, given), "4 messages are of channels that nothing")
+    read = assert_damaged(written(tmp_path, given), "4 messages of undefined channels")
     assert rows_of(read) == list(range(COUNT))
 
 
@@ -181,7 +181,7 @@ def test_a_summary_that_contradicts_itself_is_not_used(tmp_path: Path) -> None:
         path.write_bytes(content[:place] + wrong + content[place + 8 : -12] + bytes(4) + MAGIC)
         read = read_trajectory(str(path))
         assert rows_of(read) == list(range(COUNT))
-        assert any("contradicts itself" in each for each in read.damage) == (wrong != twice)
+        assert any("is inconsistent" in each for each in read.damage) == (wrong != twice)
 
 
 def test_strict_has_a_sentence_for_the_command_line(
@@ -191,6 +191,6 @@ def test_strict_has_a_sentence_for_the_command_line(
     path = written(tmp_path, given)
     arguments = ["evaluate", "-g", f"{path}:/pose", "-e", f"{path}:/pose", "--lengths", "none"]
     assert main([*arguments, "--strict"]) == 2
-    assert f"counts {COUNT + 50} messages on /pose, but {COUNT} were read" in (
+    assert f"declares {COUNT + 50} messages on /pose, but {COUNT} were read" in (
         capsys.readouterr().err
     )

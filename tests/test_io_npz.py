@@ -120,5 +120,5 @@ def test_an_array_that_becomes_much_is_refused(
     monkeypatch.setattr(npz_file, "_LARGEST", 32 * MIB)
     replaced(path, "cov", npy(np.zeros((2900, 2900))))
     assert path.stat().st_size < MIB
-    with pytest.raises(InputError, match="cov becomes more than 500 times its size"):
+    with pytest.raises(InputError, match="cov has a compression ratio above 500"):
         read_joint_covariance(path)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.live import pair_file
+from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.pair_file import PairWriter, RecordedPairs, read_pairs
 
 DESCRIPTION = {"groundtruth": "/truth", "estimate": "/vio", "place": 0}
@@ -64,7 +64,7 @@ def test_a_file_torn_at_any_byte_holds_the_chunks_before(
     cut = data.draw(st.integers(0, len(content)))
     path.write_bytes(content[:cut])
     if cut < beginning:
-        with pytest.raises(InputError, match="no pair file"):
+        with pytest.raises(InputError, match="is not a pair file"):
             read_pairs(path)
         return
     read = read_pairs(path)
@@ -89,7 +89,7 @@ def test_a_changed_byte_ends_a_file_before_its_chunk(
         return
     content[place % len(content)] = value
     path.write_bytes(content)
-    with pytest.raises(InputError, match="is no pair file"):
+    with pytest.raises(InputError, match="is not a pair file"):
         read_pairs(path)
 
 
@@ -139,7 +139,7 @@ def test_another_format_is_named(tmp_path: Path) -> None:
     path = tmp_path / "later.pairs"
     text = json.dumps({"format": "trajeval-pairs/9"}).encode()
     path.write_bytes(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
-    with pytest.raises(InputError, match="trajeval-pairs/2"):
+    with pytest.raises(InputError, match="trajeval-pairs/3"):
         read_pairs(path)
 
 
@@ -194,7 +194,7 @@ def test_a_full_disk_is_written_to_again(
 @pytest.fixture
 def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PairWriter, Disk]:
     """A writer with four chunks, of which there is room for two to wait."""
-    monkeypatch.setattr(pair_file, "_MOST_WAITING", 1200)
+    monkeypatch.setattr(chunk_file, "_MOST_WAITING", 1200)
     writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
     disk = Disk(0)
     monkeypatch.setattr(os, "write", disk)
@@ -208,7 +208,7 @@ def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
 ) -> None:
     writer, _ = on_a_full_disk
     assert writer.lost == 6
-    with pytest.raises(InputError, match=r"can't be written to its end: no space left"):
+    with pytest.raises(InputError, match=r"can't be written completely: no space left"):
         writer.close()
 
 

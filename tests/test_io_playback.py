@@ -130,9 +130,9 @@ def test_a_window_has_both_of_its_ends(
 @pytest.mark.parametrize(
     ("window", "complaint"),
     [
-        ((3.5, None), "--start 3.5 is after the bag's end: it lasts 3.000 s"),
-        ((-1.0, None), "no time after"),
-        ((float("nan"), None), "no time after"),
+        ((3.5, None), "--start 3.5 is after the end of the bag, which lasts 3.000 s"),
+        ((-1.0, None), "must be at least 0 s"),
+        ((float("nan"), None), "must be at least 0 s"),
         ((2.0, 2.0), "--end 2 must be after --start 2"),
         ((0.0, float("nan")), "must be after"),
     ],
@@ -151,13 +151,11 @@ def test_what_cannot_be_published_is_noted_or_refused(tmp_path: Path) -> None:
         playback = Playback(opened, everything)
         assert [each.name for each in playback.channels] == ["/a"]
         assert playback.notes == [
-            "/clock not played: /clock is made anew; --no-clock plays the recorded one"
+            "/clock not played: /clock is generated; to play the recorded one, use --no-clock"
         ]
         both = Playback(opened, everything, with_clock=False)
         assert [each.name for each in both.channels] == ["/a", "/clock"]
-        with pytest.raises(
-            InputError, match=r"no topic that can be played: .* install the ROS pac"
-        ):
+        with pytest.raises(InputError, match=r"no playable topic: .* install the ROS pac"):
             Playback(opened, lambda kind: False)
         with pytest.raises(
             InputError, match=r"/a can't be played: .*PointStamped is not installed"
@@ -188,9 +186,9 @@ def test_ros1_is_encoded_anew_under_names_that_ros2_allows(tmp_path: Path) -> No
         assert seconds(playback) == [("/ORB_SLAM", 0.0), ("/ORB_SLAM_2", 2.0)]
         assert playback.damaged == 1
         assert playback.notes == [
-            "/range not played: sensor_msgs/msg/Range has other fields in ROS 1 than in ROS 2",
-            "/ORB-SLAM is published as /ORB_SLAM, a name that ROS 2 allows",
-            "/ORB_SLAM is published as /ORB_SLAM_2, a name that ROS 2 allows",
+            "/range not played: sensor_msgs/msg/Range has different fields in ROS 1 and ROS 2",
+            "/ORB-SLAM is published as /ORB_SLAM, a valid ROS 2 name",
+            "/ORB_SLAM is published as /ORB_SLAM_2, a valid ROS 2 name",
         ]
 
 
@@ -259,10 +257,10 @@ def test_every_name_is_made_allowed_and_then_kept(name: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ([], "this needs ROS 2"),
-        (["--rate", "-1"], "--rate -1 is no speed"),
-        (["--rate", "inf"], "--rate inf is no speed"),
-        (["--wait-for-subscribers", "nan"], "is no time in seconds"),
+        ([], "ROS 2 is required"),
+        (["--rate", "-1"], "--rate -1 is out of range"),
+        (["--rate", "inf"], "--rate inf is out of range"),
+        (["--wait-for-subscribers", "nan"], "is out of range"),
         (["--rat", "2"], "No such option"),
     ],
 )
@@ -290,8 +288,8 @@ def test_what_is_no_bag_is_refused_before_ros_is_asked_for(
     text = tmp_path / "poses.txt"
     text.write_text("1 2 3 4 0 0 0 1\n")
     for source, complaint in (
-        (f"{bag}:/a", "as in --topic /a"),
-        (text, "is no bag"),
+        (f"{bag}:/a", "give the topic as --topic /a"),
+        (text, "is not a bag"),
         (tmp_path / "bga", "did you mean"),
     ):
         assert main(["replay", str(source)]) == 2

@@ -185,7 +185,7 @@ def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_pa
     found = assert_as_alone(sources, strict=strict)
     counts = [len(each) for each in found if isinstance(each, Trajectory)]
     assert counts == [COUNT, COUNT // 2, 120, COUNT // 3, COUNT // 3]
-    assert "never moves" in str(found[-1])
+    assert "are static" in str(found[-1])
 
 
 @pytest.mark.parametrize("kind", MAKE)

@@ -130,16 +130,16 @@ def test_frames_that_do_not_fit() -> None:
         ("odom", "base_link"): random_edge(random, 1, is_static=True),
         ("world", "vicon"): random_edge(random, 10),
     }
-    with pytest.raises(InputError, match="no frame base_lnk; there are base_link, "):
+    with pytest.raises(InputError, match="unknown frame base_lnk; use one of base_link, "):
         compose_transforms(edges, "map", "base_lnk", "t")
-    with pytest.raises(InputError, match="vicon is not connected to map; connected to map are"):
+    with pytest.raises(InputError, match="vicon is not connected to map; use one of"):
         compose_transforms(edges, "map", "vicon", "t")
-    with pytest.raises(InputError, match="base_link never moves in odom"):
+    with pytest.raises(InputError, match="between odom and base_link are static"):
         compose_transforms(edges, "odom", "base_link", "t")
-    with pytest.raises(InputError, match="map never moves in map"):
+    with pytest.raises(InputError, match="between map and map are static"):
         compose_transforms(edges, "map", "map", "t")
     late = Edge.from_columns(np.array([10**15]), np.ones((1, 7)), is_static=False)
-    with pytest.raises(InputError, match="never known at the same time"):
+    with pytest.raises(InputError, match="no common time span"):
         compose_transforms({**edges, ("base_link", "late"): late}, "map", "late", "t")
 
 
@@ -165,10 +165,10 @@ def test_tf_repeats_the_odometry(shared_data: Path) -> None:
 
 @pytest.mark.parametrize("frames", ["", ":", ":map", ":map.", ":.map"])
 def test_tf_needs_two_frames(frames: str, shared_data: Path) -> None:
-    with pytest.raises(InputError, match=r"name two as in BAG:/tf:PARENT\.CHILD"):
+    with pytest.raises(InputError, match=r"give two as in BAG:/tf:PARENT\.CHILD"):
         read_trajectory(f"{shared_data / 'bags/nav2_turtlebot.mcap'}:/tf{frames}")
 
 
 def test_frames_of_a_topic_without_transforms(shared_data: Path) -> None:
-    with pytest.raises(InputError, match="/odom holds nav_msgs/msg/Odometry, no transforms"):
+    with pytest.raises(InputError, match="/odom has type nav_msgs/msg/Odometry, not transforms"):
         read_trajectory(f"{shared_data / 'bags/nav2_turtlebot.mcap'}:/odom:map.odom")

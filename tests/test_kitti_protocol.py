@@ -16,7 +16,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import PROTOCOLS, metres
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 LENGTHS = (100, 200, 300, 400, 500, 600, 700, 800)
 
@@ -238,7 +238,7 @@ def test_frames_that_repeat_or_go_back_are_refused(
     rows = [f"{frame} {pose_rows[frame]}" for frame in frames]
     path.write_text("\n".join(rows), encoding="utf-8")
     estimate = read_trajectory(str(path))
-    with pytest.raises(InputError, match=r"has frame 2 after frame [23]; sort its rows"):
+    with pytest.raises(InputError, match=r"has frame 2 after frame [23]; sort the rows"):
         evaluate(make_groundtruth_of_frames(), estimate, PROTOCOLS["kitti"])
 
 

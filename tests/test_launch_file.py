@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from trajeval_ros.ros.parameter_table import PARAMETERS
+
 FILE = Path(__file__).resolve().parent.parent / "launch" / "evaluator.launch.py"
 
 
@@ -38,13 +40,9 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     modules: dict[str, dict[str, Any]] = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list},
         "launch.actions": {"DeclareLaunchArgument": declare, "OpaqueFunction": keep},
-        "launch.substitutions": {
-            "LaunchConfiguration": LaunchConfiguration,
-            "PathJoinSubstitution": list,
-        },
+        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": keep},
-        "launch_ros.substitutions": {"FindPackageShare": str},
     }
     for name, members in modules.items():
         module = ModuleType(name)
@@ -62,9 +60,32 @@ def launched(**given: str) -> Any:
 
 
 @pytest.mark.usefixtures("stand_ins")
-def test_simulated_time_is_the_file_s_unless_it_is_given() -> None:
-    file = LaunchConfiguration("params_file")
-    assert launched()["parameters"] == [file]
-    for given in ("true", "false"):
-        over = {"use_sim_time": LaunchConfiguration("use_sim_time")}
-        assert launched(use_sim_time=given)["parameters"] == [file, over]
+def test_two_topics_are_enough() -> None:
+    node = launched(groundtruth_topic="/mocap/pose", estimate_topics="/vio/odometry, /slam/path")
+    assert node["parameters"] == [
+        {"groundtruth_topic": "/mocap/pose", "estimate_topics": ["/vio/odometry", "/slam/path"]}
+    ]
+    assert node["name"] == LaunchConfiguration("name")
+    assert node["namespace"] == LaunchConfiguration("namespace")
+    [alone] = launched(estimate_topics="['/vio/odometry']")["parameters"]
+    assert alone == {"estimate_topics": ["/vio/odometry"]}
+
+
+@pytest.mark.usefixtures("stand_ins")
+def test_what_is_given_stands_over_the_file_and_nothing_else_does() -> None:
+    assert launched()["parameters"] == []
+    assert launched(params_file="judge.yaml")["parameters"] == ["judge.yaml"]
+    for given, value in (("true", True), ("false", False)):
+        found = launched(params_file="judge.yaml", use_sim_time=given)["parameters"]
+        assert found == ["judge.yaml", {"use_sim_time": value}]
+
+
+@pytest.mark.usefixtures("stand_ins")
+def test_status_lines_come_through_a_pipe() -> None:
+    assert "emulate_tty" not in launched()
+
+
+@pytest.mark.usefixtures("stand_ins")
+def test_arguments_are_parameters_of_the_node() -> None:
+    names = {each.name for each in PARAMETERS} | {"use_sim_time"}
+    assert runpy.run_path(str(FILE))["PARAMETERS"].keys() <= names

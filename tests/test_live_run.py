@@ -6,7 +6,7 @@ import dataclasses
 import errno
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,18 +20,20 @@ from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 from waiting import until
 
-from trajeval_ros import simulate
+from trajeval_ros import CovarianceRequest, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live import pair_file
+from trajeval_ros.io.live import chunk_file
 from trajeval_ros.metrics.settings import protocol_from
+from trajeval_ros.online.intake import Limits
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.output_folder import Finisher
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.output_folder import Autosave, Finisher
 from trajeval_ros.ros.poses import PoseStream
-from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.segmentation import Segmentation
+from trajeval_ros.ros.sides import Side, TimeAt
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 
 TRUTH, ESTIMATE = "/truth", "/vio"
@@ -49,13 +51,15 @@ class QueueSide:
 
     def __init__(self, topic: str, kind: str) -> None:
         self.source, self.name, self.kind = topic, topic.strip("/"), kind
-        self.stream = PoseStream(topic)
+        self.stream = PoseStream(topic, covariances=topic == ESTIMATE)
         self.queue: list[bytes] = []
 
-    def take(self, now_ns: int | None) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
-        assert now_ns is not None
+    def take(
+        self, time_at: TimeAt | None
+    ) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
+        assert time_at is not None
         taken, self.queue = self.queue, []
-        stamps = np.full(len(taken), now_ns)
+        stamps = time_at(np.zeros(len(taken), np.int64))
         return [(self.kind, ReceivedMessages(taken, stamps.tolist()), stamps)] if taken else []
 
 
@@ -69,19 +73,29 @@ class Live:
         *,
         find_offset: bool = False,
         limits: Limits | None = None,
+        body: MarkerBody | None = None,
+        truth_kind: str = POSE,
+        covariances: CovarianceRequest | None = None,
+        segmentation: Segmentation | None = None,
+        new_folder: Callable[[], Path] | None = None,
         **words: Any,
     ) -> None:
         folder.mkdir(parents=True)
         self.folder = folder
-        self.truth, self.estimate = QueueSide(TRUTH, POSE), QueueSide(ESTIMATE, kind)
+        self.truth, self.estimate = QueueSide(TRUTH, truth_kind), QueueSide(ESTIMATE, kind)
         words = {**WORDS, "gauge": "yaw", "lengths": "2,4", **words}
         self.run = LiveRun(
             cast("Side", self.truth),
             [cast("Side", self.estimate)],
-            OnlineSettings(protocol=protocol_from("default", **words), limits=limits or Limits()),
+            OnlineSettings(
+                protocol_from("default", **words), limits=limits, covariances=covariances
+            ),
             words,
             folder,
             find_offset=find_offset,
+            body=body,
+            segmentation=segmentation,
+            new_folder=new_folder,
         )
         self._now_ns = 0
 
@@ -91,15 +105,18 @@ class Live:
             side = self.truth if topic == TRUTH else self.estimate
             side.queue.append(payload)
             self._now_ns = logged
-        self.run.take(self._now_ns)
+        self.run.take(self._time_at)
         updates = []
         for estimate, update in self.run.update():
             estimate.digest()
             updates.append(update)
         return updates
 
+    def _time_at(self, received: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.full(len(received), self._now_ns)
+
     def end(self) -> None:
-        self.run.conclude(self._now_ns)
+        self.run.conclude(self._time_at)
         assert self.run.close() == []
 
     def finish(self, *options: str) -> int:
@@ -200,7 +217,7 @@ def test_after_a_crash_the_pairs_count_and_the_missing_counts_are_told(tmp_path:
     live.feed(after)  # and here it crashes
     [run] = live.result["runs"]
     assert run["association"]["pairs"] == live.run.estimates[0].evaluator.pairs
-    [told] = [each for each in run["warnings"] if "ended without its last counts" in each]
+    [told] = [each for each in run["warnings"] if "stopped before its last counts" in each]
     assert f"{run['association']['pairs'] - _pairs_of(before, tmp_path)} pairs" in told
     with (live.folder / "vio.pairs").open("r+b") as file:
         file.truncate(file.seek(0, 2) - 5)
@@ -220,15 +237,15 @@ def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
     live = Live(tmp_path / "live", ODOM)
     first, rest = messages(6)[:120], messages(6)[120:]
     with monkeypatch.context() as patch:
-        patch.setattr(pair_file, "_MOST_WAITING", 2000)
+        patch.setattr(chunk_file, "_MOST_WAITING", 2000)
         patch.setattr("os.write", full)
         for batch in batches(first, range(5, 120, 5)):
             live.feed(batch)
     live.feed(rest)
     live.end()
     [run] = live.result["runs"]
-    [told] = [each for each in run["warnings"] if "pairs are missing" in each]
-    assert told.endswith("since the disk took no more: no space left on device")
+    [told] = [each for each in run["warnings"] if "missing, since the disk" in each]
+    assert told.endswith("since the disk could not be written: no space left on device")
 
 
 def full(*_: object) -> int:
@@ -243,17 +260,17 @@ def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Pat
     result = live.result
     [failed] = result["failed"]
     assert failed["name"] == "broken"
-    assert "is no pair file" in failed["reason"]
+    assert "is not a pair file" in failed["reason"]
     assert [each["estimate"]["name"] for each in result["runs"]] == ["vio"]
 
 
 @pytest.mark.parametrize(
     ("prepare", "complaint"),
     [
-        (lambda folder: None, "holds no live run: there is no file that ends in .pairs"),
-        (lambda folder: (folder / "a.pairs").write_bytes(b"x"), "is no pair file"),
-        (lambda folder: Live(folder / "sub", ODOM).end(), "holds no live run"),
-        (lambda folder: folder.rmdir(), "holds no live run"),
+        (lambda folder: None, "no live run in"),
+        (lambda folder: (folder / "a.pairs").write_bytes(b"x"), "is not a pair file"),
+        (lambda folder: Live(folder / "sub", ODOM).end(), "no live run in"),
+        (lambda folder: folder.rmdir(), "no live run in"),
     ],
     ids=["empty", "no pairs", "below", "missing"],
 )
@@ -281,9 +298,11 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     live.feed(feed[:9])
     assert stream.trouble == ""
     live.feed(feed[9:10])
-    assert stream.trouble == "/vio: no message gives a pose: 10 zero stamp"
+    assert stream.trouble == "/vio: no message with a valid pose: 10 zero stamp"
     live.feed(feed[10:])
-    assert [each.text for each in stream.news] == ["/vio: no message gives a pose: 10 zero stamp"]
+    assert [each.text for each in stream.news] == [
+        "/vio: no message with a valid pose: 10 zero stamp"
+    ]
     assert live.run.why_no_pair().endswith(
         f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
     )
@@ -316,12 +335,40 @@ def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
     assert finisher.trouble == "full"
 
 
+def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("trajeval_ros.ros.output_folder.time.monotonic", lambda: now[0])
+    finisher, autosave = Finisher(tmp_path), Autosave()
+    took_s, written, told = 1.0, [], []
+
+    monkeypatch.setattr("sys.executable", "true")
+    for _ in range(400):
+        now[0] += 1.0
+        if autosave.is_due(finisher, 30.0):
+            autosave.saved()
+            written.append(now[0])
+            finisher.save()
+            now[0] += took_s
+            until(finisher.poll, "it is written")
+            took_s *= 2.0
+        told.append(autosave.why_late(finisher, 30.0))
+    # Evaluations of 1, 2, 4 and 8 s, and 5 % of a core.
+    assert np.diff(written)[:3] == pytest.approx([30.0, 40.0, 80.0], abs=6.0)
+    said = [each for each in told if each]
+    assert [each.partition(" instead of 30 s")[0] for each in said] == [
+        "result.json is written every 40 s",
+        "result.json is written every 80 s",
+        "result.json is written every 160 s",
+        "result.json is written every 320 s",
+    ]
+
+
 def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     live = Live(tmp_path / "live", ODOM)
     live.feed([each for each in messages(8) if each[0] == TRUTH])
     live.end()
     assert live.finish() == 2
-    assert "vio: no pair of estimate and groundtruth was made" in capsys.readouterr().err
+    assert "vio: no pairs of estimate and groundtruth" in capsys.readouterr().err
 
 
 def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
@@ -331,6 +378,10 @@ def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     assert live.finish("--require", "ate.position_m.rmse<100") == 0
     assert live.finish("--require", "ate.position_m.rmse<1e-9") == 1
     assert live.finish("--output", str(tmp_path / "out")) == 0
+    picture = live.folder / "run.rrd"  # which the node draws, and nothing draws again
+    picture.touch()
+    assert live.finish("--output", str(live.folder)) == 0
+    assert picture.exists()
     assert {"result.json", "errors.npz"} <= {each.name for each in (tmp_path / "out").iterdir()}
 
 
@@ -353,7 +404,7 @@ def test_keyframes_cover_what_they_cover_in_a_bag(tmp_path: Path, kind: str) -> 
     feed = sorted([*messages_of(truth, TRUTH, POSE), *drawn], key=lambda each: each[2])
     write_messages(tmp_path / "bag", feed)
     # A path with several new poses comes after a loss that is longer than groundtruth is held.
-    live = Live(tmp_path / "live", kind, limits=Limits(groundtruth_s=60.0))
+    live = Live(tmp_path / "live", kind, limits=Limits(past_s=60.0))
     for batch in batches(feed, range(0, len(feed), 50)):
         live.feed(batch)
     live.end()

@@ -39,7 +39,7 @@ def recording(shared_data: Path) -> SensorRecording:
 
 @pytest.fixture(scope="module")
 def examined(recording: SensorRecording) -> Examination:
-    return examine(recording, MeasurementModel(3, 30, 1.0, NOISE, 9.81, is_split=True))
+    return examine(recording, MeasurementModel(3, 30, 1.0, NOISE, None, 9.81, is_split=True))
 
 
 def _position_rmse(recording: SensorRecording) -> float:
@@ -155,7 +155,7 @@ def test_without_biases_nothing_is_estimated(recording: SensorRecording) -> None
     )
     assert _position_rmse(biased) > 0.1
     with pytest.raises(InputError, match="check the gyroscope's biases"):
-        examine(biased, MeasurementModel(3, 30, 1.0, NOISE, 9.81, is_split=False))
+        examine(biased, MeasurementModel(3, 30, 1.0, NOISE, None, 9.81, is_split=False))
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_command_on_a_simulated_folder(tmp_path: Path, capsys: pytest.CaptureFix
     arguments = ["--output", str(study), "--tracks", str(folder), "--split-half", *options]
     assert main(["gauge-study", *arguments]) == 0
     printed = capsys.readouterr().out
-    assert "Sensors are simulated but for tracks of V1_01_simulated" in printed
+    assert "Sensors are simulated, except for tracks of V1_01_simulated" in printed
     assert "halves of the landmarks" in printed
     # Beside the paper's values of that sequence.
     table = (study / "tables.md").read_text()

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from trajeval_ros.io.text import number_characters
 from trajeval_ros.io.text.number_characters import (
     Characters,
-    close_up,
-    constant,
+    lines_of,
+    lines_of_floats,
     of_floats,
     of_integers,
     of_seconds,
@@ -27,9 +28,7 @@ stamps = arrays.arrays(np.int64, st.integers(1, 30), elements=st.integers(-(2**6
 
 
 def words(characters: Characters) -> list[str]:
-    text = close_up([characters, constant(b"\n", len(characters))]).decode()
-    assert text.endswith("\n")
-    return text.splitlines()
+    return [line.decode() for line in lines_of([characters])]
 
 
 @given(all_floats)
@@ -66,3 +65,33 @@ def test_seconds_keep_every_nanosecond(numbers: np.ndarray) -> None:
     written = words(of_seconds(numbers))
     assert [Decimal(word) * 10**9 for word in written] == numbers.tolist()
     assert {len(word.partition(".")[2]) for word in written} == {9}
+
+
+@pytest.mark.parametrize("has_orjson", [True, False])
+@given(
+    arrays.arrays(
+        np.float64,
+        st.tuples(st.integers(1, 8), st.integers(1, 8)),
+        elements=st.floats(allow_nan=False, allow_infinity=False)
+        | st.floats(-1e17, 1e17)
+        | st.floats(-1e-3, 1e-3),
+    ),
+    st.sampled_from([b" ", b","]),
+)
+def test_lines_are_the_same_with_and_without_orjson(
+    has_orjson: bool, rows: np.ndarray, separator: bytes
+) -> None:
+    if has_orjson:
+        pytest.importorskip("orjson", reason="orjson is missing, the extra `fast`")
+    expected = [separator.join(repr(each).encode() for each in row) for row in rows.tolist()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(number_characters, "HAVE_ORJSON", has_orjson)
+        assert lines_of_floats(rows, separator) == expected
+        assert lines_of_floats(np.asfortranarray(rows), separator) == expected
+
+
+@pytest.mark.parametrize("exponent", [-5, -4, -3, 0, 14, 15, 16, 17])
+def test_lines_of_floats_at_the_borders_of_exponents(exponent: int) -> None:
+    border = 10.0**exponent
+    rows = np.array([[np.nextafter(border, 0.0), border, np.nextafter(border, np.inf), -border]])
+    assert lines_of_floats(rows, b" ") == [" ".join(map(repr, rows[0].tolist())).encode()]

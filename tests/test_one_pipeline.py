@@ -21,7 +21,8 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.pipeline import Request, run
+from trajeval_ros.pipeline.pipeline import run
+from trajeval_ros.pipeline.request import Request
 
 HAND_EYE = """\
 header: {frame_id: base_link}
@@ -31,7 +32,7 @@ transform:
   rotation: {x: 0.0, y: 0.0, z: 0.7071067811865476, w: 0.7071067811865476}
 """
 MARKED, HONEST = "marked", "honest"
-REQUESTS: dict[str, tuple[str, dict[str, str]]] = {
+REQUESTS: dict[str, tuple[str, dict[str, Any]]] = {
     "plain": (MARKED, {"modality": "stereo-inertial"}),
     "protocol": (MARKED, {"protocol": "rpg", "gauge": "se3", "align_states": "100"}),
     "calibrated": (
@@ -41,6 +42,8 @@ REQUESTS: dict[str, tuple[str, dict[str, str]]] = {
     "known body": (MARKED, {"gauge": "yaw", "time_offset": "0.1", "hand_eye": "FILE"}),
     "covariances": (HONEST, {"gauge": "yaw", "align_states": "1", "covariance": "message",
                              "groundtruth_noise": "0.002,0.1"}),
+    "integrity": (HONEST, {"gauge": "yaw", "align_states": "1", "covariance": "message",
+                           "integrity": True, "alert_limit": "0.5,2", "risk": 0.001}),
     "continuous": (HONEST, {"gauge": "yaw", "association": "continuous", "lengths": "none",
                             "groundtruth_noise": "0.002,0.1"}),
 }  # fmt: skip
@@ -57,7 +60,16 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def words_of(name: str, folder: Path) -> dict[str, str]:
+def options_of(words: dict[str, Any]) -> list[str]:
+    """Return words as options; True is one without a value."""
+    return [
+        part
+        for key, value in words.items()
+        for part in (f"--{key.replace('_', '-')}", *([] if value is True else [str(value)]))
+    ]
+
+
+def words_of(name: str, folder: Path) -> dict[str, Any]:
     words = REQUESTS[name][1]
     return {key: str(folder / "marker.yaml") if value == "FILE" else value
             for key, value in words.items()}  # fmt: skip
@@ -82,14 +94,15 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     from comparison_runs import here
 
-    from trajeval_ros.batch.comparison import RECORDS, run_plan
+    from trajeval_ros.batch.comparison import run_plan
     from trajeval_ros.batch.config import plan_of
-    from trajeval_ros.batch.records import read_record
+    from trajeval_ros.batch.finished_comparison import RUNS
+    from trajeval_ros.batch.record_store import RECORDS, RecordStore
+    from trajeval_ros.batch.results_table import ResultsTable
 
     words = words_of(name, bags)
     truth, estimate = sources(bags / REQUESTS[name][0])
-    options = [each for key, value in words.items()
-               for each in (f"--{key.replace('_', '-')}", value)]  # fmt: skip
+    options = options_of(words)
     file = tmp_path / "result.json"
     assert main(["evaluate", "-g", truth, "-e", estimate, *options, "--quiet", "--json", str(file)]
                 ) == 0  # fmt: skip
@@ -104,8 +117,9 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     )
     progress = run_plan(plan_of(config, {}), tmp_path / "out", here)
     assert progress.failed == 0
-    (record,) = (tmp_path / "out" / RECORDS).glob("*.run")
-    recorded = read_record(record.parent, record.stem)
+    rows = ResultsTable(tmp_path / "out" / RUNS).select(["key"])
+    (key,) = {row["key"] for row in rows}
+    recorded = RecordStore(tmp_path / "out" / RECORDS).read(key)
     assert recorded is not None
 
     request = request_from(words)
@@ -116,7 +130,8 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     by_python = json.loads(json.dumps(result_of(outcome)["runs"][0]))
 
     asked = {"calibrated": "calibration", "known body": "calibration",
-             "covariances": "consistency", "continuous": "probabilistic"}  # fmt: skip
+             "covariances": "consistency", "integrity": "integrity",
+             "continuous": "probabilistic"}  # fmt: skip
     if name in asked:
         assert by_command[asked[name]] is not None
     expected = without_name(by_command)
@@ -130,6 +145,10 @@ def test_command_line_comparison_and_python_give_the_same_bytes(
     [
         ("calibrated", {"time_offset_s": 0.1, "parameters_applied": None}),
         ("covariances", {"pose_nees_per_dof": None}),
+        (
+            "integrity",
+            {"horizontal_hazardous": 0.0, "horizontal_available": None, "heading_level_deg": None},
+        ),
         ("continuous", {"nll_per_pose": None, "weighted_m": None}),
     ],
 )
@@ -138,8 +157,7 @@ def test_comparison_tabulates_what_was_asked_for(
 ) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     words = words_of(name, bags)
-    options = [each for key, value in words.items() if key != "lengths"
-               for each in (f"--{key.replace('_', '-')}", value)]  # fmt: skip
+    options = options_of({key: value for key, value in words.items() if key != "lengths"})
     config = tmp_path / "runs.yaml"
     config.write_text(
         f"folder: {bags}\nsequences: [{REQUESTS[name][0]}]\nlengths: none\n"
@@ -160,7 +178,7 @@ def test_comparison_tabulates_what_was_asked_for(
     assert (out / f"{table}.csv").is_file()
 
 
-TEXTS = ("lengths", "groundtruth_noise", "gauge", "hand_eye")
+TEXTS = ("lengths", "groundtruth_noise", "alert_limit", "gauge", "hand_eye")
 
 
 @pytest.mark.parametrize("hand_eye", ["FILE", "auto"])
@@ -241,5 +259,5 @@ def test_a_live_run_can_be_aligned_with_poses_afterwards(tmp_path: Path) -> None
 
 
 def test_no_estimate_is_refused_in_a_sentence() -> None:
-    with pytest.raises(InputError, match="no estimate to evaluate"):
+    with pytest.raises(InputError, match="no estimate given"):
         run(make_pair(5, 40, smooth=True).groundtruth, [])

@@ -104,7 +104,8 @@ def test_every_quantity_has_two_limits(quantity: Any) -> None:
     [warned], [failed] = found[2:]
     assert (warned.level, failed.level) == (WARN, ERROR)
     assert warned.subject == quantity.name
-    assert warned.text == f"{quantity.words} 1.5 {quantity.unit} is over 1 {quantity.unit}"
+    number, limit = (f"{each} {quantity.unit}".strip() for each in ("1.5", "1"))
+    assert warned.text == f"{quantity.words} {number} is over {limit}"
     assert failed.values == {"value": 2.5, "limit": 2.0, "unit": quantity.unit, "stamp_ns": 7}
     assert alarms({quantity.name: Peak(9.0)}, NONE) == []
 

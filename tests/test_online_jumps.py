@@ -17,7 +17,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.state_rows import Pairs, states
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 
 def pairs_of(truth: Trajectory, estimate: Trajectory) -> Pairs:
@@ -88,6 +88,17 @@ def test_without_rotations_positions_alone_are_looked_at() -> None:
     pairs.groundtruth[:, 3:7] = np.nan
     [jump] = detect(pairs, [10, 40])
     assert jump.rotation_deg == 0.0
+
+
+@given(cuts=st.lists(st.integers(1, 199), max_size=12))
+def test_an_estimate_in_millimetres_does_not_jump_all_along(cuts: list[int]) -> None:
+    truth = along_line(np.linspace(0.0, 40.0, 200), [1.0, 0.0, 0.0])
+    pairs = pairs_of(truth, truth)
+    pairs.estimate[:, :3] *= 1000.0
+    assert [each.stamp for each in detect(pairs, cuts)] == truth.stamps[1:3].tolist()
+    pairs.estimate[150:, 0] += 1e5  # 500 times its usual step
+    *_, jump = detect(pairs, [100, *cuts])  # what is usual is learned from batch to batch
+    assert jump == Jump(int(truth.stamps[150]), pytest.approx(1e5, rel=0.01), 0.0)
 
 
 def test_pairs_that_come_late_are_passed_over() -> None:

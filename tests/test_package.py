@@ -23,6 +23,7 @@ PACKAGE = ROOT / "trajeval_ros"
 FLOORS = {
     "exceptions": 0,
     "formatting": 0,
+    "linear_algebra_threads": 0,
     "geometry": 1,
     "continuous_time": 2,
     "metrics": 3,
@@ -31,6 +32,7 @@ FLOORS = {
     "likelihood": 4,
     "visual_inertial": 4,
     "diagnosis": 5,
+    "watchdog": 5,
     "pipeline": 6,
     "online": 6,
     "io": 7,
@@ -41,13 +43,14 @@ FLOORS = {
     "cli": 10,
     "__main__": 11,
 }
-MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "pipeline"}
+MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}
 
 # Packages that only some rooms may open.
 ROOMS = {
     "rclpy": {"ros"},
     "rerun": {"viewer"},
     "matplotlib": {"report"},
+    "PIL": {"io"},
     "typer": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"io"},
@@ -56,6 +59,7 @@ ROOMS = {
     "lz4": {"io"},
     "ruamel": {"io"},
     "upath": {"io"},
+    "orjson": {"io"},
     "foxglove_schemas_protobuf": {"io"},
     "google": {"io"},
     "distributed": {"batch"},

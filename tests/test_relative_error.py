@@ -12,9 +12,10 @@ from strategies import Array, make_element, make_estimate, make_groundtruth, see
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics import relative_evaluation
 from trajeval_ros.metrics.errors import absolute_errors, relative_errors
 from trajeval_ros.metrics.protocol import Protocol, metres
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 PRECISE = 1e-10
 
@@ -231,3 +232,40 @@ def test_a_share_of_the_path_is_of_the_matched_one_and_the_toolboxs_of_all_in_ce
     table = ours._repr_html_()
     assert "ATE" in table
     assert "RE 12.5%" in table
+
+
+def test_errors_of_long_runs_are_measured_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = make_groundtruth(5, 300)
+    estimate = make_estimate(truth, 6)
+    protocol = Protocol(lengths=metres(4, 10), gauge=Gauge.PLANAR)
+    held = evaluate(truth, estimate, protocol)
+    monkeypatch.setattr(relative_evaluation, "_MOST_HELD", 0)
+    released = evaluate(truth, estimate, protocol)
+    assert held.pooled == released.pooled
+    for one, other in zip(held.segments or (), released.segments or (), strict=True):
+        assert one.held is not None
+        assert other.held is None
+        assert one.statistics == other.statistics
+        assert other.count == len(other.errors.ends) > 0
+        assert other.errors is other.errors
+        without = other.without("yaw_deg")
+        assert without.errors.yaw_deg is without.statistics["yaw_deg"] is None
+        for name, column in vars(one.errors).items():
+            np.testing.assert_array_equal(column, getattr(other.errors, name))
+            if name != "yaw_deg":
+                np.testing.assert_array_equal(column, getattr(without.errors, name))
+
+
+def test_absolute_errors_by_blocks_are_those_of_all_states_at_once() -> None:
+    truth = make_groundtruth(7, 40_000)
+    estimate = make_estimate(truth, 8)
+    found = evaluate(truth, estimate, Protocol(lengths=()))
+    pairs = found.association
+    assert len(pairs) > 16_384
+    whole = absolute_errors(pairs.groundtruth, found.aligned)
+    for name, column in vars(whole).items():
+        ours = getattr(found.absolute, name)
+        if column is None:
+            assert ours is None
+        else:
+            np.testing.assert_allclose(ours, column, rtol=0.0, atol=1e-11, err_msg=name)

@@ -40,7 +40,7 @@ from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
@@ -124,7 +124,7 @@ def test_a_publisher_may_change_its_quality_of_service(
         for part, quality in enumerate((before, after)):
             estimate = peer.publisher(ODOMETRY, PoseStamped, **quality)
             if part:
-                evaluator.wait_for(f"subscribed anew to {ODOMETRY}")
+                evaluator.wait_for(f"subscribed again to {ODOMETRY}")
             peer.until(
                 lambda: truth.get_subscription_count() == estimate.get_subscription_count() == 1,  # noqa: B023
                 "the evaluator has subscribed",
@@ -138,7 +138,7 @@ def test_a_publisher_may_change_its_quality_of_service(
         assert evaluator.end() == 0
         peer.node.destroy_publisher(truth)
     assert (
-        f"subscribed anew to {ODOMETRY}: geometry_msgs/msg/PoseStamped, {said}" in evaluator.said
+        f"subscribed again to {ODOMETRY}: geometry_msgs/msg/PoseStamped, {said}" in evaluator.said
     )
     run = evaluator.run_of(ODOMETRY)
     assert run["association"]["pairs"] == 160
@@ -274,7 +274,7 @@ def test_a_defect_is_told_and_what_was_paired_is_written(
     # In every tick from some time on, and so in the last one too.
     (tmp_path / "sitecustomize.py").write_text(
         "from trajeval_ros.online.live_clock import OnlineClock\n"
-        "def update(clock, *, at_end=False):\n"
+        "def update(clock, *, at_end=False, waits=False):\n"
         "    return clock.span_s > 5.0 and 1 // 0\n"
         "OnlineClock.update = update\n"
     )
@@ -312,9 +312,9 @@ def test_without_groundtruth_there_is_no_result(
 ) -> None:
     with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
         replay(flight, environment, "--rate", 20, "--topic", ODOMETRY, "--end", 10)
-        evaluator.wait_for(f"nobody publishes {TRUTH}")
+        evaluator.wait_for(f"no publisher on {TRUTH}")
         assert evaluator.end() == 2
-    told = [line for line in evaluator.said.splitlines() if "no pair of estimate" in line]
+    told = [line for line in evaluator.said.splitlines() if "no pairs of estimate" in line]
     assert len(told) == 1
     assert re.search(rf"0 poses on {TRUTH}, 1\d\d poses on {ODOMETRY}", told[0])
     assert not (evaluator.folder / "result.json").exists()
@@ -330,7 +330,7 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
     def newest() -> Any:
         return told[-1].status[0] if told and told[-1].status else None
 
-    trouble = f"{ODOMETRY}: no message gives a pose: 80 zero stamp"
+    trouble = f"{ODOMETRY}: no message with a valid pose: 80 zero stamp"
     with (
         evaluating(tmp_path / "out", environment, lengths="none") as evaluator,
         published(peer) as publishers,
@@ -341,7 +341,7 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
         assert newest().level == b"\x01"
         assert values["dropped"] == "80 zero stamp"
         assert evaluator.end() == 2
-    assert evaluator.said.count("no message gives a pose") == 1
+    assert evaluator.said.count("no message with a valid pose") == 1
     assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
 
 
@@ -449,7 +449,7 @@ def test_an_estimate_that_is_too_late_is_told(
 ) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
 
-    said = "poses came too late to be paired: the groundtruth is remembered for 10 s (max_delay)"
+    said = "dropped: later than the groundtruth buffer of 10 s (max_delay)"
     heard = peer.hear("/diagnostics", DiagnosticArray)
     with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
         replay(late_flight, environment, "--rate", 8)
@@ -461,4 +461,4 @@ def test_an_estimate_that_is_too_late_is_told(
     run = evaluator.run_of(ODOMETRY)
     late = run["association"]["dropped"]["too_late"]
     assert late > 300
-    assert f"{late} {said}" in run["warnings"]
+    assert f"{late} poses {said}" in run["warnings"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded_errors import read_recording
+from ros_bags import POSE, messages_of, write_messages
 from ros_processes import (
     ODOMETRY,
     TRUTH,
@@ -19,9 +22,13 @@ from ros_processes import (
     offline,
     replay,
 )
+from strategies import make_pair
+from test_live_run import path_messages
 from waiting import until
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.ros.message_types import message_class
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -45,6 +52,7 @@ class Heard:
         messages: Other messages by topic.
         saved: What ~/save and ~/reset answered, and the results at that time.
         set: Results of setting parameters, by name.
+        published: Types of all topics about the estimate.
     """
 
     evaluator: Evaluator
@@ -53,6 +61,7 @@ class Heard:
     messages: dict[str, list[Any]]
     saved: dict[str, Any]
     set: dict[str, Any]
+    published: dict[str, str]
 
 
 def values_of(status: Any) -> dict[str, str]:
@@ -124,6 +133,11 @@ def heard(
             lambda: len(messages["aligned_path"][-1].poses) and messages["diagnostics"],
             "paths are published",
         )
+        published = {
+            topic: types[0]
+            for topic, types in peer.node.get_topic_names_and_types()
+            if topic.startswith(f"/judge/{NAME}/")
+        }
         first = {each: [number.data for number in of] for each, of in floats.items()}
         messages = {each: list(of) for each, of in messages.items()}
         # Who comes late hears what has been.
@@ -134,7 +148,7 @@ def heard(
         replay(bag, environment, "--rate", 8, "--end", 12)
         saved["after reset"] = peer.ask("/judge/save", Trigger)
         assert evaluator.end() == 0
-    return Heard(evaluator, bag, first, messages, saved, results)
+    return Heard(evaluator, bag, first, messages, saved, results, published)
 
 
 def test_the_last_published_ate_is_that_of_the_result(heard: Heard) -> None:
@@ -188,7 +202,7 @@ def test_paths_lie_on_each_other(heard: Heard) -> None:
 
 def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
     statuses = [each.status[0] for each in heard.messages["diagnostics"] if each.status]
-    assert {each.name for each in statuses} == {f"judge: {NAME}"}
+    assert {each.name for each in statuses} == {f"/judge: {NAME}"}
     last = statuses[-1]
     values = {each.key: each.value for each in last.values}
     [run] = heard.saved["result"]["runs"]
@@ -207,7 +221,7 @@ def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
 def test_an_alarm_is_an_event_with_its_numbers(heard: Heard) -> None:
     [alarm, *_] = [each for each in heard.messages["event"] if values_of(each)["kind"] == "alarm"]
     values = values_of(alarm)
-    assert alarm.name == f"judge: {NAME}"
+    assert alarm.name == f"/judge: {NAME}"
     assert alarm.level == b"\x01"
     assert values["subject"] == "position_error_m"
     assert float(values["value"]) > float(values["limit"]) == 0.001
@@ -253,7 +267,7 @@ def test_harmless_parameters_can_be_set_and_others_cannot(heard: Heard) -> None:
     assert not heard.set["read-only"][0].successful
     assert "read-only" in heard.set["read-only"][0].reason
     assert not heard.set["nonsense"][0].successful
-    assert "'abc' is no window" in heard.set["nonsense"][0].reason
+    assert "'abc' is not valid" in heard.set["nonsense"][0].reason
     assert not heard.set["beyond"][0].successful
     assert "publish_rate out of range" in heard.set["beyond"][0].reason
 
@@ -281,3 +295,84 @@ def test_reset_begins_anew_and_leaves_what_was(heard: Heard) -> None:
     assert run["live"]["jumps"] == 0
     until(lambda: (heard.evaluator.folder / "errors.npz").exists(), "the first run is finished")
     assert_same(heard.evaluator.result, heard.saved["result"])
+
+
+def test_a_recording_of_errors_has_the_topics_and_types_of_the_node(
+    heard: Heard, tmp_path: Path
+) -> None:
+    path = tmp_path / "errors.mcap"
+    sources = ["-g", f"{heard.bag}:{TRUTH}", "-e", f"{heard.bag}:{ODOMETRY}"]
+    options = ["--gauge", "yaw", "--lengths", "8,2.5s", "--max-gap", "1", "--quiet"]
+    assert main(["evaluate", *sources, *options, "--mcap", str(path)]) == 0
+    recorded = read_recording(path)
+    types = {topic.replace("/evaluator/", "/judge/"): of.type for topic, of in recorded.items()}
+    published = {**heard.published, "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+    assert types == published
+    # What rclpy makes of the bytes is what is in them, and the last published is what it ends at.
+    for topic, of in recorded.items():
+        for payload, expected in list(zip(of.payloads, of.messages, strict=True))[:5]:
+            from rclpy.serialization import deserialize_message
+
+            message = deserialize_message(payload, message_class(of.type))
+            assert plain(message) == plain(expected), topic
+    last = recorded[f"/evaluator/{NAME}/ate_position"].messages[-1].data
+    assert heard.numbers["ate_position"][-1] == pytest.approx(last, rel=1e-9)
+    [told] = recorded["/diagnostics"].messages
+    live = [each.status[0] for each in heard.messages["diagnostics"] if each.status][-1]
+    assert {each.key for each in told.status[0].values} <= set(values_of(live))
+
+
+def plain(message: Any) -> Any:
+    """Return the fields of a message of rclpy or rosbags."""
+    if isinstance(message, bytes):
+        return message[0]
+    names: list[str] = []
+    if hasattr(message, "get_fields_and_field_types"):
+        names = list(message.get_fields_and_field_types())
+    elif dataclasses.is_dataclass(message):  # with the type's constants
+        names = [each.name for each in dataclasses.fields(message) if each.name.islower()]
+    if names:
+        return {each: plain(getattr(message, each)) for each in names if each[0] != "_"}
+    return [plain(each) for each in message] if isinstance(message, list) else message
+
+
+def test_the_newest_path_is_published_as_it_is_evaluated(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from geometry_msgs.msg import TransformStamped
+    from nav_msgs.msg import Path as PathMessage
+    from std_msgs.msg import Float64
+    from std_srvs.srv import Trigger
+
+    pair, bag = make_pair(3, 160, smooth=True), tmp_path / "bag"
+    truth = messages_of(pair.groundtruth, TRUTH, POSE)
+    write_messages(bag, [*truth, *path_messages(pair.estimate, 7)])
+    base = "/evaluator/vio/revised"
+    topics = ("ate_position", "ate_rotation", "relative_error/length_2m")
+    numbers = {each: peer.hear(f"{base}/{each}", Float64, latched=True) for each in topics}
+    paths = peer.hear(f"{base}/aligned_path", PathMessage, latched=True)
+    alignments = peer.hear(f"{base}/alignment", TransformStamped, latched=True)
+    options = {"estimates": ["/vio"], "gauge": "yaw", "lengths": "2,4"}
+    with evaluating(tmp_path / "out", environment, **options) as evaluator:
+        replay(bag, environment, "--rate", 4)
+        peer.until(lambda: numbers["relative_error/length_2m"], "the newest path is evaluated")
+        assert peer.ask("/evaluator/save", Trigger).success
+        run = evaluator.run_of("/vio")
+        expected = {
+            "ate_position": run["ate"]["position_m"]["rmse"],
+            "ate_rotation": run["ate"]["rotation_deg"]["rmse"],
+            "relative_error/length_2m": run["re"]["segments"][0]["position_m"]["rmse"],
+        }
+        for topic, value in expected.items():
+            peer.until(
+                lambda: (
+                    numbers[topic] and numbers[topic][-1].data == pytest.approx(value, rel=1e-9)  # noqa: B023
+                ),
+                f"{topic} of the newest path",
+            )
+        assert evaluator.end() == 0
+    assert len(paths[-1].poses) == run["association"]["pairs"]
+    moved = alignments[-1].transform.translation
+    assert [moved.x, moved.y, moved.z] == pytest.approx(run["alignment"]["translation_m"])
+    causal = run["live"]["causal_ate"]["position_m"]["rmse"]
+    assert causal > 1.5 * numbers["ate_position"][-1].data

@@ -21,15 +21,22 @@ TOPICS: dict[str, Any] = {"groundtruth_topic": "/truth", "estimate_topics": ["/v
     [
         ({"gauge": "yawn"}, "yawn"),
         ({"align_with": "pose"}, "did you mean poses?"),
-        ({"window": "abc"}, "'abc' is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"),
-        ({"association": "nearest"}, "association nearest can't be live: which pairs are closest"),
+        (
+            {"window": "abc"},
+            "the window 'abc' is not valid; give 0 (whole run), 30s, 50m or 500 (pairs)",
+        ),
+        ({"association": "nearest"}, "association nearest is not supported live"),
         ({"max_gap": "wide"}, "parameter max_gap must be a number, not 'wide'"),
         ({"time_offset": "soon"}, "time_offset must be a number of seconds or auto, not 'soon'"),
-        ({"groundtruth_topic": ""}, "groundtruth_topic and estimate_topics must name topics"),
-        ({"estimate_topics": ["/vio", "/vio"]}, "name each topic once"),
-        ({"estimate_topics": ["/vio odometry"]}, "'/vio odometry' is no name of a topic"),
+        ({"groundtruth_topic": ""}, "groundtruth_topic and estimate_topics are required"),
+        ({"estimate_topics": ["/vio", "/vio"]}, "have the same name"),
+        ({"estimate_topics": ["/vio odometry"]}, "'/vio odometry' is not a topic name"),
         ({"publish_rate": 1e6}, "publish_rate"),
-        ({"output": "FILE/out"}, "can't be made: not a directory"),
+        ({"hand_eye": "none.yaml"}, "none.yaml"),
+        ({"hand_eye": "/tf_static:base"}, "'/tf_static:base' has no pair of frames"),
+        ({"broadcast_tf": "yes please"}, "broadcast_tf must be true or false, not 'yes please'"),
+        ({"broadcast_tf": True, "gauge": "sim3"}, "since a transform has no scale"),
+        ({"output": "FILE/out"}, "can't be created: not a directory"),
     ],
 )
 def test_a_wrong_parameter_is_one_sentence(
@@ -58,10 +65,10 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
     with evaluating(
         tmp_path / "out", environment, *parameters(**odd), groundtruth="/truth"
     ) as evaluator:
-        evaluator.wait_for("there is no parameter windw; did you mean window?")
-        evaluator.wait_for(f"results go to {tmp_path / 'out_2'}")
+        evaluator.wait_for("unknown parameter windw; did you mean window?")
+        evaluator.wait_for(f"output folder: {tmp_path / 'out_2'}")
         assert evaluator.end() == 2
-    assert "no pair of estimate and groundtruth was made" in evaluator.said
+    assert "no pairs of estimate and groundtruth" in evaluator.said
     assert [each.name for each in kept.parent.iterdir()] == ["notes.txt"]
     assert [each.name for each in (tmp_path / "out_2").iterdir()] == ["v.pairs"]
 
@@ -75,8 +82,8 @@ def test_a_topic_without_poses_is_named_with_what_it_carries(
     with evaluating(
         tmp_path / "out", environment, groundtruth="/truth", estimates=["/nobody"]
     ) as evaluator:
-        evaluator.wait_for("/truth carries std_msgs/msg/Float64, no poses that can be read")
-        evaluator.wait_for("nobody publishes /nobody, and there are no poses on any other topic")
+        evaluator.wait_for("/truth has type std_msgs/msg/Float64, not a supported type of poses")
+        evaluator.wait_for("no publisher on /nobody, and no poses on any other topic")
         assert evaluator.end() == 2
     peer.node.destroy_publisher(publisher)
 
@@ -89,7 +96,7 @@ def test_the_log_and_diagnostics_show_control_characters(
     heard = peer.hear("/diagnostics", DiagnosticArray)
     folder, shown = tmp_path / "out\x1b[31m\u202e", rf"{tmp_path}/out\x1b[31m\u202e"
     with evaluating(folder, environment, groundtruth="/truth") as evaluator:
-        evaluator.wait_for(f"results go to {shown}")
+        evaluator.wait_for(f"output folder: {shown}")
         peer.until(lambda: any(each.status for each in heard), "diagnostics")
         assert evaluator.end() == 2
     values = [value.value for array in heard for status in array.status for value in status.values]

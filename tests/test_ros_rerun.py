@@ -14,12 +14,16 @@ import pytest
 from ros_processes import ODOMETRY, TRUTH, evaluating, listening, parameters, replay
 from waiting import PATIENCE_S
 
+from trajeval_ros.formatting.install_command import extra_command
+
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
 )
 pytest.importorskip("rerun", reason="rerun-sdk is missing; `make test-ros` has it")
 
 from rrd import Rrd
+
+from trajeval_ros.viewer.program import free_port
 
 pytestmark = pytest.mark.ros
 
@@ -68,9 +72,12 @@ def test_drawn_numbers_are_the_published_ones(
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        ("serve:{port}", "Rerun can't be served at port {port}: address already in use; choose"),
-        ("connect:http://127.0.0.1:{port}", "is no viewer's URL; write it as in connect:rerun+"),
-        ("flie", "rerun can't be 'flie'; it is none, file, serve, serve:PORT or connect:"),
+        ("serve:{port}", "Rerun can't use port {port}: address already in use; choose"),
+        (
+            "connect:http://127.0.0.1:{port}",
+            "is not the URL of a viewer; write it as in connect:rerun+",
+        ),
+        ("flie", "rerun must be none, file, serve, serve:PORT or connect:"),
     ],
 )
 def test_the_node_runs_on_without_the_picture(
@@ -90,11 +97,12 @@ def test_the_node_runs_on_without_the_picture(
     assert (tmp_path / "out" / "run.rrd").exists() == value.startswith("serve")
 
 
-def test_without_rerun_the_extra_is_named_and_the_node_runs_on(
+def test_the_node_runs_on_packages_of_ubuntu_and_names_the_extra_for_rerun(
     flights: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
+    missing = ("rerun", "typer", "rosbags", "mcap", "lz4", "zstandard", "jinja2", "pyarrow")
     code = (
-        "import sys; sys.modules['rerun'] = None; "
+        f"import sys; sys.modules.update(dict.fromkeys({missing})); "
         "from trajeval_ros.__main__ import ros_evaluator; sys.exit(ros_evaluator())"
     )
     values = {
@@ -117,7 +125,7 @@ def test_without_rerun_the_extra_is_named_and_the_node_runs_on(
         finally:
             process.kill()
     assert process.returncode == 0
-    assert err.count("pip install 'trajeval-ros[rerun]'") == 1
+    assert err.count(extra_command("rerun")) == 1
     assert "Traceback" not in err
     assert (tmp_path / "out" / "result.json").exists()
 
@@ -136,3 +144,12 @@ def test_reset_begins_another_picture(
     for each in (first, second):
         stamps, _ = Rrd(each).numbers(f"metrics/position_error/{NAME}")
         assert len(stamps) > 10
+
+
+def test_the_address_of_a_served_picture_is_told(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    port = free_port()
+    with evaluating(tmp_path / "out", environment, rerun=f"serve:{port}") as evaluator:
+        evaluator.wait_for(f"rerun --connect rerun+http://127.0.0.1:{port}/proxy")
+        evaluator.end()

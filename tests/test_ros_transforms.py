@@ -6,8 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_bags import POSE, TRANSFORMS, Message, messages_of, transforms_message, write_messages
+from marker_flights import MOUNTED, of_marker
+from ros_bags import (
+    ODOM,
+    POSE,
+    TRANSFORMS,
+    Message,
+    messages_of,
+    transforms_message,
+    write_messages,
+)
 from ros_processes import (
+    ODOMETRY,
     TRUTH,
     Evaluator,
     Peer,
@@ -81,6 +91,7 @@ def evaluate_live(
     groundtruth: str,
     estimate: str = ESTIMATE,
     static: tuple[str, ...] = ("/tf_static",),
+    **values: object,
 ) -> Evaluator:
     """Evaluate a bag that another process plays; slower where a machine is too busy."""
     rate = 8.0
@@ -93,6 +104,7 @@ def evaluate_live(
             gauge="yaw",
             lengths="4,8",
             window="0",
+            **values,
         ) as evaluator:
             sources = {each.partition(":")[0] for each in (groundtruth, estimate)}
             played = {*sources, *static}
@@ -116,6 +128,68 @@ def test_live_is_offline(
     )
     assert recorded["runs"][0]["association"]["pairs"] > 600
     assert_same(evaluator.result, recorded)
+
+
+def test_a_marker_is_brought_to_the_body_by_static_transforms(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    bag, flight = tmp_path / "bag", simulate(5, 40.0)
+    inner = ("base_link", "mount", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    outer = ("mount", "marker", 0, MOUNTED.lever_m, MOUNTED.rotation_xyzw)
+    begin = int(flight.estimate.stamps[0])
+    write_messages(
+        bag,
+        [
+            *messages_of(of_marker(flight.groundtruth[::4]), TRUTH, POSE),
+            *messages_of(flight.estimate, ODOMETRY, ODOM),
+            ("/tf_static", TRANSFORMS, begin, transforms_message(inner)),
+            ("/tf_static", TRANSFORMS, begin, transforms_message(outer)),
+        ],
+    )
+    frames = "/tf_static:base_link.marker"
+    evaluator = evaluate_live(
+        bag, environment, tmp_path, TRUTH, ODOMETRY, hand_eye=frames, publish_rate=50.0
+    )
+    source = f"{bag}:{frames}"
+    recorded = offline(
+        bag,
+        tmp_path,
+        TRUTH,
+        [ODOMETRY],
+        "--gauge",
+        "yaw",
+        "--lengths",
+        "4,8",
+        "--hand-eye",
+        source,
+    )
+    [run] = recorded["runs"]
+    assert run["calibration"]["ate"]["before"]["rotation_deg"] > 80.0
+    assert run["ate"]["rotation_deg"]["rmse"] < 10.0
+    run["calibration"]["ate"]["before"] = None  # live, nobody pairs a marker with the body
+    run["calibration"]["hand_eye"]["source"] = frames
+    assert_same(evaluator.result, recorded)
+
+
+def test_the_alignment_is_broadcast_where_it_is_asked_for(
+    flights: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    from tf2_msgs.msg import TFMessage
+
+    heard = peer.hear("/tf", TFMessage)
+    with evaluating(tmp_path / "out", environment, broadcast_tf=True, gauge="yaw") as evaluator:
+        replay(flights / "mcap", environment, "--rate", 8)
+        peer.until(lambda: len(heard) > 5, "transforms are broadcast")
+        assert evaluator.end() == 0
+    [transform] = heard[-1].transforms
+    result = evaluator.result
+    assert transform.header.frame_id == result["groundtruth"]["frame"]
+    assert transform.child_frame_id == result["runs"][0]["estimate"]["frame"]
+    moved, alignment = transform.transform.translation, result["runs"][0]["alignment"]
+    assert [moved.x, moved.y, moved.z] == pytest.approx(alignment["translation_m"], abs=0.1)
+    turned = transform.transform.rotation
+    quaternion = np.array([turned.x, turned.y, turned.z, turned.w])
+    assert abs(quaternion @ alignment["rotation_xyzw"]) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_static_transforms_may_be_beside_or_outside_a_namespace(
@@ -169,7 +243,7 @@ def test_a_frame_that_is_not_there_is_named(
     wrong = "/tf:map.camra"
     with evaluating(tmp_path / "out", environment, estimates=[wrong]) as evaluator:
         replay(flight, environment, "--rate", 8)
-        evaluator.wait_for(f"{wrong}: there is no frame camra; there are camera, ")
+        evaluator.wait_for(f"{wrong}: unknown frame camra; use one of camera, ")
         evaluator.end()
     assert f"0 poses on {wrong}" in evaluator.said
 
@@ -180,7 +254,7 @@ def test_transforms_need_two_frames(source: str, environment: dict[str, str]) ->
         environment, *parameters(groundtruth_topic=TRUTH, estimate_topics=[source])
     )
     assert done.returncode == 2
-    assert f"'{source}' names no two frames; write it as in /tf:map.base_link" in done.stderr
+    assert f"'{source}' has no pair of frames; write it as in /tf:map.base_link" in done.stderr
 
 
 def test_transforms_need_tf2_msgs(environment: dict[str, str], tmp_path: Path) -> None:
@@ -190,4 +264,4 @@ def test_transforms_need_tf2_msgs(environment: dict[str, str], tmp_path: Path) -
     without = {**environment, "PYTHONPATH": f"{tmp_path}:{environment['PYTHONPATH']}"}
     done = run_evaluator(without, *parameters(groundtruth_topic=TRUTH, estimate_topics=[ESTIMATE]))
     assert done.returncode == 2
-    assert f"{ESTIMATE} needs tf2_msgs, which is not installed here" in done.stderr
+    assert f"{ESTIMATE} needs tf2_msgs; install" in done.stderr

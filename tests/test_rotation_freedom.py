@@ -29,7 +29,8 @@ from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationF
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
-from trajeval_ros.pipeline import Request, run
+from trajeval_ros.pipeline.pipeline import run
+from trajeval_ros.pipeline.request import Request
 
 TURNING = (Gauge.YAW, Gauge.PLANAR, Gauge.SE3, Gauge.SIM3)
 X = Rotation.from_rotvec(np.radians(20.0) * np.array([0.48, 0.6, 0.64]))
@@ -85,7 +86,7 @@ def freedom_numbers(alignment: Alignment) -> list[float]:
 
 
 def rotation_warnings(found: Evaluation) -> list[str]:
-    words = ("constant turn", "don't determine", "withheld", "another body")
+    words = ("constant rotation", "do not determine", "withheld", "another body")
     return [each for each in found.warnings if any(word in each for word in words)]
 
 
@@ -190,7 +191,7 @@ def test_an_exactly_straight_line_is_free(gauge: Gauge) -> None:
     assert found.alignment.freedom is not None
     assert found.alignment.freedom.std_deg == math.inf
     assert found.ate["rotation_deg"] is None
-    assert "nothing resists a turn" in found.withheld
+    assert "the positions do not constrain it" in found.withheld
     # Positions without any error leave no weight for orientations.
     again = evaluate(truth, moved(truth, make_element(gauge, 1)), on(gauge, "poses"))
     assert again.ate["rotation_deg"] is None
@@ -264,10 +265,10 @@ def test_a_turn_that_positions_hardly_determine_is_said_and_withheld() -> None:
     assert found.ate["position_m"] is not None
     (warning,) = rotation_warnings(found)
     assert warning.startswith("rotation and velocity errors are withheld: of the rotation error")
-    assert f"{freedom.orientations.turn_deg:.3g} deg are one constant turn" in warning
+    assert f"{freedom.orientations.turn_deg:.3g} deg are a constant rotation" in warning
     assert f"standard deviation {freedom.std_deg:.2g} deg about the direction" in warning
     least = f"{freedom.orientations.least_deg:.2g} deg"
-    assert f"aligned by orientations alone, the rotation error is {least}" in warning
+    assert f"aligned by orientations, the rotation error is {least}" in warning
     assert "--align-with poses" in warning
 
 
@@ -303,7 +304,7 @@ def test_what_drift_does_not_explain_is_a_disagreement() -> None:
     assert found.alignment.freedom is not None
     assert found.alignment.freedom.disagrees
     (warning,) = rotation_warnings(found)
-    assert "positions and orientations disagree by one constant turn of" in warning
+    assert "positions and orientations disagree by a constant rotation of" in warning
     assert "--hand-eye auto" in warning
     assert found.ate["rotation_deg"] is None
 
@@ -323,7 +324,7 @@ def test_positions_alone_are_no_reason_for_a_warning(roll_deg: float) -> None:
     truth, estimate = road(roll_deg)
     found = evaluate(dataclasses.replace(truth, quaternions=None), estimate, on())
     assert rotation_warnings(found) == [
-        each for each in found.warnings if "has positions only" in each
+        each for each in found.warnings if "no orientations in the" in each
     ]
     freedom = found.alignment.freedom
     assert freedom is not None
@@ -438,7 +439,7 @@ def test_weights_hold_for_orientations_too() -> None:
 def test_poses_of_another_body_are_refused_and_taken_once_it_is_known() -> None:
     truth, estimate = flight(7, 600)
     marked = of_marker(truth)
-    with pytest.raises(InputError, match=r"another body, turned by 20 deg.*--hand-eye"):
+    with pytest.raises(InputError, match=r"another body frame, rotated by 20 deg.*--hand-eye"):
         evaluate(marked, estimate, on(way="poses"))
     request = Request(on(way="poses"), CalibrationRequest(hand_eye=True))
     (found,) = run(marked, [estimate], request).runs
@@ -451,7 +452,7 @@ def test_a_body_that_calibration_leaves_open_is_refused() -> None:
     truth, estimate = road(0.0, error_m=0.05)
     level = np.tile([0.0, 0.0, 0.0, 1.0], (301, 1))
     truth, estimate = (dataclasses.replace(each, quaternions=level) for each in (truth, estimate))
-    with pytest.raises(InputError, match=r"doesn't find out how .* is turned"):
+    with pytest.raises(InputError, match=r"can't estimate the rotation between"):
         run(truth, [estimate], Request(on(way="poses"), CalibrationRequest(hand_eye=True)))
 
 
@@ -464,7 +465,7 @@ def test_positions_that_get_much_worse_are_said(turned_deg: float, is_said: bool
     found = evaluate(marked, still, on(way="poses"))
     before, after = rmse(evaluate(marked, still, on()), "position_m"), rmse(found, "position_m")
     assert (after > 1.25 * before) is is_said
-    said = [each for each in found.warnings if "position ATE grows" in each]
+    said = [each for each in found.warnings if "increases the position ATE" in each]
     assert len(said) == is_said
     assert all(f"from {before:.4g} m to {after:.4g} m" in each for each in said)
 
@@ -474,9 +475,9 @@ def test_poses_need_orientations_and_something_to_turn() -> None:
     bare = dataclasses.replace(truth, quaternions=None)
     with pytest.raises(InputError, match="orientations on both sides"):
         evaluate(bare, estimate, on(way="poses"))
-    with pytest.raises(SettingsError, match="no rotation for them to decide"):
+    with pytest.raises(SettingsError, match="has no rotation"):
         on(Gauge.TRANSLATION, "poses")
-    with pytest.raises(SettingsError, match="aligned by its pose anyway"):
+    with pytest.raises(SettingsError, match="is always aligned by its pose"):
         Protocol(align_with="poses", align_states=1)
     with pytest.raises(SettingsError, match="did you mean poses"):
         Protocol(align_with="pose")
@@ -581,7 +582,7 @@ def test_a_straight_street_of_kitti(kitti: tuple[Trajectory, Trajectory]) -> Non
     assert [error_deg, turn_deg] == pytest.approx([33.56, 33.56], abs=0.005)
     assert least_deg == pytest.approx(0.09, abs=0.005)
     (warning,) = rotation_warnings(found)
-    assert "of the rotation error of 33.6 deg, 33.6 deg are one constant turn" in warning
+    assert "of the rotation error of 33.6 deg, 33.6 deg are a constant rotation" in warning
     with_poses = evaluate(truth, estimate, by_frame("poses"))
     assert rmse(with_poses, "rotation_deg") == pytest.approx(0.46, abs=0.005)
     assert rmse(with_poses, "position_m") == pytest.approx(0.6532, abs=5e-5)

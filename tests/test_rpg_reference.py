@@ -14,7 +14,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import PROTOCOLS
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 
 PAIRS = [f"vio_mono/{sequence}" for sequence in ("MH_01", "MH_05", "V2_03")] + [
     f"vislam_ba/{sequence}/{trial}"

@@ -1,4 +1,4 @@
-"""Stored files of schema 1 are read or refused; those of schemas to come are refused."""
+"""Stored files of earlier schemas are read or refused; those of schemas to come are refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from trajeval_ros.io.live import pair_file
 from trajeval_ros.io.live.pair_file import PairWriter, read_pairs
 from trajeval_ros.io.results import error_archive, result_json
 
-STORED = Path(__file__).with_name("data") / "schema_1"
+DATA = Path(__file__).with_name("data")
+STORED = DATA / "schema_1"
 
 
 def test_the_schemas_are_these() -> None:
@@ -31,6 +32,7 @@ def test_the_schemas_are_these() -> None:
     assert {
         result_json.SCHEMA,
         error_archive.SCHEMA,
+        error_archive.TABLE_SCHEMA,
         pair_file.FORMAT,
         results_table.SCHEMA,
         pooling.SCHEMA,
@@ -38,7 +40,8 @@ def test_the_schemas_are_these() -> None:
     } == {
         "trajeval/1",
         "trajeval-errors/1",
-        "trajeval-pairs/2",
+        "trajeval-error-table/1",
+        "trajeval-pairs/3",
         "trajeval-runs/1",
         "trajeval-pooled/1",
         "trajeval-run/1",
@@ -53,10 +56,22 @@ def test_stored_pairs_of_schema_1_are_one_sentence(
     path.write_bytes((STORED / "vio.pairs").read_bytes())
     assert main(["finish", str(tmp_path), "--quiet", "--output", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == (
-        f"trajeval: {path} is of schema trajeval-pairs/1, and this version of trajeval reads "
-        "trajeval-pairs/2; evaluate a recording of the run, or use the version that wrote it\n"
+        f"trajeval: {path} has schema trajeval-pairs/1, and this version reads trajeval-pairs/3; "
+        "evaluate a recording of the run, or use the version that wrote it\n"
     )
     assert not (tmp_path / "out").exists()
+
+
+def test_stored_pairs_of_schema_2_are_read(tmp_path: Path) -> None:
+    # They hold no covariances. The numbers are of the version that wrote them.
+    path = tmp_path / "vio.pairs"
+    path.write_bytes((DATA / "schema_2" / "vio.pairs").read_bytes())
+    assert read_pairs(path).covariances is None
+    file = tmp_path / "result.json"
+    assert main(["finish", str(tmp_path), "--quiet", "--json", str(file)]) == 0
+    [evaluated] = json.loads(file.read_text())["runs"]
+    assert evaluated["association"]["pairs"] == 19
+    assert evaluated["ate"]["position_m"]["rmse"] == pytest.approx(0.18078643878, rel=1e-9)
 
 
 def test_results_name_their_schema(tmp_path: Path) -> None:
@@ -86,9 +101,8 @@ def test_a_table_of_another_schema_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         ResultsTable(path)
     assert str(refused.value) == (
-        f"{path} is of schema trajeval-runs/2, and this version of trajeval reads "
-        "trajeval-runs/1; name the runs.parquet of another output folder, or use the version that "
-        "wrote it"
+        f"{path} has schema trajeval-runs/2, and this version reads trajeval-runs/1; give the "
+        "runs.parquet of another output folder, or use the version that wrote it"
     )
 
 
@@ -99,5 +113,5 @@ def test_pairs_of_a_later_schema_are_one_sentence(
     with monkeypatch.context() as patch:
         patch.setattr(pair_file, "FORMAT", "trajeval-pairs/99")
         PairWriter(path, {}).close()
-    with pytest.raises(InputError, match="is of schema trajeval-pairs/99, and this version"):
+    with pytest.raises(InputError, match="has schema trajeval-pairs/99, and this version"):
         read_pairs(path)

@@ -14,7 +14,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol, metres
-from trajeval_ros.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.visual_inertial import drifting_odometry
 from trajeval_ros.visual_inertial.drifting_odometry import TILT_DEG, Simulation, simulate
 

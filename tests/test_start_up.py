@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from strategies import make_pair
 
+from trajeval_ros import __version__
+from trajeval_ros.cli.verbs import VERBS
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag
 
@@ -72,3 +75,119 @@ def test_a_plain_evaluation_never_imports_scipy(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "unwanted"),
+    [("--output", "result", {"scipy.stats"}), ("--rrd", "run.rrd", {"scipy.stats", "matplotlib"})],
+)
+def test_pictures_without_covariances_import_no_distributions(
+    option: str, name: str, unwanted: set[str], tmp_path: Path
+) -> None:
+    if option == "--rrd":
+        pytest.importorskip("rerun")
+    pair = make_pair(5, 50, smooth=True)
+    truth = write_tum(tmp_path / "truth.txt", pair.groundtruth)
+    estimate = write_tum(tmp_path / "estimate.txt", pair.estimate)
+    arguments = ["evaluate", str(truth), str(estimate), option, str(tmp_path / name), "--quiet"]
+    _, loaded = _loaded(MAIN.format(arguments=arguments))
+    assert (tmp_path / name).exists()
+    assert not loaded & unwanted
+
+
+THREADS = (
+    "import sys; from trajeval_ros.__main__ import main; status = main({arguments!r}); "
+    "import os; print({{name: value for name, value in os.environ.items() if 'THREADS' in name}})"
+)
+
+
+def _threads(arguments: list[str], **variables: str) -> str:
+    kept = {name: value for name, value in os.environ.items() if "THREADS" not in name}
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS.format(arguments=arguments)],
+        cwd=ROOT, env={**kept, **variables}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.splitlines()[-1]
+
+
+def test_programs_take_one_thread_of_linear_algebra() -> None:
+    said = _threads(["info", "nowhere"])
+    assert "'OPENBLAS_NUM_THREADS': '1'" in said
+    assert "'OMP_NUM_THREADS': '1'" in said
+
+
+def test_the_users_number_of_threads_stays() -> None:
+    assert _threads(["info", "nowhere"], OMP_NUM_THREADS="3") == "{'OMP_NUM_THREADS': '3'}"
+    said = _threads(["info", "nowhere"], OPENBLAS_NUM_THREADS="5")
+    assert "'OPENBLAS_NUM_THREADS': '5'" in said
+
+
+def test_version_is_printed_without_any_library() -> None:
+    code = (
+        "import sys; from trajeval_ros.__main__ import main; status = main(['--version']); "
+        "loaded = {'typer', 'numpy', 'rich'} & set(sys.modules); "
+        "sys.exit(', '.join(sorted(loaded)) or status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"trajeval_ros {__version__}\n"
+
+
+def _loaded(code: str, **variables: str) -> tuple[str, set[str]]:
+    """Run code in a Python of its own; what it says on stdout, and all modules that it imports."""
+    report = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+    done = subprocess.run(
+        [sys.executable, "-c", report + code],
+        cwd=ROOT, env={**os.environ, **variables}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout, set(done.stderr.splitlines()[-1].split())
+
+
+MAIN = "from trajeval_ros.__main__ import main\nmain({arguments!r})"
+FILES = {f"trajeval_ros.cli.{file}" for file, _ in VERBS.values()}
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_a_verb_imports_none_of_the_others(name: str) -> None:
+    said, loaded = _loaded(MAIN.format(arguments=[name, "--help"]))
+    assert f"trajeval {name}" in said
+    used = {name, "simulate"} if name == "demo" else {name}
+    assert loaded & FILES == {f"trajeval_ros.cli.{VERBS[each][0]}" for each in used}
+
+
+@pytest.mark.parametrize("name", ["evaluate", "finish", "info", "trajectory", "view"])
+def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: str) -> None:
+    _, loaded = _loaded(MAIN.format(arguments=[name, "--nope"]))
+    rooms = {".".join(each.split(".")[:2]) for each in loaded}
+    unwanted = {f"trajeval_ros.{room}" for room in ("ros", "batch", "visual_inertial", "viewer")}
+    assert not rooms & unwanted
+    assert not loaded & {"scipy", "matplotlib", "jinja2", "pyarrow", "rerun"}
+
+
+def test_a_misspelt_verb_imports_none() -> None:
+    _, loaded = _loaded(MAIN.format(arguments=["evalute"]))
+    assert not loaded & {*FILES, "numpy"}
+
+
+def test_all_verbs_are_in_the_help_and_imported_before_ctrl_c_could_break_them() -> None:
+    code = "from trajeval_ros.cli import app\napp.load({arguments!r})"
+    for arguments in ([], ["--help"], ["-h"]):
+        assert _loaded(code.format(arguments=arguments))[1] >= FILES
+    assert _loaded(code.format(arguments=["info", "nowhere"]))[1] & FILES == {
+        "trajeval_ros.cli.info"
+    }
+    said, _ = _loaded(MAIN.format(arguments=["--help"]), COLUMNS="200")
+    assert all(f" {name} " in said for name in VERBS)
+
+
+def test_completion_of_an_option_imports_one_verb() -> None:
+    asked = {
+        "_TRAJEVAL_COMPLETE": "complete_bash",
+        "COMP_WORDS": "trajeval evaluate --js",
+        "COMP_CWORD": "2",
+    }
+    said, loaded = _loaded(MAIN.format(arguments=[]), **asked)
+    assert said == "--json\n"
+    assert loaded & FILES == {"trajeval_ros.cli.evaluate"}

@@ -13,7 +13,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.metrics.states_table import FirstStates, parse_first_states
-from trajeval_ros.pipeline import evaluate, run
+from trajeval_ros.pipeline.pipeline import evaluate, run
 
 PAIRS = Path(__file__).parent / "data" / "parity" / "pairs"
 LIST = "1,25%,50%,75%,all"
@@ -65,11 +65,11 @@ def test_the_command_prints_the_table_and_writes_it(
     (found,) = json.loads(result.read_text(encoding="utf-8"))["runs"]
     first, *others = found["by_states"]
     assert first["position_m"] is None
-    assert "one state has no scale" in first["reason"]
+    assert "one state does not determine a scale" in first["reason"]
     assert [row["states_used"] for row in others] == [150, 300, 449, 599]
     assert others[-1]["position_m"] == found["ate"]["position_m"]
     printed = capsys.readouterr().out
-    assert "aligned by 1: one state has no scale" in printed
+    assert "aligned by 1: one state does not determine a scale" in printed
     for row in others:
         (line,) = (
             line
@@ -88,4 +88,4 @@ def test_a_comparison_refuses_the_table(
         "runs: {x: '{sequence}/est.txt'}\n"
     )
     assert main(["compare", str(config), "--align-states", LIST]) == 2
-    assert "align states as all or one number" in capsys.readouterr().err
+    assert "a single value of align states" in capsys.readouterr().err

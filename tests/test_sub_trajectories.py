@@ -15,6 +15,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.metrics.sub_trajectories import (
     Length,
     Selection,
+    nearest_ends,
     select,
     select_states,
     select_turns,
@@ -48,6 +49,57 @@ def by_search(along: Array, length: float, selection: Selection) -> list[tuple[i
         if accepted:
             found.append((start, end))
     return found
+
+
+def by_whole_columns(
+    along: Array, starts: Any, length: Any, rule: str, share: float
+) -> tuple[Any, Any]:
+    """Return what `nearest_ends` does, without blocks and windows."""
+    target = along[starts] + length
+    within = np.minimum(np.searchsorted(along, target), len(along) - 1)
+    reached, missed = along[within], along[np.maximum(within - 1, starts)]
+    before = np.maximum(np.searchsorted(along, missed), starts)
+    too_long, too_short = np.abs(reached - target), np.abs(missed - target)
+    ends = np.where(too_long < too_short, within, before)
+    deviation = np.minimum(too_long, too_short)
+    if rule == "toolbox":
+        return ends, deviation < 0.2 * length
+    if rule == "evo":
+        return ends, (deviation <= share * length) & (ends > starts)
+    half = (reached - missed) / 2.0
+    tolerance = np.minimum(np.maximum(0.01 * length, half), 0.2 * length)
+    return ends, (deviation <= tolerance * (1.0 + 1e-9)) & (ends > starts)
+
+
+@pytest.mark.parametrize("rule", ["nearest", "toolbox", "evo"])
+@given(
+    seed=seeds,
+    count=st.sampled_from([1, 2, 60, 8192, 8193, 20_000]),
+    every=st.sampled_from([1, 7]),
+    rest=st.sampled_from([0.0, 0.3, 0.999]),
+    single=st.booleans(),
+)
+def test_ends_found_by_blocks_are_those_of_whole_columns(
+    rule: str, seed: int, count: int, every: int, rest: float, single: bool
+) -> None:
+    random = np.random.default_rng(seed)
+    steps = random.exponential(0.05, count) * (random.random(count) >= rest)
+    along = np.cumsum(np.round(steps, random.integers(1, 12)))
+    starts = np.arange(0, count, every)
+    starts = starts if single else random.permutation(np.repeat(starts, 2))
+    length = 2.0 if single else random.uniform(0.05, 8.0, len(starts))
+    ends, accepted = nearest_ends(along, starts, length, rule, 0.05)
+    expected = by_whole_columns(along, starts, length, rule, 0.05)
+    np.testing.assert_array_equal(ends, expected[0])
+    np.testing.assert_array_equal(accepted, expected[1])
+    assert ends.dtype.kind == "i"
+    assert accepted.dtype == bool
+
+
+@pytest.mark.parametrize("rule", ["nearest", "toolbox", "evo"])
+def test_no_starts_have_no_ends(rule: str) -> None:
+    ends, accepted = nearest_ends(np.arange(3.0), np.arange(0), 1.0, rule)
+    assert (ends.shape, accepted.shape) == ((0,), (0,))
 
 
 def pairs_of(along: Array, length: float, selection: Selection) -> list[tuple[int, int]]:

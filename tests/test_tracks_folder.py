@@ -31,7 +31,7 @@ EUROC_NOISE = ImuNoise(1.7e-4, 2e-3)
 
 
 def _examined(folder: Path, **changes: object) -> Examination:
-    model = MeasurementModel(3, 30, PIXEL_NOISE, EUROC_NOISE, 9.81, is_split=False)
+    model = MeasurementModel(3, 30, PIXEL_NOISE, EUROC_NOISE, None, 9.81, is_split=False)
     return examine(read_tracks_folder(folder), MeasurementModel(**{**vars(model), **changes}))
 
 
@@ -161,7 +161,7 @@ def test_keyframes_between_samples_are_estimated_as_well(folder: Path) -> None:
     ]
     (folder / "imu.csv").write_text("#stamp,w,w,w,a,a,a\n" + "\n".join(lines) + "\n")
     uneven = _examined(folder, every=1, keyframes=46)
-    assert "images outside of the time of IMU or groundtruth, left out: 1" in uneven.notes
+    assert "images outside the time span of IMU or groundtruth, dropped: 1" in uneven.notes
     np.testing.assert_allclose(uneven.gravity, aligned.gravity, atol=0.02)
     assert uneven.groups[0].ratio == pytest.approx(1.0, abs=0.1)
     assert compare(uneven.scene, 1, lambda: None)[GaugeHandling.FREE].position_m[0] < 2e-3
@@ -188,14 +188,12 @@ def test_stamps_that_differ_by_nanoseconds_are_joined(folder: Path) -> None:
     plain = _examined(folder)
     _edit(folder / "tracks.csv", lambda text: _rows(text, lambda row: _moved(row, 200)))
     moved = _examined(folder)
-    assert moved.notes == (
-        "keyframes whose stamps differ from those of groundtruth by less than 1 us: 16",
-    )
+    assert moved.notes == ("keyframes with timestamps less than 1 us from the groundtruth: 16",)
     head, first, *rows = (folder / "tracks.csv").read_text().splitlines()
     text = "\n".join([head, _moved(first, -256), *rows]) + "\n"
     (folder / "tracks.csv").write_text(text)
     joined = _examined(folder)
-    assert joined.notes[0].endswith("taken for the same image: 1")
+    assert joined.notes[0].endswith("merged into one image: 1")
     for each in (moved, joined):
         assert each.rejection.rounds == plain.rejection.rounds
 
@@ -212,8 +210,8 @@ def test_velocity_and_biases_that_are_missing_are_said(folder: Path) -> None:
     speeds = np.linalg.norm(recording.groundtruth.velocities[1:-1], axis=1)
     assert 1.5 < speeds.min() < speeds.max() < 2.5
     assert recording.notes == (
-        "groundtruth has no velocity: positions were differentiated",
-        "groundtruth has no biases of both sensors: the IMU is taken as it is",
+        "no velocity in groundtruth: positions differentiated",
+        "no biases of both sensors in groundtruth: IMU used without correction",
     )
     # An accelerometer's bias of 0.23 m/s^2 shows in gravity, a gyroscope's in the attitude.
     with pytest.raises(InputError, match="check biases, extrinsics and frames"):
@@ -230,7 +228,9 @@ def test_what_the_lens_cannot_show_is_left_out_and_counted(folder: Path) -> None
     _replaced("camera.yaml", "-0.28, 0.07", "-0.28, 0.0")(folder)
     whole = select(read_tracks_folder(folder), 3, 30, PIXEL_NOISE, EUROC_NOISE, GRAVITY)
     (note,) = whole.notes
-    assert re.fullmatch(r"observations where the distortion .* left out: \d+ of 2\d\d\d", note)
+    assert re.fullmatch(
+        r"observations without invertible distortion, dropped: \d+ of 2\d\d\d", note
+    )
     assert np.isfinite(whole.pixels).all()
 
 
@@ -275,24 +275,33 @@ def _copied(folder: Path) -> None:
     ("spoil", "said"),
     [
         (lambda folder: (folder / "imu.csv").unlink(), "has no file of IMU samples"),
-        (_copied, "has 2 files of IMU samples"),
+        (_copied, "has more than one file of IMU samples"),
         (_without("camera.yaml", "T_BS"), "has no T_BS"),
-        (_replaced("camera.yaml", r"T_BS: \[[^,]*", "T_BS: [2.0"), "is no rigid motion"),
+        (
+            _replaced("camera.yaml", r"T_BS: \[[^,]*", "T_BS: [2.0"),
+            "is not a rigid transformation",
+        ),
         (_replaced("camera.yaml", r"T_BS: \[[^,]*, ", "T_BS: ["), "T_BS must be 16 numbers"),
         (_replaced("camera.yaml", "radial-tangential", "fov"), "distortion_model 'fov' is not"),
         (_replaced("camera.yaml", "pinhole", "omni"), "camera_model 'omni'"),
-        (_replaced("camera.yaml", r"intrinsics: \[[^,]*", "intrinsics: [0.0"), "above zero"),
+        (
+            _replaced("camera.yaml", r"intrinsics: \[[^,]*", "intrinsics: [0.0"),
+            "greater than zero",
+        ),
         (_without("camera.yaml", "resolution"), "resolution must be 2 numbers"),
         (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,1,"), "track 1 is 2 times in the image"),
-        (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,0.5,"), "named by whole numbers"),
+        (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,0.5,"), "must be whole numbers"),
         (_replaced("tracks.csv", r",0,[^,\n]*", ",0,nan"), "row 1 is not finite"),
-        (_replaced("imu.csv", r"\n(\d+),[^,]*,", r"\n\1,"), "line 2: has 6 columns"),
-        (_replaced("imu.csv", r"\n(\d+),", "\n1503715000000000000,"), "doesn't rise"),
+        (_replaced("imu.csv", r"\n(\d+),[^,]*,", r"\n\1,"), "line 2: 7 columns expected, found 6"),
+        (_replaced("imu.csv", r"\n(\d+),", "\n1503715000000000000,"), "does not increase"),
         (_later("tracks.csv", 2_500_000), "have no groundtruth: at"),
-        (_later("imu.csv", 3_600_000_000_000), "0 of 47 images lie in the time of IMU"),
-        (_silent, "the IMU is silent for 0.20 s"),
-        (_thinned, "of 15 tracks only 15 are left"),
-        (_replaced("groundtruth.csv", r"\n(\d+),", r"\n1403715000050000000,"), "repeats stamps"),
+        (_later("imu.csv", 3_600_000_000_000), "0 of 47 images are within the time span of IMU"),
+        (_silent, "IMU gap of 0.20 s"),
+        (_thinned, "only 15 of 15 tracks"),
+        (
+            _replaced("groundtruth.csv", r"\n(\d+),", r"\n1403715000050000000,"),
+            "has repeated timestamps",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused(

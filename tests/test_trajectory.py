@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory, add_counts, travelled_distance
 from trajeval_ros.io.bags.transform_tree import Edge
 from trajeval_ros.metrics.association import AssociationRule, associate
-from trajeval_ros.online.pairing import PairingBuffer
+from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.state_rows import POSITION, states
 
 # A position and a factor of a quaternion that no robot has, finite or not.
@@ -76,7 +76,7 @@ def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
         column[some] = random.choice(strange, (20, 1))
     read = Trajectory.from_columns(truth.stamps, positions, quaternions)
     pairs = associate(truth, read, AssociationRule())
-    buffer = PairingBuffer()
+    buffer = DensePairing()
     buffer.add_groundtruth(truth.stamps, states(truth.positions, truth.quaternions))
     buffer.add_estimate(truth.stamps, states(positions, quaternions))
     live = buffer.take(at_end=True)
@@ -234,8 +234,8 @@ def test_repeats_that_are_elsewhere_are_told_with_their_distance(
     positions[place + 1] = positions[place]
     positions[place if early else place + 1, 2] += offset_m
     (said,) = Trajectory(times, positions, name="mocap").in_order().conflicts
-    assert said.startswith("mocap has 1 repeated stamp (of 1) with positions")
-    assert f"by up to {offset_m:.3g} m" in said
+    assert said.startswith("mocap has 1 repeated timestamp (of 1) with different positions")
+    assert f"up to {offset_m:.3g} m apart" in said
 
 
 def test_what_is_in_order_already_is_left_alone() -> None:

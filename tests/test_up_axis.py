@@ -33,11 +33,14 @@ from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.pipeline import Request, evaluate, run
+from trajeval_ros.pipeline.pipeline import evaluate, run
+from trajeval_ros.pipeline.request import Request
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 Array = NDArray[np.float64]
 axes = st.sampled_from(UP_AXES)
+
+OF_VERTICAL = ("yaw_deg", "tilt_deg", "horizontal_m", "vertical_m")
 
 
 def direction(axis: str) -> Array:
@@ -132,11 +135,11 @@ def test_words_for_both_sides() -> None:
     assert parse_up("-y") == ("-y", "-y")
     assert parse_up("-y,z") == ("-y", "z")
     for wrong in ("up", "", "z,z,z", "y,"):
-        with pytest.raises(SettingsError, match="up ax"):
+        with pytest.raises(SettingsError, match=r"vertical axes|unknown up axis"):
             parse_up(wrong)
-    with pytest.raises(SettingsError, match="there is no up axis 'w'"):
+    with pytest.raises(SettingsError, match="unknown up axis 'w'"):
         Request(up=("z", "w"))
-    with pytest.raises(SettingsError, match="there is no up axis 'w'"):
+    with pytest.raises(SettingsError, match="unknown up axis 'w'"):
         OnlineSettings(up=("z", "w"))
 
 
@@ -224,16 +227,21 @@ def test_other_gauges_keep_every_digit_but_yaw_and_tilt() -> None:
         np.testing.assert_array_equal(found.aligned.positions, before.aligned.positions)
         for name, statistics in all_statistics(before).items():
             same = all_statistics(found)[name] == statistics
-            assert same == (not name.endswith(("yaw_deg", "tilt_deg"))), name
+            assert same == (not name.endswith(OF_VERTICAL)), name
 
 
 def test_frames_that_a_gauge_must_not_turn_are_told_apart() -> None:
     truth, estimate = standing(car(4), "-y"), standing(erring(car(4)), "-y")
     other = dataclasses.replace(estimate, up=UpAxis("z"))
     protocol = Protocol(gauge="none")
-    assert not any("doesn't turn" in each for each in evaluate(truth, estimate, protocol).warnings)
+    assert not any(
+        "can't align them" in each for each in evaluate(truth, estimate, protocol).warnings
+    )
     said = evaluate(truth, other, protocol).warnings
-    assert any("-y (given) is up" in each and "doesn't turn" in each for each in said)
+    assert any(
+        "the vertical axes differ, groundtruth -y (given)" in each and "can't align them" in each
+        for each in said
+    )
 
 
 # Live.
@@ -346,7 +354,7 @@ def test_flights_walls_lines_and_sheer_positions_are_believed(seed: int) -> None
 @given(seed=seeds, axis=st.sampled_from(["x", "-x", "y", "-y"]), slope_deg=st.floats(-15.0, 15.0))
 def test_a_vehicle_across_another_axis_is_doubted(seed: int, axis: str, slope_deg: float) -> None:
     truth = standing(car(seed, slope_deg=slope_deg), axis, said=False)
-    assert f"--up=-{axis[-1]} or --up={axis[-1]}," in doubt_of(truth)
+    assert f"--up=-{axis[-1]} or --up={axis[-1]};" in doubt_of(truth)
     assert doubt_of(dataclasses.replace(truth, up=UpAxis("z"))) == ""  # whoever says so knows it
     assert doubt_of(dataclasses.replace(truth, up=UpAxis(axis, "frame x_optical"))) == ""
 
@@ -384,8 +392,8 @@ def test_what_motion_shows_a_vertical(inside: Trajectory, outside: Trajectory) -
 
 def test_from_what_angle_on_an_axis_is_doubted_and_another_named() -> None:
     assert doubt_of(turned(circling(), 44.5)) == ""
-    assert "which is no axis" in doubt_of(turned(circling(), 45.5))
-    assert "which is no axis" in doubt_of(turned(circling(), 69.5))
+    assert "which is not an axis" in doubt_of(turned(circling(), 45.5))
+    assert "which is not an axis" in doubt_of(turned(circling(), 69.5))
     assert "the y axis" in doubt_of(turned(circling(), 70.5))
 
 
@@ -400,12 +408,12 @@ def test_of_long_runs_twenty_thousand_states_are_looked_at() -> None:
 
 def test_a_format_is_doubted_as_well() -> None:
     truth = dataclasses.replace(car(1), up=UpAxis("-y", "KITTI's camera axes"))
-    assert "-y (KITTI's camera axes) can't be up" in doubt_of(truth)
-    assert "the z axis: give --up=-z or --up=z," in doubt_of(truth)
+    assert "-y (KITTI's camera axes) is probably not the vertical axis" in doubt_of(truth)
+    assert "the z axis; set --up=-z or --up=z;" in doubt_of(truth)
 
 
 def test_a_frame_that_leans_has_no_axis_to_name() -> None:
-    assert "which is no axis" in doubt_of(turned(car(1), 52.0))
+    assert "which is not an axis" in doubt_of(turned(car(1), 52.0))
 
 
 @pytest.mark.parametrize("protocol", ["default", "rpg", "evo", "kitti"])
@@ -414,10 +422,12 @@ def test_yaw_and_tilt_are_withheld_and_nothing_else(protocol: str) -> None:
     rule = protocol_from(protocol, lengths="5,10")
     doubted = evaluate(truth, erring(truth), rule)
     believed = evaluate(dataclasses.replace(truth, up=UpAxis("z")), erring(truth), rule)
-    assert any("yaw and tilt errors are withheld" in each for each in doubted.warnings)
+    assert any(
+        "yaw, tilt, horizontal and vertical errors withheld" in each for each in doubted.warnings
+    )
     assert not any("withheld" in each for each in believed.warnings)
     for name, statistics in all_statistics(believed).items():
-        of_vertical = name.endswith(("yaw_deg", "tilt_deg"))
+        of_vertical = name.endswith(OF_VERTICAL)
         printed_by_the_toolbox = protocol == "rpg" and ": " in name
         withheld = of_vertical and not printed_by_the_toolbox
         assert all_statistics(doubted)[name] == (None if withheld else statistics), name
@@ -433,7 +443,7 @@ def test_no_alignment_about_what_is_not_up(gauge: str) -> None:
         lambda: evaluate(truth, estimate, protocol),
         lambda: run(truth, [estimate], Request(protocol)),
     ):
-        with pytest.raises(InputError, match=r"give --up=-y or --up=y"):
+        with pytest.raises(InputError, match=r"set --up=-y or --up=y"):
             evaluated()
     right = run(truth, [estimate], Request(protocol, up=("-y", "-y"))).runs[0].evaluation
     position = right.ate["position_m"]
@@ -453,7 +463,7 @@ def test_a_live_run_doubts_as_well(tmp_path: Path) -> None:
     live.feed(both[20:])
     snapshot = estimate.snapshot()
     assert estimate.evaluator.snapshot().ate["yaw_deg"] is not None
-    assert "can't be up" in estimate.doubt
+    assert "is probably not the vertical axis" in estimate.doubt
     assert snapshot.ate["yaw_deg"] is snapshot.ate["tilt_deg"] is None
     assert snapshot.ate["rotation_deg"] is not None
     live.end()
@@ -509,20 +519,20 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
     write_tum(tmp_path / "truth.txt", standing(car(1), "y"))
     write_tum(tmp_path / "estimate.txt", erring(car(1)))
     assert evaluated(tmp_path, "--gauge", "yaw")[0] == 2
-    assert "give --up=-y or --up=y" in capsys.readouterr().err
+    assert "set --up=-y or --up=y" in capsys.readouterr().err
     status, result = evaluated(tmp_path, "--gauge", "yaw", "--up", "y,z")
     assert status == 0
     assert result["runs"][0]["ate"]["position_m"]["rmse"] < 0.5
     said = capsys.readouterr()
-    assert "up: z (turned from y, given) of the groundtruth, z (given) of the estimate" in said.out
-    assert "evaluated in a world with the axes z, x, y" in said.err
+    assert "vertical axes: groundtruth z (rotated from y, given), estimate z (given)" in said.out
+    assert "evaluated in a frame with the axes z, x, y" in said.err
     status, result = evaluated(tmp_path)
     assert status == 0
     assert result["runs"][0]["ate"]["yaw_deg"] is None
     assert result["groundtruth"]["up"] == {"name": "z", "origin": "assumed"}
-    assert "yaw and tilt errors are withheld" in capsys.readouterr().err
+    assert "yaw, tilt, horizontal and vertical errors withheld" in capsys.readouterr().err
     assert evaluated(tmp_path, "--up", "q")[0] == 2
-    assert "there is no up axis 'q'" in capsys.readouterr().err
+    assert "unknown up axis 'q'" in capsys.readouterr().err
 
 
 def test_a_comparison_has_the_same_word(tmp_path: Path) -> None:
@@ -587,7 +597,7 @@ def test_recordings_of_a_car_are_right_as_cameras_and_doubted_as_maps(
 def test_a_recording_in_camera_axes_that_nobody_declared_is_doubted(shared_data: Path) -> None:
     truth = read_trajectory(f"{shared_data}/bags/ROS_example.bag:groundtruth")
     assert truth.up == Z_UP
-    assert "the y axis: give --up=-y or --up=y," in doubt_of(truth)
+    assert "the y axis; set --up=-y or --up=y;" in doubt_of(truth)
 
 
 RIGHT = (

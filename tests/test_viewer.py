@@ -19,8 +19,12 @@ from waiting import PATIENCE_S, until
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.viewer import colours, entity_data, live_path, scene_entities
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
+from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.paths import gaps, pieces
 from trajeval_ros.viewer.stream import DrawingThread
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
@@ -30,7 +34,7 @@ NAME = "vio"
 FRAME = f"world/estimate/{NAME}"
 HAVE_RERUN = True
 try:
-    import rerun  # noqa: F401
+    import rerun
 except ImportError:
     HAVE_RERUN = False
 needs_rerun = pytest.mark.skipif(not HAVE_RERUN, reason="rerun-sdk is missing, the extra `rerun`")
@@ -266,7 +270,7 @@ def test_drawn_numbers_are_the_evaluations(drawn) -> None:
 def test_gap_is_told_and_not_drawn_across(drawn) -> None:
     evaluation, picture = drawn
     said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
-    assert any("no pair of poses for 2.0 s" in each for each in said)
+    assert any("no pairs for 2.0 s" in each for each in said)
     longest = max(
         np.linalg.norm(np.diff(row[0], axis=0), axis=1).max()
         for row in picture.strips(f"{FRAME}/path/past")[1]
@@ -326,27 +330,67 @@ def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) ->
     arguments = ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--gauge", "yaw"]
     chosen = "message" if covariance == "message" else f"{bag}.npz"
     arguments += ["--align-states", "1", "--covariance", chosen, "--output", str(tmp_path / "out")]
+    arguments += ["--rrd", str(tmp_path / "out" / "run.rrd")]
     assert main(["evaluate", *arguments, "--quiet"]) == 0
     with np.load(tmp_path / "out" / "errors.npz") as file:
         errors, sigmas, nees = (
-            file[f"vio/odometry.consistency.{each}"] for each in ("errors", "sigmas", "nees")
+            file[f"vio_odometry.consistency.{each}"] for each in ("errors", "sigmas", "nees")
         )
     picture = Rrd(tmp_path / "out" / "run.rrd")
     units = np.repeat([1.0, 180.0 / np.pi], 3)
     for axis, quantity in enumerate(scene_entities.ERRORS_WITHIN):
-        _, rows = picture.rows(f"metrics/{quantity}/vio\\/odometry", "Scalars:scalars")
+        _, rows = picture.rows(f"metrics/{quantity}/vio_odometry", "Scalars:scalars")
         error, upper, lower = np.array(rows).T
         assert error == pytest.approx(units[axis] * errors[:, axis], rel=1e-12)
         assert upper == pytest.approx(3.0 * units[axis] * sigmas[:, axis], rel=1e-12)
         assert (lower == -upper).all()
-    _, drawn = picture.numbers("metrics/nees/vio\\/odometry")
+    _, drawn = picture.numbers("metrics/nees/vio_odometry")
     assert drawn == pytest.approx(nees[np.isfinite(nees)], rel=1e-12)
     # The largest ellipsoid: three sigma of a position, as many times as the text says.
     ((text,),) = picture.rows("summary", "TextDocument:text")[1]
-    factor = float(text.split("3 sigma, ")[1].split(" times")[0])
-    _, half_axes = picture.rows("world/uncertainty/vio\\/odometry", "Ellipsoids3D:half_sizes")
+    factor = float(text.split("3 sigma, enlarged ")[1].split(" times")[0])
+    _, half_axes = picture.rows("world/uncertainty/vio_odometry", "Ellipsoids3D:half_sizes")
     largest = max(float(each.max()) for each in half_axes)
     assert largest >= 0.99 * factor * 3.0 * sigmas[-1, :3].max()
+
+
+@needs_rerun
+def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) -> None:
+    """As a viewer that connects again: colours, their scale, and how the revised path looks."""
+    from rrd import Rrd
+
+    flight, pairs = simulate(0, 20.0), []
+    evaluator = OnlineEvaluator(
+        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda each: pairs.append(each)
+    )
+    columns = [
+        states(each.positions, each.quaternions) for each in (flight.groundtruth, flight.estimate)
+    ]
+    evaluator.add_groundtruth(flight.groundtruth.stamps, columns[0])
+    evaluator.add_estimate(flight.estimate.stamps, columns[1])
+    evaluator.update()
+    snapshot, stamp = evaluator.snapshot(), int(evaluator.store.stamps()[-1])
+    scene = LiveScene("flight", [NAME], Gauge.YAW)
+    for number in range(2):
+        recording = rerun.RecordingStream("trajeval", recording_id=f"run_{number}")
+        recording.save(tmp_path / f"{number}.rrd")
+        scene.begin(recording)
+        if not number:
+            scene.groundtruth(flight.groundtruth.stamps, columns[0])
+            for each in pairs:
+                scene.pairs(NAME, *each)
+        scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25)
+        scene.finish()
+        scene.leave()
+        recording.flush()
+        del recording
+    looks = f"metrics/{scene_entities.REVISED_ATE_POSITION}/{NAME}"
+    for number in range(2):
+        picture = Rrd(tmp_path / f"{number}.rrd")
+        _, scales = picture.rows("legend/scale", "Points2D:labels")
+        assert [label[-2:] for _, label in scales] == [" m"]
+        assert len(picture.rows(f"{FRAME}/by_error", "LineStrips3D:strips")[1]) >= 1
+        assert picture.rows(looks, "SeriesLines:names")[1] == [["vio, ATE of the revised path"]]
 
 
 # The command line.
@@ -382,11 +426,14 @@ def test_without_rerun_one_sentence_names_the_extra(sources: list[str], tmp_path
 def test_evaluate_writes_the_picture(sources: list[str], tmp_path: Path) -> None:
     from rrd import Rrd
 
-    assert main(["evaluate", *sources, "--rrd", str(tmp_path / "a.rrd")]) == 0
-    assert main(["evaluate", *sources, "--output", str(tmp_path / "out")]) == 0
+    output = ["--output", str(tmp_path / "out")]
     for path in (tmp_path / "a.rrd", tmp_path / "out" / "run.rrd"):
+        assert main(["evaluate", *sources, "--rrd", str(path), *output]) == 0
         assert "world/groundtruth/path/past" in Rrd(path).entities
     assert {each.name for each in tmp_path.iterdir()} == {"a.rrd", "out"}
+    # One that was not asked for is not written, and none of an earlier evaluation stays.
+    assert main(["evaluate", *sources, *output]) == 0
+    assert not (tmp_path / "out" / "run.rrd").exists()
 
 
 @needs_rerun
@@ -400,7 +447,7 @@ def test_file_that_cannot_be_written(
 @needs_rerun
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"RRF2", "there is no display here; use --web"), (b"pairs", "is no file of Rerun's")],
+    [(b"RRF2", "no display found; use --web"), (b"pairs", "is not a Rerun file")],
 )
 def test_view_says_what_is_wrong(
     content: bytes,
@@ -416,7 +463,7 @@ def test_view_says_what_is_wrong(
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("name", "said"), [("nothing", "there is no"), ("", "holds no run.rrd")])
+@pytest.mark.parametrize(("name", "said"), [("nothing", "does not exist"), ("", "no run.rrd in")])
 def test_view_says_what_it_needs(
     name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,6 +120,20 @@ def page(pictures: dict[str, Path]) -> Iterator[tuple[str, Any]]:
         process.wait()
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="children are read from /proc")
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
+def test_what_was_started_ends_with_the_page(
+    page: tuple[str, Any], ending: signal.Signals
+) -> None:
+    _, process = page
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    assert children
+    process.send_signal(ending)
+    assert process.wait(PATIENCE_S) in (0, 128 + ending)
+    for each in children:
+        until(lambda: not Path(f"/proc/{each}").exists(), "Rerun's program ends")  # noqa: B023
+
+
 @pytest.mark.skipif(BROWSER is None, reason="there is no chromium")
 def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Path) -> None:
     reason = "playwright is missing; `make install` has it"

@@ -350,8 +350,9 @@ def test_full_disk_leaves_what_fits(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_disk_without_any_room_leaves_no_stub(tmp_path: Path) -> None:
-    with mounted(tmp_path / "disk", "60k") as disk:
+@pytest.mark.parametrize("size", ["40k", "60k"])
+def test_disk_without_any_room_leaves_no_stub(size: str, tmp_path: Path) -> None:
+    with mounted(tmp_path / "disk", size) as disk:
         report = Driver("file", disk, seconds=15.0).report()
         assert report["closed"] == [True]
         assert not (disk / "run.rrd").exists()

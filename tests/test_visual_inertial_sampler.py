@@ -43,7 +43,7 @@ def test_banded_gaussian_is_the_dense_one(size: int, width: int) -> None:
 
 
 def test_banded_gaussian_refuses_what_is_no_information() -> None:
-    with pytest.raises(DegenerateGeometryError, match="leave directions open"):
+    with pytest.raises(DegenerateGeometryError, match="do not determine all directions"):
         BandedGaussian(scipy.sparse.csr_matrix(np.diag([1.0, 0.0, 1.0])))
 
 

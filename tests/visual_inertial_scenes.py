@@ -30,30 +30,31 @@ def solved(scene: Scene, seed: int, tolerance: float = 1e-9) -> tuple[Problem, S
 
 
 def dense_hessian(normal: NormalEquations) -> np.ndarray:
-    """Return J^T J (9N + 3K, 9N + 3K)."""
-    motion, count = motion_matrix(normal), len(normal.diagonal)
+    """Return J^T J (wN + 3K, wN + 3K)."""
+    motion, (count, width, _) = motion_matrix(normal), normal.diagonal.shape
     landmarks = len(normal.landmark)
-    cross = np.zeros((count, 9, landmarks, 3))
+    cross = np.zeros((count, width, landmarks, 3))
     cross[normal.keyframe_of, :6, normal.landmark_of] = normal.cross
-    cross = cross.reshape(9 * count, 3 * landmarks)
+    cross = cross.reshape(width * count, 3 * landmarks)
     own = np.zeros((landmarks, 3, landmarks, 3))
     own[np.arange(landmarks), :, np.arange(landmarks)] = normal.landmark
     return np.block([[motion, cross], [cross.T, own.reshape(3 * landmarks, -1)]])
 
 
 def gradient(normal: NormalEquations) -> np.ndarray:
-    """Return J^T r (9N + 3K,)."""
+    """Return J^T r (wN + 3K,)."""
     return np.concatenate([normal.motion_gradient.ravel(), normal.landmark_gradient.ravel()])
 
 
 def stacked_residuals(problem: Problem, state: State) -> np.ndarray:
     """Return all residuals in one column."""
-    return np.concatenate([each.ravel() for each in problem.residuals(state)])
+    parts = (*problem.residuals(state), problem.first_biases(state)[0])
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def numeric_jacobian(problem: Problem, state: State, step: float = 1e-6) -> np.ndarray:
     """Return the Jacobian of all residuals by central differences."""
-    size = 9 * problem.keyframes + 3 * problem.landmarks
+    size = problem.width * problem.keyframes + 3 * problem.landmarks
     columns = []
     for unit in np.eye(size) * step:
         ahead = stacked_residuals(problem, state.moved(unit))

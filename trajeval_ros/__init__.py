@@ -45,11 +45,13 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.sub_trajectories import Length
     from trajeval_ros.online.evaluator import OnlineEvaluator
     from trajeval_ros.online.live_settings import OnlineSettings
-    from trajeval_ros.pipeline import Outcome, Request, RunOutcome, evaluate, run
+    from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+    from trajeval_ros.pipeline.pipeline import evaluate, run
+    from trajeval_ros.pipeline.request import Request
     from trajeval_ros.report.figures import draw
     from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "MODALITIES",
@@ -113,11 +115,11 @@ _HOMES = {
     "Noise": "continuous_time.samples",
     "OnlineEvaluator": "online.evaluator",
     "OnlineSettings": "online.live_settings",
-    "Outcome": "pipeline",
+    "Outcome": "pipeline.outcome",
     "PROTOCOLS": "metrics.protocol",
     "Protocol": "metrics.protocol",
-    "Request": "pipeline",
-    "RunOutcome": "pipeline",
+    "Request": "pipeline.request",
+    "RunOutcome": "pipeline.outcome",
     "SettingsError": "exceptions",
     "Similarity": "geometry.similarity",
     "Statistics": "metrics.statistics",
@@ -128,12 +130,12 @@ _HOMES = {
     "calibrate": "calibration.calibrate",
     "compare": "batch.compare_runs",
     "draw": "report.figures",
-    "evaluate": "pipeline",
+    "evaluate": "pipeline.pipeline",
     "fit_trajectory": "continuous_time.continuous_trajectory",
     "judge": "consistency.judge",
     "read_many": "io.sources",
     "read_trajectory": "io.sources",
-    "run": "pipeline",
+    "run": "pipeline.pipeline",
     "simulate": "visual_inertial.drifting_odometry",
     "write_result": "io.results.result_folder",
 }

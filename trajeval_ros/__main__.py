@@ -1,32 +1,72 @@
 """The programs, from their first moment: `python -m trajeval_ros` is `trajeval`.
 
-Nothing is imported here that takes long: Ctrl-C is heard before everything else is.
+Nothing is imported here that takes long: Ctrl-C is heard before everything else is, and linear
+algebra is told how many threads to take.
 """
 
 import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NoReturn
+
+from trajeval_ros import __version__
+from trajeval_ros.linear_algebra_threads import take_one_thread
 
 _INTERRUPTED = 130
 _AGAIN_S = 0.05
 
+Program = Callable[[Sequence[str]], int]
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words == ["--version"]:
+        # Scripts ask for it: it doesn't wait for the command line's libraries.
+        print(f"trajeval_ros {__version__}")
+        return 0
+    return _run(_command_line, words)
+
+
+def ros_replay() -> int:
+    """Run `trajeval replay`, under the name that `ros2 run trajeval_ros replay` looks for."""
+    return _run(_command_line, ["replay", *sys.argv[1:]])
+
+
+def ros_evaluator() -> int:
+    """Run the live evaluator, as `ros2 run trajeval_ros evaluator` does."""
+    return _run(_evaluator, sys.argv[1:])
+
+
+def _command_line(words: Sequence[str]) -> Program:
+    from trajeval_ros.cli import app
+
+    app.load(words)
+    return app.main
+
+
+def _evaluator(_words: Sequence[str]) -> Program:
+    from trajeval_ros.cli.evaluator_program import evaluator_main
+
+    return evaluator_main
+
+
+def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
     # What runs in the background may have been told to ignore it.
     is_heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_heard:
         # An exception would come out of half an import, or be lost in one.
         signal.signal(signal.SIGINT, _leave)
+    take_one_thread()
     try:
-        from trajeval_ros.cli import app
+        program = load(words)
     except ModuleNotFoundError as missing:
         print(
-            f"trajeval: {missing}; in a checkout, use the Python of .venv, which `make install` "
-            "makes, or with ROS of .venv-ros, which `make ros-environment` makes",
+            f"trajeval: {missing}; install the dependencies with pip install trajeval-ros. In a "
+            "checkout, run `make install` and use the Python of .venv, or with ROS, run `make "
+            "ros-environment` and use .venv-ros",
             file=sys.stderr,
         )
         return 2
@@ -34,22 +74,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if is_heard:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             sys.unraisablehook = _hear_again
-        return app.main(arguments)
+        return program(words)
     except KeyboardInterrupt:  # before or after it takes care of that
         _leave()
     finally:
         if is_heard:  # there is nothing left to be put in order
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def ros_replay() -> int:
-    """Run `trajeval replay`, under the name that `ros2 run trajeval_ros replay` looks for."""
-    return main(["replay", *sys.argv[1:]])
-
-
-def ros_evaluator() -> int:
-    """Run the live evaluator, as `ros2 run trajeval_ros evaluator` does."""
-    return main(["evaluator", *sys.argv[1:]])
 
 
 def _hear_again(dropped: "sys.UnraisableHookArgs") -> None:

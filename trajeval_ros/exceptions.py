@@ -1,7 +1,7 @@
-"""The errors that a user can mend.
+"""Errors that a user can fix.
 
-Every message is one sentence that says what is wrong, where, and how to mend it. The command
-line prints it alone and exits with status 2; a traceback always means a defect of ours.
+Every message states what is wrong, where, and how to fix it. The command line prints only the
+message and exits with status 2. A traceback is always a bug of this package.
 """
 
 from collections.abc import Iterable
@@ -16,12 +16,12 @@ class TrajevalError(Exception):
         ...     Protocol(gauge="ywa")
         ... except TrajevalError as error:
         ...     print(str(error).split(";")[0])
-        there is no gauge 'ywa' (did you mean yaw?)
+        unknown gauge 'ywa' (did you mean yaw?)
     """
 
 
 class InputError(TrajevalError):
-    """A file, bag, topic or trajectory that can't be used as it is.
+    """A file, bag, topic or trajectory that can't be used.
 
     Example:
         >>> from trajeval_ros import InputError, read_trajectory
@@ -34,7 +34,7 @@ class InputError(TrajevalError):
 
 
 class SettingsError(TrajevalError):
-    """Settings that contradict each other, or a value outside of what is possible.
+    """Settings that contradict each other, or a value out of range.
 
     Example:
         >>> from trajeval_ros import Protocol, SettingsError
@@ -51,7 +51,7 @@ class DegenerateGeometryError(TrajevalError):
 
 
 class NoMatchError(InputError):
-    """No pose of the estimate has a groundtruth to be compared with.
+    """No pose of the estimate is paired with groundtruth.
 
     Example:
         >>> from dataclasses import replace
@@ -70,12 +70,12 @@ def require_one_of(value: object, known: Iterable[str], what: str) -> None:
     """Check that a name is a known one.
 
     Args:
-        value: What was given.
-        known: All names that there are.
-        what: What they name, for the message.
+        value: The value to check.
+        known: All valid names.
+        what: The noun for the message.
 
     Raises:
-        SettingsError: It isn't; says which name might be meant.
+        SettingsError: The name is unknown. The message suggests a similar one.
     """
     known = list(known)
     if isinstance(value, str) and value in known:
@@ -84,4 +84,9 @@ def require_one_of(value: object, known: Iterable[str], what: str) -> None:
 
     near = get_close_matches(value, known, n=1) if isinstance(value, str) else []
     hint = f" (did you mean {near[0]}?)" if near else ""
-    raise SettingsError(f"there is no {what} {value!r}{hint}; use one of {', '.join(known)}")
+    raise SettingsError(f"unknown {what} {value!r}{hint}; use one of {', '.join(known)}")
+
+
+def reason_of(error: OSError) -> str:
+    """Return what the system says of an error, as part of a sentence."""
+    return (error.strerror or str(error)).lower()

@@ -3,44 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import chain, groupby
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
+from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun, has_tables
 from trajeval_ros.batch.plan import Plan, PlannedRun
-from trajeval_ros.batch.pooling import pooled_rows, write_pooled
-from trajeval_ros.batch.records import Record, has_record, read_record, write_record
-from trajeval_ros.batch.results_table import (
-    load_pyarrow,
-    row_of_failure,
-    rows_of_run,
-    settings_of,
-    state_of,
-    write_table,
-)
-from trajeval_ros.batch.source_hash import hash_of_package
+from trajeval_ros.batch.record_store import RECORDS, RecordStore
+from trajeval_ros.batch.records import Record
+from trajeval_ros.batch.results_table import load_pyarrow, settings_of
+from trajeval_ros.batch.shards import SHARD, Shard, write_shard
 from trajeval_ros.batch.worker import Task, work
-from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.io.writing import refused_by_disk, write_text
+from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.io.writing import refused_by_disk
 
-RUNS, POOLED, RECORDS = "runs.parquet", "pooled.parquet", "runs"
-GATES, GATES_JSON = "gates.md", "gates.json"
-_INPUTS, _ABOUT = "inputs.json", "README.txt"
-_ABOUT_TEXT = """\
-Made by trajeval compare.
-runs.parquet    a row per run x metric x length, with what each number depends on
-pooled.parquet  statistics over trials, by algorithm and sequence
-report.html, tables.*  the same for people; gates.md and gates.json, if there was a
-                       baseline
-runs/, inputs.json     finished runs: kept, they needn't be evaluated again
-"""
+_INPUTS = "inputs.json"
 
 
 @dataclass
@@ -69,40 +50,42 @@ def run_plan(
     folder: Path,
     start_pool: Callable[[], Pool],
     tell: Callable[[Progress], None] = lambda progress: None,
+    shard: Shard | None = None,
 ) -> Progress:
-    """Evaluate what is not evaluated yet, and write the tables.
+    """Evaluate what is not evaluated yet, and write the tables, or the shard.
 
     Args:
         plan: What is compared.
         folder: For records and tables; made if it doesn't exist.
         start_pool: Called if there is something to evaluate.
         tell: Called whenever something began or ended.
+        shard: The part of the plan to evaluate; None for all.
 
     Raises:
         InputError: The folder can't be written, or a cluster can't be reached; what is finished
             stays.
     """
     load_pyarrow()
-    records = folder / RECORDS
-    with refused_by_disk(f"the folder {records}"):
-        records.mkdir(parents=True, exist_ok=True)
-    batch = _RunningComparison(plan, records, Fingerprints(folder / _INPUTS), start_pool, tell)
-    written = {state_of(folder / each) for each in (RUNS, POOLED)}
-    if "" not in written:
+    with refused_by_disk(f"the folder {folder / RECORDS}"):
+        (folder / RECORDS).mkdir(parents=True, exist_ok=True)
+    records, fingerprints = RecordStore(folder / RECORDS), Fingerprints(folder / _INPUTS)
+    part = plan if shard is None else shard.of(plan)
+    batch = _RunningComparison(part, records, fingerprints, start_pool, tell)
+    if shard is None and has_tables(folder):
         tasks = list(batch.planned())
-        if written == {batch.state}:
+        if batch.finished().is_in(folder):
             batch.progress.kept = len(tasks)
             tell(batch.progress)
             return batch.progress
     with refused_by_disk(f"the folder {folder}"):
-        for name in (GATES, GATES_JSON):  # are of tables that will be there no more
-            (folder / name).unlink(missing_ok=True)
-    write_text(folder / _ABOUT, _ABOUT_TEXT)
+        (folder / SHARD).unlink(missing_ok=True)  # it is not finished any more
     batch.evaluate(batch.planned())
-    state = batch.state
     if plan.common_time_span:
         batch.cut_to_common_spans()
-    _write_tables(folder, batch, state)
+    if shard is None:
+        batch.finished().write_tables(folder, batch.record_of)
+    else:
+        write_shard(folder, shard, plan, batch.finished())
     return batch.progress
 
 
@@ -112,7 +95,7 @@ class _RunningComparison:
     def __init__(
         self,
         plan: Plan,
-        records: Path,
+        records: RecordStore,
         fingerprints: Fingerprints,
         start_pool: Callable[[], Pool],
         tell: Callable[[Progress], None],
@@ -122,6 +105,7 @@ class _RunningComparison:
         self.progress = Progress(total=sum(not run.missing for run in plan.runs))
         self.failures: dict[PlannedRun, str] = {}
         self.tasks: dict[PlannedRun, Task] = {}
+        self.planned_keys: dict[PlannedRun, str] = {}
         self.own_coverage: dict[PlannedRun, float] = {}
         self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
@@ -140,25 +124,24 @@ class _RunningComparison:
                 try:
                     of = self._fingerprints.of
                     inputs = (of(run.groundtruth), of(run.estimate))
-                    self.tasks[run] = Task(run, self.plan.request, inputs)
+                    task = Task(run, self.plan.request_of(run), inputs)
+                    self.tasks[run], self.planned_keys[run] = task, task.key
                 except TrajevalError as error:
                     self._fail(run, str(error))
             if run in self.tasks:
                 yield self.tasks[run]
         self._fingerprints.save()
 
-    @property
-    def state(self) -> str:
-        """Hash of what the tables are made from; "" while there is a run that may yet succeed."""
-        if self.progress.failed:
-            return ""
-        parts = [
-            [run.algorithm, run.sequence, run.trial, run.groundtruth, run.estimate, run.missing]
-            + [self.tasks[run].key if run in self.tasks else ""]
-            for run in self.plan.runs
-        ]
-        text = json.dumps([hash_of_package(), self.plan.title, settings_of(self.plan), parts])
-        return hashlib.sha256(text.encode()).hexdigest()
+    def finished(self) -> FinishedComparison:
+        """Return all runs, as they are now."""
+        runs = []
+        for run in self.plan.runs:
+            task = self.tasks.get(run)
+            key = "" if task is None or run in self.failures else task.key
+            reason = self.failures.get(run, "")
+            planned = self.planned_keys.get(run, "")
+            runs.append(FinishedRun(run, planned, key, reason, self.own_coverage.get(run)))
+        return FinishedComparison(self.plan.title, settings_of(self.plan), runs)
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
         """Evaluate the runs that have no record yet."""
@@ -171,7 +154,7 @@ class _RunningComparison:
 
     def _without_record(self, tasks: Iterable[Task]) -> Iterator[Task]:
         for task in tasks:
-            if has_record(self.records, task.key):
+            if task.key in self.records:
                 self.progress.kept += 1
                 self._tell(self.progress)
             else:
@@ -181,8 +164,8 @@ class _RunningComparison:
         """Evaluate the runs of each sequence again, over the time that all of them have."""
         spans: dict[str, list[tuple[int, int]]] = defaultdict(list)
         for run, task in self.tasks.items():
-            record = self.record(task)
-            if record is not None:
+            if run not in self.failures:
+                record = self._record(task, with_pooled=False)
                 spans[run.sequence].append(record.span_ns)
                 self.own_coverage[run] = record.run["association"]["groundtruth_coverage"]
         cut = {}
@@ -192,7 +175,7 @@ class _RunningComparison:
             starts, ends = zip(*spans[run.sequence], strict=True)
             span = (max(starts), min(ends))
             if span[0] >= span[1]:
-                self._fail(run, f"the runs of {run.sequence} have no time in common")
+                self._fail(run, f"the runs of {run.sequence} have no common time span")
             else:
                 request = dataclasses.replace(task.request, span_ns=span)
                 cut[run] = Task(run, request, task.inputs)
@@ -200,21 +183,33 @@ class _RunningComparison:
         self.progress.total += len(cut)
         self.evaluate(cut.values())
 
-    def record(self, task: Task) -> Record | None:
+    def record_of(self, finished: FinishedRun) -> Record:
+        """Return what a run left.
+
+        Raises:
+            InputError: It can't be read, and couldn't be made again.
+        """
+        return self._record(self.tasks[finished.run])
+
+    def _record(self, task: Task, *, with_pooled: bool = True) -> Record:
         """Return what a run left; one that can't be read any more is evaluated again."""
-        if task.run in self.failures:
-            return None
-        record = read_record(self.records, task.key)
+        record = self.records.read(task.key, with_pooled=with_pooled)
         if record is None:
+            self.records.forget(task.key)
             self._finish(task, work(task))
-            record = read_record(self.records, task.key)
+            record = self.records.read(task.key)
+        if record is None:
+            raise InputError(
+                f"{task.run.name} was evaluated, and what it left can't be read: "
+                f"{self.failures.get(task.run, 'its record is damaged')}; start again"
+            )
         return record
 
     def _finish(self, task: Task, outcome: Outcome) -> None:
         if isinstance(outcome, str):
             self._fail(task.run, outcome)
         else:
-            write_record(self.records, task.key, outcome)
+            self.records.add(outcome)
             self.progress.done += 1
             self._evaluated.add(task.run)
             self.progress.new = len(self._evaluated)
@@ -227,30 +222,3 @@ class _RunningComparison:
     def _watch(self, running: list[Task]) -> None:
         self.progress.running = [task.run.name for task in running]
         self._tell(self.progress)
-
-
-def _write_tables(folder: Path, batch: _RunningComparison, state: str) -> None:
-    pooled: list[dict[str, Any]] = []
-
-    def rows() -> Iterator[dict[str, Any]]:
-        groups = groupby(batch.plan.runs, key=lambda run: (run.algorithm, run.sequence))
-        for (algorithm, sequence), group in groups:
-            runs, records = list(group), []
-            for run in runs:
-                record = batch.record(batch.tasks[run]) if run in batch.tasks else None
-                if record is None:
-                    yield row_of_failure(run, batch.failures[run])
-                    continue
-                records.append(record)
-                coverage = record.run["association"]["groundtruth_coverage"]
-                yield from rows_of_run(run, record, batch.own_coverage.get(run, coverage))
-            pooled.extend(pooled_rows(algorithm, sequence, len(runs), records))
-
-    # Failed runs are tried again the next time, so such a table is never taken for the last one.
-    state = "" if batch.progress.failed else state
-    write_table(folder / RUNS, rows(), batch.plan, state)
-    if state and batch.progress.failed:  # by a record that could be read no more, just now
-        pooled.clear()
-        state = ""
-        write_table(folder / RUNS, rows(), batch.plan, state)
-    write_pooled(folder / POOLED, pooled, batch.plan, state)

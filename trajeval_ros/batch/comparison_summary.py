@@ -6,20 +6,26 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from sys import intern
 from typing import Any
 
-from trajeval_ros.batch.comparison import POOLED, RUNS
+from trajeval_ros.batch.finished_comparison import POOLED, RUNS
 from trajeval_ros.batch.pooling import read_pooled
 from trajeval_ros.batch.results_table import (
     ATE,
     CALIBRATION,
     CONSISTENCY,
+    INTEGRITY,
     LIKELIHOOD,
     OK,
+    RE,
     ResultsTable,
 )
 
 _NAMES = ("algorithm", "sequence", "trial")
+_OF_A_RUN = (
+    "status", "reason", "own_groundtruth_coverage", "pairs", "key", "warnings", "diagnosis",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class Trial:
         rmse: Of the absolute errors, by metric.
         values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
         warnings: What a reader of its numbers must know.
+        diagnosis: The causes of mistakes that it shows, the gravest first.
     """
 
     algorithm: str
@@ -49,6 +56,7 @@ class Trial:
     rmse: dict[str, float]
     values: dict[str, float]
     warnings: tuple[str, ...]
+    diagnosis: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +89,20 @@ class ComparisonSummary:
         """Return the runs of an algorithm, on one sequence or on all."""
         return self._by_place.get((algorithm, sequence), [])
 
+    def pooled_errors(
+        self, algorithm: str, sequence: str, length: str, metric: str
+    ) -> dict[str, Any] | None:
+        """Return the statistics of a relative error over trials; None if there are none."""
+        return self._relative.get((algorithm, sequence, length, metric))
+
+    @cached_property
+    def _relative(self) -> dict[tuple[str, str, str, str], dict[str, Any]]:
+        return {
+            (row["algorithm"], row["sequence"], row["length"], row["metric"]): row
+            for row in self.pooled
+            if row["kind"] == RE
+        }
+
     @cached_property
     def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:
         found: dict[tuple[str, str | None], list[Trial]] = defaultdict(list)
@@ -97,37 +119,38 @@ def summary_of(folder: Path) -> ComparisonSummary:
         InputError: Its table can't be read.
     """
     rows = ResultsTable(folder / RUNS)
-    names = (
-        *_NAMES, "status", "reason", "own_groundtruth_coverage", "pairs", "key", "warnings"
-    )  # fmt: skip
-    each: dict[tuple[str, ...], dict[str, Any]] = {}
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    for row in rows.select((*names, "kind", "metric", "rmse", "mean")):
-        run = tuple(row[name] for name in _NAMES)
-        each.setdefault(run, row)
+    kinds = (ATE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD)
+    # Texts that many rows have in common are held once.
+    for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean"), kind=kinds):
+        run = tuple(intern(row[name]) for name in _NAMES)
+        metric = intern(row["metric"])
         if row["kind"] == ATE:
-            rmse[run][row["metric"]] = row["rmse"]
-        elif row["kind"] in (CALIBRATION, CONSISTENCY, LIKELIHOOD):
-            values[run][row["metric"]] = row["mean"]
-    trials = tuple(
-        Trial(
-            algorithm=row["algorithm"],
-            sequence=row["sequence"],
-            trial=row["trial"],
-            status=row["status"],
-            reason=row["reason"] or "",
-            coverage=row["own_groundtruth_coverage"] or 0.0,
-            pairs=row["pairs"] or 0,
-            key=row["key"] or "",
-            rmse=rmse[run],
-            values=values[run],
-            warnings=tuple((row["warnings"] or "").splitlines()),
+            rmse[run][metric] = row["rmse"]
+        else:
+            values[run][metric] = row["mean"]
+    trials = []
+    for row in rows.distinct((*_NAMES, *_OF_A_RUN)):
+        run = tuple(intern(row[name]) for name in _NAMES)
+        trials.append(
+            Trial(
+                algorithm=run[0],
+                sequence=run[1],
+                trial=run[2],
+                status=intern(row["status"]),
+                reason=row["reason"] or "",
+                coverage=row["own_groundtruth_coverage"] or 0.0,
+                pairs=row["pairs"] or 0,
+                key=row["key"] or "",
+                rmse=rmse.get(run, {}),
+                values=values.get(run, {}),
+                warnings=tuple(map(intern, (row["warnings"] or "").splitlines())),
+                diagnosis=tuple(map(intern, filter(None, (row["diagnosis"] or "").split(",")))),
+            )
         )
-        for run, row in each.items()
-    )
     return ComparisonSummary(
-        rows.title, rows.settings, trials, tuple(read_pooled(folder / POOLED))
+        rows.title, rows.settings, tuple(trials), tuple(read_pooled(folder / POOLED))
     )
 
 

@@ -14,14 +14,16 @@ from trajeval_ros.batch.remote_hosts import parse_hosts, require_allowed
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io.requests.protocol_file import is_protocol_file
 from trajeval_ros.io.requests.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.pipeline import Request
+from trajeval_ros.pipeline.request import Request
 
 # Words whose value may be a number, or a list of values, in YAML.
 _NUMBERS = ("align_states", "time_offset", "start", "end")
-_LISTS = ("lengths", "groundtruth_noise")
+_LISTS = ("lengths", "groundtruth_noise", "alert_limit")
 _KEYS = (
-    "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span", *WORDS,
+    "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span", "columns",
+    "frame_rate", *WORDS,
 )  # fmt: skip
 
 
@@ -29,6 +31,8 @@ def plan_of(
     target: Path,
     settings: Mapping[str, Any],
     *,
+    columns: str | None = None,
+    frame_rate: float | None = None,
     common_time_span: bool | None = None,
     allow_remote: Iterable[str] = (),
 ) -> Plan:
@@ -37,6 +41,8 @@ def plan_of(
     Args:
         target: The file or folder.
         settings: Of the request, by the words of the command line; they override the file's.
+        columns: What the columns of the estimates' text files are; likewise.
+        frame_rate: Poses a second of text files without stamps; likewise.
         common_time_span: Likewise.
         allow_remote: Hosts that a file's URLs may be of, `SCHEME://HOST`.
 
@@ -46,25 +52,30 @@ def plan_of(
         SettingsError: Settings that mean nothing.
     """
     if target.is_dir():
-        runs = runs_in_folder(target)
+        known = TextHints.of(columns, frame_rate)
+        found = (dataclasses.replace(run, hints=known) for run in runs_in_folder(target))
         request = _request({}, settings)
-        return Plan(target.resolve().name, runs, request, bool(common_time_span))
+        return Plan(target.resolve().name, tuple(found), request, bool(common_time_span))
     if not target.exists():
         raise InputError(
-            f"{target} does not exist; name a YAML file that says what to compare, or a folder of "
-            "ov_eval's or rpg_trajectory_evaluation's layout"
+            f"{target} does not exist; give a YAML configuration, or a folder in the layout of "
+            "ov_eval or rpg_trajectory_evaluation"
         )
     hosts = parse_hosts(allow_remote)
     config = read_mapping(target, "comparison")
     require_known(config, _KEYS, str(target))
     for key in ("groundtruth", "runs"):
         if key not in config:
-            raise InputError(f"{target} has no {key!r}; it names the files that are compared")
+            raise InputError(
+                f"{target} has no {key!r}, which defines the files to compare; add it"
+            )
     if common_time_span is None:
         common_time_span = _typed(config, "common_time_span", bool, target, default=False)
+    runs = _runs(config, target, hosts)
+    hints = _hints(config, target, columns, frame_rate)
     return Plan(
         title=_typed(config, "title", str, target, default=target.stem),
-        runs=_runs(config, target, hosts),
+        runs=tuple(dataclasses.replace(run, hints=hints[run.algorithm]) for run in runs),
         request=_request(_settings(config, target), settings),
         common_time_span=bool(common_time_span),
     )
@@ -82,7 +93,7 @@ def _runs(
         )
     truth = Pattern.parse(_typed(config, "groundtruth", str, target, default=""))
     if truth.has_trials:
-        raise InputError(f"{target}: groundtruth is the same for all trials; leave out {{trial}}")
+        raise InputError(f"{target}: groundtruth is the same for all trials; remove {{trial}}")
     algorithms = {
         str(name): Pattern.parse(_typed(patterns, name, str, target, default=""))
         for name in patterns
@@ -108,6 +119,32 @@ def _runs(
         sequences=sequences,
         trials=_names(config, "trials", target),
     )
+
+
+def _hints(
+    config: Mapping[str, Any], target: Path, columns: str | None, frame_rate: float | None
+) -> dict[str, TextHints]:
+    """Return what is known of the text files of each algorithm beyond what is in them."""
+    algorithms = list(map(str, config["runs"]))
+    if frame_rate is None and "frame_rate" in config:
+        frame_rate = _typed(config, "frame_rate", float, target)
+    if columns is not None:
+        return dict.fromkeys(algorithms, TextHints.of(columns, frame_rate))
+    given = config.get("columns", {})
+    if isinstance(given, dict):
+        written = {str(name): each for name, each in given.items()}
+    else:
+        written = dict.fromkeys(algorithms, _typed(config, "columns", str, target))
+    require_known(written, algorithms, f"{target}: columns")
+    try:
+        return {
+            name: TextHints.of(
+                _typed(written, name, str, target) if name in written else None, frame_rate
+            )
+            for name in algorithms
+        }
+    except SettingsError as error:
+        raise InputError(f"{target}: {error}") from error
 
 
 def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
@@ -139,14 +176,14 @@ def _request(written: Mapping[str, Any], said: Mapping[str, Any]) -> Request:
     words = {**written, **said}
     if words.get("covariance", NONE) not in (NONE, MESSAGE):
         raise SettingsError(
-            f"a comparison judges covariances in messages, and {words['covariance']!r} is of one "
-            "run; use covariance message, or trajeval evaluate for that run"
+            f"covariance {words['covariance']!r} is for a single run; use covariance message, or "
+            "evaluate that run with trajeval evaluate"
         )
     request = request_from(words)
     if request.states_table:
         raise SettingsError(
-            "a comparison aligns every run in one way: give align states as all or one number; "
-            "trajeval evaluate gives the table of several"
+            "a comparison needs a single value of align states; give all or one number, or use "
+            "trajeval evaluate for a table of several"
         )
     return dataclasses.replace(request, lengths_of_groundtruth=True)
 
@@ -158,12 +195,12 @@ def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:
     for each in value:
         if not isinstance(each, str) and not (key == "trials" and type(each) is int):
             raise InputError(
-                f"{target}: {each!r} of {key} is no text; write a name such as 00 in quotes"
+                f"{target}: {each!r} in {key} is not text; write names such as 00 in quotes"
             )
     names = [str(each) for each in value]
     twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
     if twice:
-        raise InputError(f"{target}: {key} names {twice[0]} twice")
+        raise InputError(f"{target}: {key} lists {twice[0]} twice; remove one")
     return names
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
 from trajeval_ros.batch.plan import Name, PlannedRun, all_runs
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.io.yaml_file import read_mapping
 
 _ESTIMATE = re.compile(r"stamped_(\w+?)_estimate(\d*)\.txt")
 # The toolbox's own words for the files that an estimator may leave.
 _KINDS = {"traj": "traj_est", "pose_graph": "pose_graph", "ba": "ba_estimate"}
 _TRUTH = "stamped_groundtruth.txt"
+_TIMES = "start_end_time.yaml"
 _ENDINGS = (".txt", ".csv")
 
 
@@ -21,7 +25,9 @@ def runs_in_folder(folder: Path) -> tuple[PlannedRun, ...]:
     ov_eval: `truths/SEQUENCE.txt`, `algorithms/ALGORITHM/SEQUENCE/TRIAL.txt`.
     rpg_trajectory_evaluation: `PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/` with
     `stamped_groundtruth.txt` and `stamped_traj_estimate0.txt`, ...; the folder itself may be
-    a platform, an algorithm, or one such experiment.
+    a platform, an algorithm, or one such experiment. The toolbox evaluates the time from
+    `start_time_sec` to `end_time_sec`, by the groundtruth's stamps, of an experiment's
+    `start_end_time.yaml`.
 
     Raises:
         InputError: It follows neither.
@@ -34,8 +40,8 @@ def runs_in_folder(folder: Path) -> tuple[PlannedRun, ...]:
     raise InputError(
         f"{folder} is neither a folder of ov_eval (truths/SEQUENCE.txt, "
         "algorithms/ALGORITHM/SEQUENCE/TRIAL.txt) nor of rpg_trajectory_evaluation "
-        f"(PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/{_TRUTH}); write a YAML file with "
-        "groundtruth and runs, as docs/compare.md shows"
+        f"(PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/{_TRUTH}); write a YAML "
+        "configuration (docs/compare.md)"
     )
 
 
@@ -51,8 +57,8 @@ def _ov_eval(folder: Path) -> tuple[PlannedRun, ...]:
                 _add(estimates, (algorithm.name, sequence.name, path.stem), path)
     if not estimates:
         raise InputError(
-            f"{folder} has no estimates; ov_eval keeps them in algorithms/ALGORITHM/SEQUENCE/"
-            "TRIAL.txt"
+            f"{folder} has no estimates; add algorithms/ALGORITHM/SEQUENCE/TRIAL.txt (layout of "
+            "ov_eval)"
         )
     return all_runs(
         [path.name for path in algorithms],
@@ -92,8 +98,8 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
             having.add(whose)
     if not estimates:
         raise InputError(
-            f"{experiments[0]} has a {_TRUTH}, but no stamped_traj_estimate.txt, "
-            "stamped_pose_graph_estimate.txt or stamped_ba_estimate.txt beside it"
+            f"{experiments[0]} has a {_TRUTH}, but no estimate; add stamped_traj_estimate.txt, "
+            "stamped_pose_graph_estimate.txt or stamped_ba_estimate.txt"
         )
     # Who has no estimate at all has failed, and stays.
     for (whose, sequence), truth in without.items():
@@ -101,12 +107,33 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
             algorithms[whose] = None
             truths[whose, sequence] = truth
     by_sequence = {sequence: path for (_, sequence), path in truths.items()}
-    return all_runs(
+    runs = all_runs(
         algorithms,
         estimates,
         lambda algorithm, sequence: truths.get((algorithm, sequence), by_sequence[sequence]),
         lambda name: f"estimate{name[2]} of {name[1]} by {name[0]}",
     )
+    spans = {truth: _time_span(Path(truth).with_name(_TIMES)) for truth in truths.values()}
+    return tuple(dataclasses.replace(run, time_span=spans[run.groundtruth]) for run in runs)
+
+
+def _time_span(path: Path) -> TimeSpan | None:
+    """Return the part of an experiment that its file says is evaluated; None for all.
+
+    Raises:
+        InputError: The file can't be read, or its times are none.
+    """
+    if not path.exists():
+        return None
+    found = read_mapping(path, "start and end of an experiment")
+    start, end = (
+        None if (value := found.get(f"{key}_time_sec")) is None else f"@{value}"
+        for key in ("start", "end")
+    )
+    try:
+        return TimeSpan.parse(start, end)
+    except SettingsError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def _place(experiment: Path) -> tuple[str, str, str]:
@@ -131,5 +158,5 @@ def _texts(folder: Path) -> list[Path]:
 def _add(found: dict[str, str] | dict[Name, str], key: str | Name, path: Path) -> None:
     known: dict[str | Name, str] = found  # type: ignore[assignment]
     if key in known:
-        raise InputError(f"two files are of the same run: {known[key]} and {path}; remove one")
+        raise InputError(f"two files for the same run: {known[key]} and {path}; remove one")
     known[key] = str(path)

@@ -1,11 +1,10 @@
-"""Draws the figures of a report, which takes longer than evaluating: on several processes."""
+"""Draws the figures of a comparison as files, which takes long: on several processes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.exceptions import InputError
@@ -16,23 +15,8 @@ Advance = Callable[[int, int], None]
 _FEW = 12
 
 
-@dataclass(frozen=True)
-class FigureDraft:
-    """A figure that is yet to be drawn.
-
-    Attributes:
-        title: In few words.
-        caption: How to read it.
-        draw: Draws it as SVG.
-    """
-
-    title: str
-    caption: str
-    draw: Draw
-
-
 def draw_all(draws: Sequence[Draw], pool: Pool, advance: Advance) -> list[str]:
-    """Return the figures as SVG, in their order.
+    """Return what draws figures returns, in their order.
 
     Args:
         draws: Each draws one, and can be sent to another process.
@@ -54,8 +38,8 @@ def draw_all(draws: Sequence[Draw], pool: Pool, advance: Advance) -> list[str]:
                 advance(len(drawn), len(draws))
     except BrokenExecutor as error:
         raise InputError(
-            "a process that drew the report died; was it out of memory? All runs are kept: start "
-            "again with --workers 1"
+            "a process that draws figures was killed, probably out of memory; start again with "
+            "--workers 1, finished runs are kept"
         ) from error
     return drawn
 

@@ -27,16 +27,14 @@ from typing import Any
 from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.batch.worker import Task, work
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.linear_algebra_threads import one_thread_for_children
 
 Outcome = bytes | str  # an encoded record, or why there is none
 Finish = Callable[[Task, Outcome], None]
 
-# One thread each: the runs are the parallelism, and more threads than cores only wait.
-_ONE_THREAD = {
-    f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
-}
 _PATIENCE_S = 10.0
-_DIED = "the process that evaluated it died; was it out of memory?"
+_DIED = "the worker process was killed, probably out of memory"
 
 
 @dataclass(frozen=True)
@@ -71,8 +69,7 @@ def dask_pool(address: str) -> Pool:
         import distributed
     except ImportError as error:
         raise InputError(
-            "--cluster needs dask.distributed, which is not installed: "
-            "pip install 'trajeval-ros[cluster]'"
+            f"--cluster needs dask.distributed; install it: {extra_command('cluster')}"
         ) from error
     connect: Any = functools.partial(
         distributed.Client, address, timeout=_PATIENCE_S, set_as_default=False
@@ -82,18 +79,19 @@ def dask_pool(address: str) -> Pool:
             threads = sum(client.nthreads().values())
             sources = client.run(hash_of_numbers) if threads else {}
     except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"no Dask scheduler answers at {address}: {error}") from error
+        raise InputError(f"no response from a Dask scheduler at {address}: {error}") from error
     except ModuleNotFoundError as error:
         raise InputError(
-            f"the workers at {address} lack a package: {error}; install trajeval-ros there"
+            f"a package is missing on the workers at {address}: {error}; install trajeval-ros "
+            "there"
         ) from error
     if not threads:
-        raise InputError(f"the Dask scheduler at {address} has no workers; start some first")
+        raise InputError(f"the Dask scheduler at {address} has no workers; start workers")
     other = [worker for worker, found in sources.items() if found != hash_of_numbers()]
     if other:
         raise InputError(
-            f"{other[0]} has other sources of trajeval-ros than this machine, so its numbers may "
-            "differ; install the same there"
+            f"{other[0]} has a different version of trajeval-ros than this machine; install the "
+            "same version"
         )
 
     @contextmanager
@@ -194,8 +192,8 @@ def _failure(error: Exception) -> str:
     """Return why a run failed that no worker could tell about."""
     if isinstance(error, CancelledError) or type(error).__name__ == "FutureCancelledError":
         raise InputError(
-            "the connection to the cluster is lost; what was finished is kept: start again to "
-            "go on from there"
+            "the connection to the cluster is lost; start again to continue, finished runs are "
+            "kept"
         ) from error
     if type(error).__name__ == "KilledWorker":
         return _DIED
@@ -234,19 +232,14 @@ async def _pass_on(remote: Any, local: Future[Any]) -> None:
 
 @contextmanager
 def _processes(workers: int) -> Iterator[Executor]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    # Spawned, since a fork copies whatever threads and locks a notebook has open.
-    executor = _Processes(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    # The runs are the parallelism: more threads than cores only wait.
+    with one_thread_for_children():
+        # Spawned, since a fork copies whatever threads and locks a notebook has open.
+        executor = _Processes(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(cancel_futures=True)
 
 
 class _Processes(ProcessPoolExecutor):

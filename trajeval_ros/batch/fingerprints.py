@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.patterns import is_url, split_topic
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.writing import write_text
@@ -58,18 +58,22 @@ class Fingerprints:
         if is_url(path):
             digest.update(_remote_state(path).encode())
             return digest.hexdigest()
-        local = parse_source(source).path
+        # What was read before needn't be recognised again.
+        known = str(Path(source).absolute()) in self._known and Path(source).is_file()
+        local = Path(source) if known else parse_source(source).path
         try:
-            files = sorted(each for each in local.rglob("*") if each.is_file())
+            inside = sorted(local.rglob("*")) if local.is_dir() else ()
+            files = [each for each in inside if each.is_file()]
             for file in files or [local, *_read_beside(local)]:
                 digest.update(self._file(file).encode())
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise InputError(f"{error.filename or local} can't be read: {reason}") from error
+            raise InputError(
+                f"{error.filename or local} can't be read: {reason_of(error)}"
+            ) from error
         return digest.hexdigest()
 
     def _file(self, path: Path) -> str:
-        name, state = str(path.resolve()), path.stat()
+        name, state = str(path.absolute()), path.stat()
         changed = max(state.st_mtime_ns, state.st_ctime_ns)  # `cp -p` keeps the first alone
         now = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
         known = self._known.get(name)

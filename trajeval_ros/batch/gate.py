@@ -54,15 +54,15 @@ class Gate:
                 break
             sizes[term[2]] = float(term[1])
         if match is None or len(sizes) != len(terms):
-            raise SettingsError(f"can't read the gate {text!r}; write it as {_EXAMPLE!r}")
+            raise SettingsError(f"the gate {text!r} is not valid; write it as in {_EXAMPLE!r}")
         spread = None if match[3] is None else float(match[3])
         if spread == 0.0:
             raise SettingsError(
-                f"the gate {text!r} has a spread of 0 %; if trials don't vary, write 'untested'"
+                f"the gate {text!r} has a spread of 0 %; if trials do not vary, write 'untested'"
             )
         made = cls(match[1], sizes.get("%", 0.0), sizes.get("MAD", 0.0), spread, not match[4])
         if not made.larger_is_worse and made.percent >= 100.0:
-            raise SettingsError(f"a coverage can't fall by more than 100 %, as {text!r} asks for")
+            raise SettingsError(f"the margin of a coverage must be below 100 %, not {text!r}")
         return made
 
     def __str__(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any
@@ -52,7 +52,7 @@ class GateTrials:
             if missing:
                 raise SettingsError(
                     f"--paired needs the same trials on both sides, and {where} has no trial "
-                    f"{', '.join(missing)} of {whose}; run the same trials or leave --paired out"
+                    f"{', '.join(missing)} of {whose}; add these trials or remove --paired"
                 )
         pairs = {
             (old[0], now.runs[name][0]): (old[1], now.runs[name][1])
@@ -68,27 +68,29 @@ class GateValues:
 
     def __init__(self, rows: ResultsTable) -> None:
         self.settings = rows.settings
-        names = ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256",
-                 "estimate_sha256")  # fmt: skip
-        columns = ("kind", "metric", "length", *STATISTICS, *_COVERAGES.values())
-        self._rows = rows.select((*names, *columns))
-        self._reasons = {_run(row): row["reason"] for row in self._rows if row["status"] != OK}
+        self._table = rows
+        self._runs = rows.distinct(
+            ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256",
+             "estimate_sha256")
+        )  # fmt: skip
+        self._numbers = rows.distinct(("kind", "metric", "length"))
+        self._reasons = {_run(row): row["reason"] for row in self._runs if row["status"] != OK}
         self.groundtruths = {
             (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
-            for row in self._rows
+            for row in self._runs
             if row["groundtruth_sha256"]
         }
 
     @property
     def groups(self) -> list[Group]:
         """All algorithms on all sequences, also those without numbers."""
-        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._rows))
+        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._runs))
 
     @property
     def failed(self) -> dict[Group, list[bool]]:
         """Whether each run failed, or has no file, by algorithm and sequence."""
         found: dict[Group, dict[str, bool]] = {group: {} for group in self.groups}
-        for row in self._rows:
+        for row in self._runs:
             found[row["algorithm"], row["sequence"]][row["trial"]] = row["status"] != OK
         return {group: list(runs.values()) for group, runs in found.items()}
 
@@ -102,16 +104,17 @@ class GateValues:
 
     def trials_like(self, path: str, other: GateValues) -> dict[Group, GateTrials]:
         """Return the trials of a number that another table has, and this one perhaps not."""
-        matches, column = other.find(path)
+        rows, column = other.find(path)
         values: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
         hashes: dict[tuple[str, ...], str] = {}
-        for row in self._rows:
-            group = (row["algorithm"], row["sequence"])
-            values[group].setdefault(row["trial"], math.inf)
+        for row in self._runs:
+            values[row["algorithm"], row["sequence"]][row["trial"]] = math.inf
             if row["status"] == OK:
                 hashes[_run(row)] = row["estimate_sha256"]
-                if matches(row) and row[column] is not None:
-                    values[group][row["trial"]] = row[column]
+        names = ("algorithm", "sequence", "trial", column)
+        for row in self._table.each(names, status=OK, **rows):
+            if row[column] is not None:
+                values[row["algorithm"], row["sequence"]][row["trial"]] = row[column]
         made = {}
         for group, own in values.items():
             # Runs without a hash failed: each is a trial of its own.
@@ -123,10 +126,10 @@ class GateValues:
     def why_failed(self, group: Group) -> str:
         """Return why the first run of a group has no number."""
         reasons = (why for run, why in self._reasons.items() if run[:2] == group and why)
-        return next(reasons, "it has no such number")
+        return next(reasons, "the value is missing")
 
-    def find(self, path: str) -> tuple[Callable[[Row], bool], str]:
-        """Return which rows a path means, and which of their columns.
+    def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
+        """Return which rows a path means, by values of columns, and which of their columns.
 
         Raises:
             SettingsError: The table has no such number.
@@ -136,30 +139,32 @@ class GateValues:
             (column,) = rest if len(rest) == 1 else ("",)
             self._require(column, list(_COVERAGES), path)
             column = _COVERAGES[column]
-            return lambda row: row["kind"] == ATE and row["metric"] == "position_m", column
+            return {"kind": [ATE], "metric": ["position_m"]}, column
         self._require(kind, [ATE, "re"], path)
         length: str | None = None
         if kind == "re":
-            lengths = [key for row in self._rows if row["length"] and (key := _key(row))]
+            lengths = [key for row in self._numbers if row["length"] and (key := _key(row))]
             length, *rest = rest or [""]
             self._require(length, [*dict.fromkeys(lengths), "pooled"], path)
             kind, length = (POOLED, None) if length == "pooled" else (RE, length)
         metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
-        own = [row for row in self._rows if row["kind"] == kind and _key(row) == length]
+        own = [row for row in self._numbers if row["kind"] == kind and _key(row) == length]
         self._require(
             metric, list(dict.fromkeys(row["metric"] for row in own if row["metric"])), path
         )
         self._require(column, list(STATISTICS), path)
-        return (
-            lambda row: (row["kind"], _key(row), row["metric"]) == (kind, length, metric),
-            column,
-        )
+        written = list(dict.fromkeys(row["length"] for row in own))
+        return {"kind": [kind], "metric": [metric], "length": written}, column
 
     @staticmethod
     def _require(name: str, known: list[str], path: str) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(known) or 'none'}"
+            hint = (
+                f"did you mean {near[0]!r}?"
+                if near
+                else (f"use one of {', '.join(known) or 'none'}")
+            )
             raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
 
 
@@ -181,8 +186,8 @@ def require_same_settings(
                 f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
             )
             raise InputError(
-                f"the baseline was made with {was} and this comparison with {now_is}, so their "
-                "numbers don't compare; make one of them anew"
+                f"the baseline was made with {was}, and this comparison with {now_is}; repeat "
+                "one of them with the same settings"
             )
 
 
@@ -196,8 +201,8 @@ def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
     if not changed:
         return []
     return [
-        f"the groundtruth of {', '.join(changed)} is not that of the baseline, so numbers there "
-        "don't compare"
+        f"the groundtruth of {', '.join(changed)} differs from the baseline, so the values are "
+        "not comparable"
     ]
 
 

@@ -39,6 +39,7 @@ from trajeval_ros.batch.known_spread import KnownSpread
 from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
 from trajeval_ros.batch.relabelling import Size
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 
 
@@ -94,7 +95,7 @@ def _judge_gate(
             verdict = NEW if np.isfinite(new.values).any() else FAILED
         elif not np.isfinite(new.values).any():
             verdict = LOST
-            reason = now.why_failed(group) if new.values else "it is not in this comparison"
+            reason = now.why_failed(group) if new.values else "not in this comparison"
         else:
             verdict = UNDECIDED
             judged.append(group)
@@ -140,9 +141,9 @@ def _require_enough(gate: Gate, pairs: int, level: float) -> None:
         return
     needed = next(each for each in count() if is_enough(each, level))
     raise SettingsError(
-        f"--paired: the gate '{gate}' has {pairs} pairs of trials, whose sign flips can't reach "
-        f"its level of {100 * level:g} % (2^-{pairs} is the least); give {needed} pairs in all "
-        "or leave --paired out"
+        f"--paired: the gate '{gate}' has {counted(pairs, 'pair')} of trials, too few for its "
+        f"level of {100 * level:g} % (the smallest p-value is 2^-{pairs}); use "
+        f"{counted(needed, 'pair')} or remove --paired"
     )
 
 

@@ -21,7 +21,7 @@ from trajeval_ros.batch.gate_verdicts import (
     PooledVerdict,
 )
 from trajeval_ros.formatting.escaping import markdown_text
-from trajeval_ros.formatting.numbers import NOTHING, change_percent, three_decimals
+from trajeval_ros.formatting.numbers import NOTHING, change_percent, counted, three_decimals
 from trajeval_ros.formatting.text_tables import BOLD, MarkedText, TextCell, markdown_table
 
 _MOST_ROWS = 20  # of a table that isn't folded
@@ -37,8 +37,8 @@ def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str
     lines += [_failures(judgement.failures), ""]
     if any(each.gate.tested for each in judgement.gates):
         lines += [
-            f"Chance of an alarm without a change: at most {100 * judgement.false_alarms:g} % "
-            f"from numbers, and {100 * judgement.failures.level:g} % from failed runs.",
+            f"Probability of a false alarm: at most {100 * judgement.false_alarms:g} % from "
+            f"values, and {100 * judgement.failures.level:g} % from failed runs.",
             "",
         ]
     return "\n".join(lines)
@@ -48,9 +48,9 @@ def _head(judgement: Judgement) -> str:
     margins = dict.fromkeys(f"{each.gate.percent:g} %" for each in judgement.gates)
     return {
         WORSE: "worse",
-        LOST: "numbers were lost",
+        LOST: "missing values",
         MORE_FAILURES: "more failed runs",
-        UNDECIDED: "no change seen",
+        UNDECIDED: "inconclusive",
         NO_WORSE: f"no worse than {' and '.join(margins)}",
     }[judgement.verdict]
 
@@ -65,9 +65,9 @@ def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
         (size,) = [each.trials for each in verdict.numbers if each.verdict in _JUDGED]
         if verdict.pooled.noticeable is None and not verdict.paired:
             lines += [
-                f"{_trials(size)} of one number: it can't be told from chance. Give the baseline "
-                f"{ADVISED[0]} trials and this comparison {ADVISED[1]}; or write 'spread 15 %' if "
-                "that is what trials vary, or 'untested' if they don't.",
+                f"{_trials(size)} of one value: too few for a test. Use {ADVISED[0]} trials in "
+                f"the baseline and {ADVISED[1]} in this comparison. If the spread of trials is "
+                "known, write 'spread 15 %'. If trials do not vary, write 'untested'.",
                 "",
             ]
     for note in _notes(verdict, false_alarms):
@@ -78,7 +78,7 @@ def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
     if shown:
         lines += [*_table(shown), ""]
     if folded:
-        summary = f"<details><summary>{len(folded)} others</summary>"
+        summary = f"<details><summary>Others: {len(folded)}</summary>"
         lines += [summary, "", *_table(folded), "", "</details>", ""]
     return lines
 
@@ -90,22 +90,24 @@ def _notes(verdict: GateVerdict, false_alarms: float) -> list[str]:
     gate, notes = verdict.gate, []
     if not gate.tested:
         notes.append(
-            "Untested: medians alone decide. Where trials vary, chance alone can give an alarm."
+            "Untested: only medians are compared. If trials vary, false alarms are possible."
         )
     if verdict.paired:
-        notes.append("Trials of one name are a pair: they must share a seed, and nothing else.")
+        notes.append(
+            "Paired by trial name: trials of a pair must share the seed, and only the seed."
+        )
     if gate.spread_percent is not None:
         notes.append(
-            f"The spread of {gate.spread_percent:g} % is the user's: if trials vary more, false "
-            f"alarms are more than {100 * false_alarms:g} %."
+            f"The spread of {gate.spread_percent:g} % is given by the user. If trials vary more, "
+            f"the probability of a false alarm exceeds {100 * false_alarms:g} %."
         )
     if gate.deviations and gate.tested:
         notes.append(
-            f"`+ {gate.deviations:g} MAD` is a further condition on single numbers; the test "
-            "doesn't need it."
+            f"`+ {gate.deviations:g} MAD` is an additional condition on single values, not part "
+            "of the test."
         )
     if verdict.copies:
-        notes.append(f"Copies of another trial, which count once: {verdict.copies}.")
+        notes.append(f"Identical trials, counted once: {verdict.copies}.")
     return notes
 
 
@@ -114,25 +116,25 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict) -> str:
     said = {
         WORSE: f"worse than {margin}",
         NO_WORSE: f"no worse than {margin}",
-        UNDECIDED: f"no change beyond {margin} seen",
+        UNDECIDED: f"inconclusive, margin {margin}",
     }[pooled.verdict]
-    who = "The one number" if pooled.count == 1 else f"All {pooled.count} numbers together"
+    who = "The single value" if pooled.count == 1 else f"All {pooled.count} values together"
     bounds = "no bounds"
     if pooled.bounds is not None:
         bounds = " … ".join(map(change_percent, pooled.bounds))
     text = f"**{who}: {said}**: {change_percent(pooled.change)} ({bounds})."
     if verdict.paired:
-        return f"{text} What would have been noticed isn't known of pairs."
+        return f"{text} The detectable worsening is not known for pairs."
     if pooled.noticeable is None:
-        return f"{text} No worsening, however large, would have been noticed."
+        return f"{text} No worsening of any size is detectable."
     size = "worsening" if pooled.count == 1 else "common worsening"
-    text += f" A {size} of {_size(pooled.noticeable)} would have been noticed in 80 %"
+    text += f" A {size} of {_size(pooled.noticeable)} is detected in 80 %"
     alone = [each.noticeable for each in verdict.numbers if each.noticeable is not None]
     if pooled.count == 1 or not alone:
         return f"{text} of comparisons."
     least, most = _size(min(alone)), _size(max(alone))
     span = least if least == most else f"{least} to {most}"
-    return f"{text} of comparisons; of one number alone, {span}."
+    return f"{text} of comparisons; in a single value, {span}."
 
 
 def _advice(verdict: GateVerdict, advised: tuple[float, float, float]) -> str:
@@ -140,25 +142,25 @@ def _advice(verdict: GateVerdict, advised: tuple[float, float, float]) -> str:
     together, least, most = map(_size, advised)
     span = least if least == most else f"{least} to {most}"
     return (
-        f"{', '.join(map(_trials, sizes))}: too few to tell single numbers from chance. With "
-        f"{ADVISED[0]} trials in the baseline and {ADVISED[1]} here, a common worsening of "
-        f"{together} would be noticed, and of one number alone {span}."
+        f"{', '.join(map(_trials, sizes))}: too few to test single values. With {ADVISED[0]} "
+        f"trials in the baseline and {ADVISED[1]} here, a common worsening of {together} is "
+        f"detectable, and in a single value {span}."
     )
 
 
 def _trials(size: tuple[int, int]) -> str:
     old, new = size
     if old == new:
-        return f"{old} trial{'s' if old > 1 else ''} each"
-    return f"{old} trial{'s' if old > 1 else ''} then and {new} now"
+        return f"{counted(old, 'trial')} on both sides"
+    return f"{counted(old, 'trial')} in the baseline and {new} now"
 
 
 def _failures(failures: Failures) -> str:
     (old, of_old), (new, of_new) = failures.before, failures.now
-    text = f"Failed runs: {old} of {of_old} then, {new} of {of_new} now"
+    text = f"Failed runs: {old} of {of_old} in the baseline, {new} of {of_new} now"
     if not old + new:
         return f"{text}."
-    word = f"**{MORE_FAILURES}**" if failures.fails else "not more than by chance"
+    word = f"**{MORE_FAILURES}**" if failures.fails else "not statistically significant"
     return f"{text} (p = {failures.p:.2g}): {word}."
 
 

@@ -38,7 +38,7 @@ def only_writer(
     """
     records = folder / subfolder
     if records.is_symlink():
-        raise InputError(f"{records} is a link, which nothing is written through; remove it")
+        raise InputError(f"{records} is a symbolic link; remove it")
     with refused_by_disk(f"the folder {folder}"):
         records.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK):  # nobody writes here: all is there, or a sentence tells
@@ -73,8 +73,8 @@ def _hold(file: int, folder: Path, wait: Callable[[str], object] | None) -> None
         if lock(file, wait=False):
             return
         holder = one_line(os.pread(file, _MOST_READ, 0).decode(errors="replace"))
-        held = f"{folder} is being written by {holder or 'another process'}"
+        held = f"{folder} is in use by {holder or 'another process'}"
         if wait is None:
-            raise InputError(f"{held}; wait for it with --wait, or name another --output")
+            raise InputError(f"{held}; wait with --wait, or choose another --output")
         wait(held)
         lock(file, wait=True)

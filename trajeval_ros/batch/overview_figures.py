@@ -1,96 +1,106 @@
-"""What a report draws of all runs together, before it is drawn."""
+"""What is drawn of all runs together: for the report, and as files."""
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
-from trajeval_ros.batch.comparison import RECORDS
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
-from trajeval_ros.batch.drawing import FigureDraft
-from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.results_table import RE
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.up_axis import Z_UP
-from trajeval_ros.report.comparison_figures import Box, box_plot, overlay
+from trajeval_ros.batch.record_store import RecordStore
+from trajeval_ros.batch.records import Record
+from trajeval_ros.report.comparison_plots import Box, BoxPlot, ErrorsPlot, PathsPlot
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
-# Each has a figure or three, which take a quarter of a second.
-MOST_SEQUENCES = 50
+# More of them make figures that nobody looks at, or that nobody can read.
+MOST_SEQUENCES, MOST_ALGORITHMS = 50, 24
 _UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
-def drafts_of(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
-    """Return the figures: absolute errors, relative errors, and trajectories by sequence.
+@dataclass(frozen=True, eq=False)
+class FigureDraft:
+    """A figure that is yet to be drawn.
 
-    The latter two of the first `MOST_SEQUENCES`.
+    Attributes:
+        name: Unlike any other's, for a file.
+        title: In few words.
+        caption: How to read it.
+        plot: What it shows.
+    """
+
+    name: str
+    title: str
+    caption: str
+    plot: BoxPlot | PathsPlot | ErrorsPlot
+
+
+def drafts_of(summary: ComparisonSummary, records: RecordStore) -> Iterator[FigureDraft]:
+    """Yield the figures: absolute errors, and by sequence relative errors and trajectories.
+
+    Of the first `MOST_SEQUENCES` and `MOST_ALGORITHMS`.
 
     Args:
-        folder: The comparison's.
-        summary: What it found.
+        summary: What the comparison found.
+        records: Its records.
     """
-    return [*_absolute_plots(summary), *_relative_plots(summary), *_overlays(folder, summary)]
+    yield from absolute_drafts(summary)
+    for sequence in summary.sequences[:MOST_SEQUENCES]:
+        yield from sequence_drafts(summary, records, sequence)
 
 
-def _absolute_plots(summary: ComparisonSummary) -> list[FigureDraft]:
-    plots = []
+def sequence_drafts(
+    summary: ComparisonSummary, records: RecordStore, sequence: str
+) -> Iterator[FigureDraft]:
+    """Yield the figures of one sequence."""
+    yield from _relative_plots(summary, sequence)
+    yield from _overlay(summary, records, sequence)
+
+
+def absolute_drafts(summary: ComparisonSummary) -> Iterator[FigureDraft]:
+    """Yield the figures of absolute errors on all sequences."""
+    sequences = summary.sequences[:MOST_SEQUENCES]
     for metric in ("position_m", "rotation_deg"):
         series = []
-        for algorithm in summary.algorithms:
+        for algorithm in summary.algorithms[:MOST_ALGORITHMS]:
             boxes: list[Box | None] = []
-            for sequence in summary.sequences:
+            for sequence in sequences:
                 trials = summary.of(algorithm, sequence)
                 values = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
                 boxes.append(Box.of(values) if values else None)
             series.append((algorithm, boxes))
         if any(box for _, boxes in series for box in boxes):
-            draw = partial(
-                box_plot, f"ate-{metric}", summary.sequences, series, "", ABSOLUTE[metric]
+            yield FigureDraft(
+                f"ate_{metric}",
+                f"ATE over trials, {ABSOLUTE[metric]}",
+                "Points: RMSE per trial. Boxes: median and quartiles; whiskers: minimum and "
+                "maximum. Failed runs have no point.",
+                BoxPlot(sequences, series, "", ABSOLUTE[metric]),
             )
-            title = f"ATE over trials, {ABSOLUTE[metric]}"
-            caption = (
-                "A point is the rmse of a trial; boxes: median and quartiles, whiskers: least and "
-                "largest. Failed runs have no point."
-            )
-            plots.append(FigureDraft(title, caption, draw))
-    return plots
 
 
-def _relative_plots(summary: ComparisonSummary) -> list[FigureDraft]:
-    lengths = summary.settings["lengths"]
-    by_place = {
-        (row["algorithm"], row["sequence"], row["length"], row["metric"]): row
-        for row in summary.pooled
-        if row["kind"] == RE
-    }
-    in_metres = not any(length.endswith("s") for length in lengths)
-    position = "position_percent" if in_metres else "position_m"
-    plots = []
-    for sequence in summary.sequences[:MOST_SEQUENCES]:
-        for metric in (position, "rotation_deg"):
-            series = [
-                (
-                    algorithm,
-                    [_pooled_box(by_place.get((algorithm, sequence, length, metric)))
-                     for length in lengths],
-                )
-                for algorithm in summary.algorithms
-            ]  # fmt: skip
-            if any(box for _, boxes in series for box in boxes):
-                label = RELATIVE[metric]
-                name = f"re-{sequence}-{metric}"
-                units = {length[-1] for length in lengths}
-                unit = f" {_UNITS[units.pop()]}" if len(units) == 1 else ""
-                groups = [length[:-1] if unit else length for length in lengths]
-                axis = f"length of sub-trajectory{unit}"
-                draw = partial(box_plot, name, groups, series, axis, label)
-                caption = (
-                    "All sub-trajectories of all trials; boxes: median and quartiles, whiskers: "
-                    "5 % to 95 %."
-                )
-                plots.append(FigureDraft(f"Relative error on {sequence}, {label}", caption, draw))
-    return plots
+def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[FigureDraft]:
+    asked, algorithms = summary.settings["lengths"], summary.algorithms[:MOST_ALGORITHMS]
+    in_metres = not any(length.endswith("s") for length in asked)
+    for metric in ("position_percent" if in_metres else "position_m", "rotation_deg"):
+        boxes = {
+            length: [_pooled_box(summary.pooled_errors(algorithm, sequence, length, metric))
+                     for algorithm in algorithms]
+            for length in asked
+        }  # fmt: skip
+        lengths = [length for length in asked if any(boxes[length])]  # that somebody flew
+        if lengths:
+            by_algorithm = zip(*(boxes[length] for length in lengths), strict=True)
+            series = list(zip(algorithms, by_algorithm, strict=True))
+            units = {length[-1] for length in lengths}
+            unit = f" {_UNITS[units.pop()]}" if len(units) == 1 else ""
+            groups = [length[:-1] if unit else length for length in lengths]
+            yield FigureDraft(
+                f"re_{metric}_{sequence}",
+                f"Relative error on {sequence}, {RELATIVE[metric]}",
+                "All sub-trajectories of all trials. Boxes: median and quartiles; whiskers: 5 % "
+                "to 95 %.",
+                BoxPlot(groups, series, f"length of sub-trajectory{unit}", RELATIVE[metric]),
+            )
 
 
 def _pooled_box(row: dict[str, Any] | None) -> Box | None:
@@ -99,33 +109,62 @@ def _pooled_box(row: dict[str, Any] | None) -> Box | None:
     return Box(*(row[name] for name in ("p5", "p25", "median", "p75", "p95")))
 
 
-def _overlays(folder: Path, summary: ComparisonSummary) -> list[FigureDraft]:
-    """Draw on each sequence the trial of each algorithm that has the median error."""
-    plots = []
+def _overlay(
+    summary: ComparisonSummary, records: RecordStore, sequence: str
+) -> Iterator[FigureDraft]:
+    medians = _median_records(summary, records, sequence)
+    if medians:
+        _, first = next(iter(medians.values()))
+        paths = {place: (name, each.columns["path"]) for place, (name, each) in medians.items()}
+        yield FigureDraft(
+            f"trajectories_{sequence}",
+            f"Trajectories on {sequence}",
+            f"Aligned trajectories from above.{_of_several(summary, sequence)}",
+            PathsPlot(first.groundtruth_up, first.columns["truth"], paths),
+        )
+
+
+def error_drafts(summary: ComparisonSummary, records: RecordStore) -> Iterator[FigureDraft]:
+    """Yield the figures of errors over time, by sequence, likewise; reports have them by run.
+
+    Args:
+        summary: What the comparison found.
+        records: Its records.
+    """
     for sequence in summary.sequences[:MOST_SEQUENCES]:
-        truth: Floats | None = None
-        up = Z_UP
-        paths: list[tuple[str, Floats] | None] = []
-        for algorithm in summary.algorithms:
-            trial = _median_trial(summary.of(algorithm, sequence))
-            record = None if trial is None else read_record(folder / RECORDS, trial.key)
-            if trial is None or record is None:
-                paths.append(None)
-                continue
-            if truth is None:
-                truth, up = record.columns["truth"], record.groundtruth_up
-            name = f"{algorithm} {trial.trial}".strip()
-            paths.append((name, record.columns["path"]))
-        if truth is not None:
-            several = len(summary.of(summary.algorithms[0], sequence)) < len(
-                [trial for trial in summary.trials if trial.sequence == sequence]
+        medians = _median_records(summary, records, sequence)
+        if medians:
+            series = {
+                place: (name, each.columns["errors"]) for place, (name, each) in medians.items()
+            }
+            yield FigureDraft(
+                f"errors_{sequence}",
+                f"Errors on {sequence}",
+                f"Errors of aligned poses.{_of_several(summary, sequence)}",
+                ErrorsPlot(series),
             )
-            caption = "From above, aligned."
-            if several:
-                caption += " Of several trials, that with the median position ATE."
-            draw = partial(overlay, f"overlay-{sequence}", up, truth, paths)
-            plots.append(FigureDraft(f"Trajectories on {sequence}", caption, draw))
-    return plots
+
+
+def _of_several(summary: ComparisonSummary, sequence: str) -> str:
+    runs = sum(trial.sequence == sequence for trial in summary.trials)
+    return (
+        " If there are several trials, the trial with the median position ATE is shown."
+        if runs > len(summary.algorithms)
+        else ""
+    )
+
+
+def _median_records(
+    summary: ComparisonSummary, records: RecordStore, sequence: str
+) -> dict[int, tuple[str, Record]]:
+    """Return by place of the algorithm the trial with the median error: its name and record."""
+    found = {}
+    for place, algorithm in enumerate(summary.algorithms[:MOST_ALGORITHMS]):
+        trial = _median_trial(summary.of(algorithm, sequence))
+        record = None if trial is None else records.read(trial.key, with_pooled=False)
+        if trial is not None and record is not None:
+            found[place] = (f"{algorithm} {trial.trial}".strip(), record)
+    return found
 
 
 def _median_trial(trials: list[Trial]) -> Trial | None:

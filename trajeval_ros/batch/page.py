@@ -1,80 +1,89 @@
-"""From a comparison on disk to its report: what is drawn, and what is said of each run."""
+"""From a comparison on disk to its report: one page, and more of them where runs are many."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping
-from functools import partial
+import contextlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from statistics import median
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.comparison import RECORDS, RUNS
-from trajeval_ros.batch.comparison_summary import ComparisonSummary
-from trajeval_ros.batch.drawing import Advance, draw_all
-from trajeval_ros.batch.executors import Pool
-from trajeval_ros.batch.overview_figures import MOST_SEQUENCES, drafts_of
-from trajeval_ros.batch.records import read_record
-from trajeval_ros.batch.results_table import (
-    ATE,
-    OK,
-    POOLED,
-    RE,
-    STATISTICS,
-    ResultsTable,
-    state_of,
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.finished_comparison import RUNS
+from trajeval_ros.batch.overview_figures import (
+    MOST_ALGORITHMS,
+    MOST_SEQUENCES,
+    FigureDraft,
+    absolute_drafts,
+    sequence_drafts,
 )
+from trajeval_ros.batch.record_store import RECORDS, RecordStore
+from trajeval_ros.batch.results_table import OK, state_of
+from trajeval_ros.batch.run_details import run_pages
 from trajeval_ros.batch.summary_tables import definition, matrices
-from trajeval_ros.formatting.numbers import percent, three_decimals, whole_percent
-from trajeval_ros.io.writing import write_text
-from trajeval_ros.metrics.coverage import Gap
-from trajeval_ros.report.comparison_figures import run_errors, run_path
-from trajeval_ros.report.comparison_page import Plot, RunPage, render
-from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
+from trajeval_ros.formatting.numbers import counted, whole_percent
+from trajeval_ros.io.writing import refused_by_disk, write_text
+from trajeval_ros.report.comparison_page import Plot, ReportPages
+from trajeval_ros.report.comparison_plots import BoxPlot, PathsPlot
+from trajeval_ros.report.page_figures import box_svg, paths_svg
 
-REPORT = "report.html"
+REPORT, PAGES = "report.html", "report"
 _HEAD_BYTES = 2000
-# A page of more figures than this takes a browser long to open.
-_MOST_FIGURES = 200
+_MOST_DETAILS = 1000  # runs of which there are figures and statistics
+_MOST_ON_A_PAGE = 100
+# Of details on a page, and of figures on the first one; with the tables it stays under 5 MB.
+_MOST_BYTES = 2_000_000
 
 
 def write_report(
     folder: Path,
     summary: ComparisonSummary,
-    pool: Pool,
-    advance: Advance = lambda done, total: None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Write the report of a comparison beside its tables.
 
     Args:
         folder: The comparison's.
         summary: What it found.
-        pool: Processes of this machine, to draw on.
-        advance: Called with how many figures are drawn, and how many there are.
+        advance: Called with of how many runs the details are written, and how many there are.
 
     Raises:
-        InputError: It can't be written, or Jinja2 or matplotlib are not installed.
+        InputError: It can't be written, or Jinja2 is not installed.
     """
-    drafts = drafts_of(folder, summary)
-    shown = [trial for trial in summary.trials[:_MOST_FIGURES] if trial.status == OK]
-    draws = [draft.draw for draft in drafts]
-    for trial in shown:
-        what = (folder, trial.key, summary.algorithms.index(trial.algorithm))
-        draws += [partial(_run_path, *what), partial(_run_errors, *what)]
-    svgs = iter(draw_all(draws, pool, advance))
-    plots = [Plot(draft.title, draft.caption, next(svgs)) for draft in drafts]
-    figures = {trial.key: (next(svgs), next(svgs)) for trial in shown}
-    page = render(
-        title=summary.title,
-        definition=definition(summary.settings),
-        findings=_findings(summary),
-        matrices=matrices(summary),
-        plots=plots,
-        runs=_runs(folder, summary, figures),
-        version=__version__,
-        state=state_of(folder / RUNS),
+    pages = ReportPages(summary.title, __version__, state_of(folder / RUNS))
+    records = RecordStore(folder / RECORDS)
+    shown = _shown(summary.trials)
+    runs, details = [], []
+    for number, run in enumerate(run_pages(folder, summary, records, shown), 1):
+        details.append(pages.details(number, run))
+        runs.append(run.brief())
+        advance(number, len(shown))
+    plots, drawn = _plots(summary, records)
+    parts = _parts(details)
+    names = [f"runs_{number}.html" for number in range(1, len(parts) + 1)]
+    on_first_page = len(parts) == 1
+    with refused_by_disk(f"the folder {folder / PAGES}"):
+        _remove_pages(folder / PAGES)
+        if not on_first_page:
+            (folder / PAGES).mkdir(exist_ok=True)
+    links = []
+    for name, part in zip(names, parts, strict=True):
+        where = "" if on_first_page else f"{PAGES}/{name}"
+        links += [f"{where}#run{place + 1}" for place in part]
+        if not on_first_page:
+            inside = details[part.start : part.stop]
+            write_text(folder / PAGES / name, pages.runs(name, names, REPORT, inside))
+    text = pages.overview(
+        definition(summary.settings),
+        _findings(summary, drawn),
+        matrices(summary),
+        plots,
+        runs,
+        links,
+        details if on_first_page else (),
+        "All runs" if len(shown) == len(summary.trials) else "Runs that stand out",
     )
-    write_text(folder / REPORT, page)
+    write_text(folder / REPORT, text)  # at last: it says that all is there
     return folder / REPORT
 
 
@@ -88,19 +97,86 @@ def is_drawn(folder: Path) -> bool:
         return False
 
 
-def _findings(summary: ComparisonSummary) -> list[str]:
+def _shown(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the runs to give details of, in their order: all, or those that stand out."""
+    if len(trials) <= _MOST_DETAILS:
+        return list(trials)
+    by_sequence: dict[str, list[float]] = {}
+    for each in trials:
+        if "position_m" in each.rmse:
+            by_sequence.setdefault(each.sequence, []).append(each.rmse["position_m"])
+    usual = {sequence: median(errors) for sequence, errors in by_sequence.items()}
+
+    def standing_out(place: int) -> tuple[bool, float]:
+        each = trials[place]
+        error = each.rmse.get("position_m", 0.0)
+        return each.status != OK, error / (usual.get(each.sequence) or 1.0)
+
+    order = sorted(range(len(trials)), key=standing_out, reverse=True)
+    return [trials[place] for place in sorted(order[:_MOST_DETAILS])]
+
+
+def _plots(summary: ComparisonSummary, records: RecordStore) -> tuple[list[Plot], int]:
+    """Return the figures of all runs together, and of how many sequences they are."""
+    absolute = [_drawn(each) for each in absolute_drafts(summary)]
+    boxes: list[Plot] = []
+    paths: list[Plot] = []
+    size = count = 0
+    for sequence in summary.sequences[:MOST_SEQUENCES]:
+        drafts = list(sequence_drafts(summary, records, sequence))
+        plots = list(map(_drawn, drafts))
+        size += sum(len(each.svg) for each in plots)
+        if size > _MOST_BYTES:
+            break
+        count += 1
+        for draft, plot in zip(drafts, plots, strict=True):
+            (boxes if isinstance(draft.plot, BoxPlot) else paths).append(plot)
+    return [*absolute, *boxes, *paths], count
+
+
+def _drawn(draft: FigureDraft) -> Plot:
+    assert isinstance(draft.plot, BoxPlot | PathsPlot)
+    svg = box_svg(draft.plot) if isinstance(draft.plot, BoxPlot) else paths_svg(draft.plot)
+    return Plot(draft.title, draft.caption, svg)
+
+
+def _parts(details: Sequence[str]) -> list[range]:
+    """Return which details stand on a page together: all on one, if these are few and small."""
+    parts, first, size = [], 0, 0
+    for place, each in enumerate(details):
+        if place - first == _MOST_ON_A_PAGE or (size + len(each) > _MOST_BYTES and size):
+            parts.append(range(first, place))
+            first, size = place, 0
+        size += len(each)
+    return [*parts, range(first, len(details))]
+
+
+def _remove_pages(folder: Path) -> None:
+    """Remove the pages of an older report."""
+    for each in folder.glob("runs_*.html"):
+        each.unlink()
+    with contextlib.suppress(OSError):  # there is none, or something else is in it
+        folder.rmdir()
+
+
+def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
     """Return what one wants to know first."""
     trials = summary.trials
     lost = [trial for trial in trials if trial.status != OK]
     findings = [
-        f"{len(trials)} runs of {_counted(summary.algorithms, 'algorithm')} on "
-        f"{_counted(summary.sequences, 'sequence')}: {len(trials) - len(lost)} evaluated"
-        + (f", {len(lost)} failed or missing, which count as worse than all." if lost else ".")
+        f"{counted(len(trials), 'run')} of {counted(len(summary.algorithms), 'algorithm')} on "
+        f"{counted(len(summary.sequences), 'sequence')}: {len(trials) - len(lost)} evaluated"
+        + (f", {len(lost)} failed or missing. Failed runs are ranked last." if lost else ".")
     ]
-    if len(trials) > _MOST_FIGURES or len(summary.sequences) > MOST_SEQUENCES:
+    if len(trials) > _MOST_DETAILS:
         findings.append(
-            f"Figures are of the first {_MOST_FIGURES} runs and {MOST_SEQUENCES} sequences, "
-            "numbers of all."
+            f"Details are shown for {_MOST_DETAILS} runs: failed runs first, then runs with the "
+            "largest error relative to the median of their sequence. Tables include all runs."
+        )
+    if len(summary.sequences) > drawn or len(summary.algorithms) > MOST_ALGORITHMS:
+        findings.append(
+            f"Figures by sequence show the first {drawn} sequences and {MOST_ALGORITHMS} "
+            "algorithms. Tables include all."
         )
     tables = matrices(summary)
     wins = {
@@ -112,16 +188,16 @@ def _findings(summary: ComparisonSummary) -> list[str]:
     if most_wins:
         best = [name for name, count in wins.items() if count == most_wins]
         findings.append(
-            f"Smallest position ATE most often: {' and '.join(best)}, on {most_wins} of "
-            f"{_counted(summary.sequences, 'sequence')}{' each' if len(best) > 1 else ''}."
+            f"Most sequences with the smallest position ATE: {' and '.join(best)}, on "
+            f"{most_wins} of {counted(len(summary.sequences), 'sequence')}."
         )
         coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))
         most = max(coverage, key=lambda name: coverage[name])
         findings += [
-            f"But {name} covers {whole_percent(coverage[name])} of the groundtruth's time and "
-            f"{most} {whole_percent(coverage[most])}: errors over a part compare only with "
-            "errors over the same part; --common-time-span compares these."
-            for name in best
+            f"{name} covers {whole_percent(coverage[name])} of the groundtruth and {most} covers "
+            f"{whole_percent(coverage[most])}. Compare only runs with the same coverage: use "
+            "--common-time-span."
+            for name in summary.algorithms
             if coverage[name] < 0.9 * coverage[most]
         ]
     return findings
@@ -129,82 +205,3 @@ def _findings(summary: ComparisonSummary) -> list[str]:
 
 def _counted(names: list[str], what: str) -> str:
     return f"{len(names)} {what}{'' if len(names) == 1 else 's'}"
-
-
-def _runs(
-    folder: Path, summary: ComparisonSummary, figures: Mapping[str, tuple[str, ...]]
-) -> list[RunPage]:
-    statistics: dict[str, list[tuple[str, ...]]] = defaultdict(list)
-    facts: dict[str, tuple[tuple[str, str], ...]] = {}
-    names = ("key", "kind", "metric", "length", "count", *STATISTICS)
-    more = (
-        "groundtruth", "estimate", "pairs", "estimate_coverage", "span_s", "scale",
-        "groundtruth_span", "longest_gap_s", "longest_gap_m", "longest_gap_deg",
-        "estimate_sha256", "groundtruth_sha256",
-    )  # fmt: skip
-    for row in ResultsTable(folder / RUNS).select((*names, *more), status=OK):
-        key = row["key"]
-        if key not in facts:
-            facts[key] = _facts(row)
-        if row["kind"] in (ATE, RE, POOLED):
-            statistics[key].append(_statistics(row))
-        else:
-            facts[key] += ((f"{row['kind']}, {row['metric']}", three_decimals(row["mean"])),)
-    return [
-        RunPage(
-            algorithm=trial.algorithm,
-            sequence=trial.sequence,
-            trial=trial.trial,
-            status=trial.status,
-            reason=trial.reason,
-            position_m=trial.rmse.get("position_m"),
-            rotation_deg=trial.rmse.get("rotation_deg"),
-            coverage=trial.coverage,
-            facts=facts.get(trial.key, ()),
-            headings=("error", *STATISTICS, "count"),
-            statistics=tuple(statistics.get(trial.key, ())),
-            warnings=trial.warnings,
-            svgs=tuple(filter(None, figures.get(trial.key, ()))),
-        )
-        for trial in summary.trials
-    ]
-
-
-def _run_path(folder: Path, key: str, place: int) -> str:
-    record = read_record(folder / RECORDS, key)
-    if record is None:
-        return ""
-    columns = record.columns
-    return run_path(key, place, record.groundtruth_up, columns["truth"], columns["path"])
-
-
-def _run_errors(folder: Path, key: str, place: int) -> str:
-    record = read_record(folder / RECORDS, key)
-    return "" if record is None else run_errors(key, place, record.columns["errors"])
-
-
-def _statistics(row: dict[str, Any]) -> tuple[str, ...]:
-    labels = ABSOLUTE if row["kind"] == ATE else RELATIVE
-    where = {ATE: "ATE", RE: f"RE {row['length']}", POOLED: "RE all lengths"}[row["kind"]]
-    values = [three_decimals(row[name]) for name in STATISTICS]
-    return (f"{where}, {labels[row['metric']]}", *values, str(row["count"]))
-
-
-def _facts(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    return (
-        ("estimate", row["estimate"]),
-        ("groundtruth", row["groundtruth"]),
-        ("pairs", f"{row['pairs']} over {row['span_s']:.1f} s, "
-                  f"{percent(row['estimate_coverage'])} of the poses"),
-        *_gap(row),
-        ("scale", f"{row['scale']:.5g}"),
-        ("sha256", f"{row['estimate_sha256'][:16]}… and {row['groundtruth_sha256'][:16]}…"),
-    )  # fmt: skip
-
-
-def _gap(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    if row["longest_gap_s"] is None:
-        return ()
-    gap = Gap(row["longest_gap_s"], row["longest_gap_m"], row["longest_gap_deg"])
-    first_to_last = f"{percent(row['groundtruth_span'])} of the groundtruth's time"
-    return (("first to last pair", first_to_last), ("longest gap", str(gap)))

@@ -10,6 +10,8 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.io.urls import require_no_password
 
 SEQUENCE, TRIAL = "sequence", "trial"
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
@@ -48,19 +50,24 @@ class Pattern:
 
         Raises:
             SettingsError: It has a placeholder that there isn't, or lacks `{sequence}`.
+            InputError: It is a URL with a password.
         """
+        if is_url(text):
+            require_no_password(text)
         for name in _PLACEHOLDER.findall(text):
             if name not in (SEQUENCE, TRIAL):
                 near = get_close_matches(name, (SEQUENCE, TRIAL), n=1)
                 hint = f"did you mean {{{near[0]}}}?" if near else "use {sequence} and {trial}"
                 raise SettingsError(f"the pattern {text!r} has an unknown {{{name}}}; {hint}")
         if "\0" in text:
-            raise SettingsError(f"the pattern {text!r} has a character that no path has")
+            raise SettingsError(
+                f"the pattern {text!r} has a character that is not valid in a path"
+            )
         path, topic = split_topic(text)
         if SEQUENCE not in _PLACEHOLDER.findall(path):
             raise SettingsError(
-                f"the pattern {text!r} has no {{sequence}} in its path; write it where the files' "
-                "names tell the sequence, as in groundtruth/{sequence}.txt"
+                f"the pattern {text!r} has no {{sequence}}; write it in place of the sequence "
+                "name, as in groundtruth/{sequence}.txt"
             )
         return cls(text, path, topic)
 
@@ -86,7 +93,7 @@ class Pattern:
                 which = " ".join(filter(None, run))
                 raise InputError(
                     f"two files are {which} of {self.text!r}: {split_topic(found[run])[0]} and "
-                    f"{path}; make the pattern tell them apart"
+                    f"{path}; make the pattern unique"
                 )
             found[run] = path + self.source_topic(*run)
         return found
@@ -99,7 +106,7 @@ class Pattern:
         """
         if not found:
             raise InputError(
-                f"nothing matches the pattern {self.text!r}{_how_far(folder, self.path)}"
+                f"no file matches the pattern {self.text!r}{_how_far(folder, self.path)}"
             )
 
     def source_topic(self, sequence: str, trial: str) -> str:
@@ -152,7 +159,7 @@ def _existing_at(url: str) -> Iterator[tuple[re.Match[str], str]]:
                 yield match, files.unstrip_protocol(path)
     except ImportError as error:
         raise InputError(
-            f"{url} can't be read: {error}; pip install 'trajeval-ros[remote]', or the fsspec "
+            f"{url} can't be read: {error}; {extra_command('remote')}, or install the fsspec "
             "package of that protocol"
         ) from error
     except (OSError, ValueError) as error:
@@ -172,5 +179,5 @@ def _how_far(folder: Path, pattern: str) -> str:
     while not fixed.is_dir():
         fixed = fixed.parent
     names = sorted(each.name for each in fixed.iterdir())[:5]
-    inside = f", which holds {', '.join(names)}" if names else ", which is empty"
+    inside = f", which contains {', '.join(names)}" if names else ", which is empty"
     return f"; the path exists up to {fixed}{inside}"

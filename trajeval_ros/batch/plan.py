@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from trajeval_ros.pipeline import Request
+from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+from trajeval_ros.pipeline.request import Request
 
 Name = tuple[str, str, str]
 
@@ -22,6 +25,8 @@ class PlannedRun:
         groundtruth: SOURCE of the groundtruth.
         estimate: SOURCE of the estimate.
         missing: Why it can't be evaluated; "" of a run whose files are there.
+        time_span: The part of it that its folder says is to be evaluated; None for all.
+        hints: What is known of the estimate's text file beyond what is in it.
     """
 
     algorithm: str
@@ -30,6 +35,8 @@ class PlannedRun:
     groundtruth: str = ""
     estimate: str = ""
     missing: str = ""
+    time_span: TimeSpan | None = None
+    hints: TextHints = NO_HINTS
 
     @property
     def name(self) -> str:
@@ -52,6 +59,12 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     request: Request
     common_time_span: bool = False
+
+    def request_of(self, run: PlannedRun) -> Request:
+        """Return what is computed of a run: its own time span, unless the request has one."""
+        if run.time_span is None or self.request.time_span is not None:
+            return self.request
+        return dataclasses.replace(self.request, time_span=run.time_span)
 
 
 def all_runs(
@@ -89,9 +102,9 @@ def all_runs(
                 name = (algorithm, sequence, trial)
                 estimate, missing = estimates.get(name, ""), ""
                 if not estimate:
-                    missing = f"there is no {where(name)}"
+                    missing = f"{where(name)} does not exist"
                 elif not groundtruth:
-                    missing = f"there is no groundtruth of {sequence}"
+                    missing = f"no groundtruth of {sequence}"
                 runs.append(PlannedRun(*name, groundtruth, estimate, missing))
     return tuple(runs)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.batch.plan import Plan
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, metadata_of
 from trajeval_ros.geometry.arrays import Floats
@@ -64,7 +63,10 @@ def _relative(
     row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
     # Shares of a length need each trial's own one, which are the same but for odd groundtruths.
     for metric, (share, unit) in PER_LENGTH.items():
-        errors = [record.columns[f"{length}.{metric}"] for record in having]
+        name = f"{length}.{metric}"
+        errors = [record.columns[name] for record in having if name in record.columns]
+        if len(errors) < len(having):  # without orientations there are no rotation errors
+            continue
         absolute = list(_rows(np.concatenate(errors), {**row, "metric": metric}))
         yield from absolute
         if None in sizes:
@@ -90,7 +92,9 @@ def _rows(values: Floats, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield {**row, **vars(statistics), **quantiles}
 
 
-def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan, state: str) -> None:
+def write_pooled(
+    path: Path, rows: list[dict[str, Any]], title: str, settings: dict[str, Any], state: str
+) -> None:
     """Write the statistics over trials as Parquet, with the hash of what they were made from.
 
     Raises:
@@ -99,7 +103,7 @@ def write_pooled(path: Path, rows: list[dict[str, Any]], plan: Plan, state: str)
     arrow, parquet = load_pyarrow()
     schema = arrow.schema(
         [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata=metadata_of(SCHEMA, plan, state),
+        metadata=metadata_of(SCHEMA, title, settings, state),
     )
     table = arrow.Table.from_pylist(rows, schema=schema)
     write_whole(path, lambda temporary: parquet.write_table(table, temporary))

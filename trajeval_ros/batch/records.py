@@ -1,25 +1,30 @@
-"""What an evaluated run leaves on disk: a file each, so that a kill loses what is in flight.
+"""What an evaluated run leaves on disk, as an entry in a file of records.
 
-A file is a line of JSON, and then the numbers of all columns, float64, little-endian. An archive
-of numpy's would do, but costs a millisecond each way.
+An entry is a head of fixed size, a line of JSON with the columns to draw, and the errors of all
+sub-trajectories, which only statistics over trials need. Columns are float64, little-endian.
 """
 
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.json_file import json_text, mapping_in
-from trajeval_ros.io.writing import write_whole
 
 SCHEMA = "trajeval-run/1"
+DRAWN = ("errors", "path", "truth")
 _END_OF_HEAD = b"\n"
+_MARK = b"trajrun1"
+# Mark, key, and of each part its size and checksum.
+_HEAD = struct.Struct("<8s32sQIQI")
+HEAD_BYTES = _HEAD.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,55 +59,91 @@ class Record:
         return UpAxis(**self.result["groundtruth"]["up"])
 
 
+class EntryHead(NamedTuple):
+    """The beginning of an entry: whose it is, and sizes and checksums of its two parts."""
+
+    key: str
+    drawn_bytes: int
+    drawn_sum: int
+    pooled_bytes: int
+    pooled_sum: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of the whole entry."""
+        return HEAD_BYTES + self.drawn_bytes + self.pooled_bytes
+
+
+def entry_head(data: bytes) -> EntryHead | None:
+    """Return the head that data (`HEAD_BYTES`) is; None if it is none."""
+    if len(data) < HEAD_BYTES:
+        return None
+    mark, key, *rest = _HEAD.unpack_from(data)
+    if mark != _MARK or not key.isalnum():
+        return None
+    return EntryHead(key.decode(), *rest)
+
+
 def encode(record: Record) -> bytes:
-    """Return a record as the bytes of its file, which workers make."""
-    shapes = {name: column.shape for name, column in record.columns.items()}
+    """Return a record as an entry, which workers make."""
+    drawn = {name: record.columns[name] for name in DRAWN if name in record.columns}
+    pooled = {name: each for name, each in record.columns.items() if name not in drawn}
     head = {
         "schema": SCHEMA,
         "result": record.result,
         "lengths": record.lengths,
         "span_ns": record.span_ns,
-        "shapes": shapes,
+        "drawn": {name: column.shape for name, column in drawn.items()},
+        "pooled": {name: column.shape for name, column in pooled.items()},
     }
-    text = json_text(head).encode()
-    columns = (np.asarray(each, dtype="<f8").tobytes() for each in record.columns.values())
-    return b"".join([text, _END_OF_HEAD, *columns])
+    parts = [json_text(head).encode() + _END_OF_HEAD + _bytes_of(drawn), _bytes_of(pooled)]
+    sums = [each for part in parts for each in (len(part), zlib.crc32(part))]
+    return b"".join([_HEAD.pack(_MARK, record.key.encode(), *sums), *parts])
 
 
-def write_record(folder: Path, key: str, encoded: bytes) -> None:
-    """Write an encoded record, whole or not at all.
+def decode(head: EntryHead, drawn: bytes, pooled: bytes | None) -> Record | None:
+    """Return the record of an entry; None if it is none.
 
-    Raises:
-        InputError: It can't be written.
+    Args:
+        head: Of the entry.
+        drawn: Its first part.
+        pooled: Its second part; None to leave its columns out.
     """
-    write_whole(_path(folder, key), lambda temporary: temporary.write_bytes(encoded))
-
-
-def has_record(folder: Path, key: str) -> bool:
-    """Return whether a run was finished."""
-    return _path(folder, key).is_file()
-
-
-def read_record(folder: Path, key: str) -> Record | None:
-    """Return a record; None if there is none that can be read."""
+    if zlib.crc32(drawn) != head.drawn_sum:
+        return None
+    if pooled is not None and zlib.crc32(pooled) != head.pooled_sum:
+        return None
     try:
-        text, _, values = _path(folder, key).read_bytes().partition(_END_OF_HEAD)
-        head = mapping_in(text)
-        if head is None or head["schema"] != SCHEMA:
+        text, _, values = drawn.partition(_END_OF_HEAD)
+        said = mapping_in(text)
+        if said is None or said["schema"] != SCHEMA:
             return None
-        sizes = [math.prod(shape) for shape in head["shapes"].values()]
-        parts = np.split(np.frombuffer(values, dtype="<f8"), np.cumsum(sizes))
-        columns = {
-            name: part.reshape(shape)
-            for (name, shape), part in zip(head["shapes"].items(), parts[:-1], strict=True)
-        }
-        span_ns = tuple(map(int, head["span_ns"]))
-        if len(parts[-1]) or len(span_ns) != 2 or not isinstance(head["result"]["runs"][0], dict):
-            return None  # more than there should be, or something else
-        return Record(key, head["result"], tuple(head["lengths"]), span_ns, columns)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError):
+        columns = _columns(values, said["drawn"])
+        if pooled is not None:
+            columns |= _columns(pooled, said["pooled"])
+        span_ns = tuple(map(int, said["span_ns"]))
+        if len(span_ns) != 2 or not isinstance(said["result"]["runs"][0], dict):
+            return None
+        return Record(head.key, said["result"], tuple(said["lengths"]), span_ns, columns)
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
         return None
 
 
-def _path(folder: Path, key: str) -> Path:
-    return folder / f"{key}.run"
+def _bytes_of(columns: dict[str, Floats]) -> bytes:
+    return b"".join(np.asarray(each, dtype="<f8").tobytes() for each in columns.values())
+
+
+def _columns(values: bytes, shapes: dict[str, list[int]]) -> dict[str, Floats]:
+    """Return columns by their shapes.
+
+    Raises:
+        ValueError: There are more or fewer numbers.
+    """
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    parts = np.split(np.frombuffer(values, dtype="<f8"), np.cumsum(sizes))
+    if len(parts[-1]):
+        raise ValueError("more numbers than the shapes require")
+    return {
+        name: part.reshape(shape)
+        for (name, shape), part in zip(shapes.items(), parts[:-1], strict=True)
+    }

@@ -25,7 +25,7 @@ def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
         match = _HOST.fullmatch(text.removesuffix("/"))
         if match is None:
             raise SettingsError(
-                f"--allow-remote {text} is no host; write SCHEME://HOST, as in s3://bucket"
+                f"--allow-remote {text} is not a host; write SCHEME://HOST, as in s3://bucket"
             )
         hosts.add(_name(match))
     return frozenset(hosts)
@@ -43,16 +43,16 @@ def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
         InputError: It is of another host.
     """
     if "::" in url:  # fsspec would ask each of them
-        raise InputError(f"{where}: {url} is a chain of URLs; name one without '::'")
+        raise InputError(f"{where}: {url} is a chain of URLs; give one URL without '::'")
     if url.partition("://")[0].lower() in _OF_THIS_MACHINE:
         return
     match = _HOST.match(url)
     if match is None:
-        raise InputError(f"{where}: {url} names no host; write it as in s3://bucket/file")
+        raise InputError(f"{where}: {url} has no host; write it as in s3://bucket/file")
     if _name(match) not in allowed:
         raise InputError(
-            f"{where} names {url}, which is not on this machine; if you trust the file, add "
-            f"--allow-remote {_name(match)}"
+            f"{where} has the remote URL {url}; if you trust the file, add --allow-remote "
+            f"{_name(match)}"
         )
 
 

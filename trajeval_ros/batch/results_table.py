@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.records import Record
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_whole
 
@@ -26,6 +27,7 @@ OK, FAILED, MISSING = "ok", "failed", "missing"
 ATE, RE, POOLED = "ate", "re", "re.pooled"
 # Rows of one value, in the column `mean`, with its standard deviation, if known, in `std`.
 CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood"
+INTEGRITY = "integrity"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
 
@@ -45,6 +47,7 @@ _COLUMNS = {
         ("groundtruth", "estimate", "groundtruth_sha256", "estimate_sha256", "key", "warnings"),
         "string",
     ),
+    "diagnosis": "string",
     **dict.fromkeys(("gauge", "protocol", "settings", "version"), "string"),
 }
 
@@ -79,6 +82,8 @@ def settings_of(plan: Plan) -> dict[str, Any]:
         "covariance": request.covariances.source,
         "rotation_covariance_frame": request.covariances.rotation_frame,
         "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
+        "integrity": None if request.integrity is None else dataclasses.asdict(request.integrity),
+        "mends": dataclasses.asdict(request.mends) if request.mends.anything else None,
         "common_time_span": plan.common_time_span,
     }
 
@@ -127,6 +132,7 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
         "estimate_sha256": estimate,
         "key": record.key,
         "warnings": "\n".join(evaluated["warnings"]),
+        "diagnosis": ",".join(each["cause"] for each in evaluated["diagnosis"]),
     }
     yield from _rows(evaluated["ate"], {**same, "kind": ATE})
     yield from _values(evaluated, same)
@@ -158,6 +164,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
         (CALIBRATION, "parameters_applied", calibration.get("parameters_applied"), None),
         (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
         (CONSISTENCY, "pose_nees_per_dof", per_pose.get("mean"), None),
+        *_integrity(evaluated["integrity"] or {}),
         (LIKELIHOOD, "nll_per_pose", probabilistic.get("nll_per_pose"), None),
         (LIKELIHOOD, "weighted_m", ate.get("weighted_m"), None),
         (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),
@@ -166,6 +173,16 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
     for kind, metric, value, sigma in found:
         if value is not None:
             yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
+
+
+def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
+    """Yield kind, metric and value of what was found about each part of the pose."""
+    for part in found.get("parts", ()):
+        name = part["part"]
+        yield INTEGRITY, f"{name}_hazardous", part["areas"]["hazardous"], None
+        yield INTEGRITY, f"{name}_available", part["availability"], None
+        yield INTEGRITY, f"{name}_inflation", part["inflation_999"], None
+        yield INTEGRITY, f"{name}_level_{part['unit']}", part["protection_level_median"], None
 
 
 def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
@@ -189,13 +206,16 @@ def _rows(metrics: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, A
             yield {**same, "metric": metric, **statistics}
 
 
-def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: str) -> None:
+def write_table(
+    path: Path, rows: Iterable[dict[str, Any]], title: str, settings: dict[str, Any], state: str
+) -> None:
     """Write rows as they come, so that memory doesn't grow with their number.
 
     Args:
         path: The file; it is whole or not there.
         rows: Of runs, as `rows_of_run` and `row_of_failure` make them.
-        plan: What is compared.
+        title: Of the comparison.
+        settings: That its numbers depend on, as `settings_of` returns them.
         state: Hash of what the table was made from.
 
     Raises:
@@ -204,12 +224,12 @@ def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: s
     arrow, parquet = load_pyarrow()
     schema = arrow.schema(
         [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata=metadata_of(SCHEMA, plan, state),
+        metadata=metadata_of(SCHEMA, title, settings, state),
     )
     constant = {
-        "gauge": plan.request.protocol.gauge.value,
-        "protocol": plan.request.protocol.name,
-        "settings": json.dumps(settings_of(plan)),
+        "gauge": settings["gauge"],
+        "protocol": settings["protocol"],
+        "settings": json.dumps(settings),
         "version": __version__,
     }
 
@@ -226,10 +246,9 @@ def write_table(path: Path, rows: Iterable[dict[str, Any]], plan: Plan, state: s
     write_whole(path, write)
 
 
-def metadata_of(schema: str, plan: Plan, state: str) -> dict[str, str]:
+def metadata_of(schema: str, title: str, settings: dict[str, Any], state: str) -> dict[str, str]:
     """Return what a table of a comparison says of itself."""
-    settings = json.dumps(settings_of(plan))
-    head = {"schema": schema, "title": plan.title, "settings": settings, "state": state}
+    head = {"schema": schema, "title": title, "settings": json.dumps(settings), "state": state}
     return {f"trajeval.{name}": value for name, value in head.items()}
 
 
@@ -258,17 +277,22 @@ class ResultsTable:
         Raises:
             InputError: It can't be read, or is something else.
         """
-        self._arrow, self._parquet = load_pyarrow()
+        self._arrow, parquet = load_pyarrow()
+        from pyarrow import compute
+
+        self._compute = compute
         self.path = path
         try:
-            self._schema = self._parquet.read_schema(path)
+            # Stays open: a baseline may be replaced by the new table before it is compared with.
+            self._file = parquet.ParquetFile(path)
         except FileNotFoundError as error:
             raise InputError(f"{path} does not exist; check the path") from error
         except (OSError, ValueError) as error:
             raise self._damaged() from error
+        self._schema = self._file.schema_arrow
         metadata = self._schema.metadata or {}
         found = metadata.get(b"trajeval.schema", b"").decode(errors="replace")
-        what, mend = "table of trajeval compare", "name the runs.parquet of another output folder"
+        what, mend = "table of trajeval compare", "give the runs.parquet of another output folder"
         require_schema(path, found, SCHEMA, what, mend)
         settings: Any = None
         with contextlib.suppress(ValueError):
@@ -278,34 +302,68 @@ class ResultsTable:
         self.title = metadata.get(b"trajeval.title", b"").decode(errors="replace")
         self.settings: dict[str, Any] = settings
 
-    def select(self, columns: Iterable[str], **equal: str) -> list[dict[str, Any]]:
-        """Return some columns of the rows in which other columns have these values.
+    def select(
+        self, columns: Iterable[str], **allowed: str | Sequence[str | None]
+    ) -> list[dict[str, Any]]:
+        """Return some columns of the rows in which other columns have a value that is allowed.
+
+        Raises:
+            InputError: The table lacks one, or can't be read.
+        """
+        return list(self.each(columns, **allowed))
+
+    def each(
+        self, columns: Iterable[str], **allowed: str | Sequence[str | None]
+    ) -> Iterator[dict[str, Any]]:
+        """Yield the same row by row: memory holds a group of rows, however many there are."""
+        names = list(columns)
+        sets = {
+            name: self._arrow.array(
+                [values] if isinstance(values, str) else list(values), self._arrow.string()
+            )
+            for name, values in allowed.items()
+        }
+        for rows in self._groups([*dict.fromkeys((*names, *sets))]):
+            for name, values in sets.items():
+                rows = rows.filter(self._compute.is_in(rows.column(name), values))
+            yield from rows.select(names).to_pylist()
+
+    def distinct(self, columns: Iterable[str]) -> list[dict[str, Any]]:
+        """Return what differs among the rows in some columns, in order of first occurrence.
 
         Raises:
             InputError: The table lacks one, or can't be read.
         """
         names = list(columns)
-        for name in (*names, *equal):
+        found: dict[tuple[Any, ...], None] = {}
+        for rows in self._groups(names):
+            some = rows.group_by(names, use_threads=False).aggregate([]).select(names)
+            found.update(dict.fromkeys(zip(*some.to_pydict().values(), strict=True)))
+        return [dict(zip(names, values, strict=True)) for values in found]
+
+    def _groups(self, names: Sequence[str]) -> Iterator[pyarrow.Table]:
+        """Yield columns of some rows after the other."""
+        for name in names:
             kinds = getattr(self._arrow, _COLUMNS[name])(), self._arrow.null()
             if name not in self._schema.names or self._schema.field(name).type not in kinds:
                 raise InputError(
-                    f"{self.path} has no column {name} of {_COLUMNS[name]}; make it anew with "
+                    f"{self.path} has no column {name} of {_COLUMNS[name]}; create it again with "
                     "trajeval compare"
                 )
-        filters = [(name, "==", value) for name, value in equal.items()] or None
         try:
-            table: pyarrow.Table = self._parquet.read_table(
-                self.path, columns=names, filters=filters
-            )
-            rows: list[dict[str, Any]] = table.to_pylist()
+            for batch in self._file.iter_batches(_ROWS_AT_ONCE, columns=names, use_threads=False):
+                # A column of nothing else is of nulls in tables that others wrote.
+                columns = [
+                    batch.column(name).cast(getattr(self._arrow, _COLUMNS[name])())
+                    for name in names
+                ]
+                yield self._arrow.table(columns, names=list(names))
         except (OSError, ValueError) as error:
             raise self._damaged() from error
-        return rows
 
     def _damaged(self) -> InputError:
         return InputError(
-            f"{self.path} is no whole Parquet file; if its writing was interrupted, make it anew "
-            "with trajeval compare"
+            f"{self.path} is not a complete Parquet file; create it again with trajeval compare"
         )
 
 
@@ -320,11 +378,10 @@ def load_pyarrow() -> tuple[Any, Any]:
         from pyarrow import parquet
     except ModuleNotFoundError as error:
         raise InputError(
-            "trajeval compare needs pyarrow, which is not installed: "
-            "pip install 'trajeval-ros[compare]'"
+            f"trajeval compare needs pyarrow; install it: {extra_command('compare')}"
         ) from error
     except ImportError as error:
         raise InputError(
-            f"pyarrow can't be used ({error}); beside numpy 1.26: pip install 'pyarrow<26'"
+            f"pyarrow is installed but can't be used ({error}): {pyarrow_command()}"
         ) from error
     return pyarrow, parquet

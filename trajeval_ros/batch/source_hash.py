@@ -15,7 +15,6 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 # All that `batch/worker.py` imports, and what these import.
 _OF_NUMBERS = (
     "exceptions.py",
-    "pipeline.py",
     "geometry",
     "continuous_time",
     "metrics",
@@ -23,9 +22,11 @@ _OF_NUMBERS = (
     "consistency",
     "likelihood",
     "diagnosis",
+    "watchdog",
+    "pipeline",
     "formatting",
     "io",
-    "report/canvas.py",
+    "report/line_thinning.py",
     "batch/plan.py",
     "batch/records.py",
     "batch/source_hash.py",

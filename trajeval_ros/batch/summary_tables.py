@@ -17,19 +17,22 @@ from trajeval_ros.metrics.enough_pairs import enough_pairs
 from trajeval_ros.report.matrix import Cell, Matrix
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
-_PARTIAL, _FEW = "†", "‡"
+_PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
+_NO_MISTAKES = {"few_pairs", "keyframes"}  # which have a mark of their own, or need none
+_COMPARABLE = (
+    f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
+    "ranked."
+)
 
 
 def definition(settings: dict[str, Any]) -> str:
-    """Say in a sentence what all numbers of a comparison depend on."""
+    """State in a sentence what all numbers of a comparison depend on."""
     modality = f" for {settings['modality']}" if settings["modality"] else ""
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
     # Comparisons of older versions don't say it.
     how += " and their orientations" if settings.get("align_with") == "poses" else ""
-    span = (
-        ", only the time that all runs of a sequence have" if settings["common_time_span"] else ""
-    )
+    span = ", common time span of all runs of a sequence" if settings["common_time_span"] else ""
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
         f"({Gauge(settings['gauge']).description}){modality} with {how}, association "
@@ -38,12 +41,14 @@ def definition(settings: dict[str, Any]) -> str:
 
 
 def _calibration(settings: dict[str, Any]) -> str:
-    """Say what of clocks and bodies the numbers are with."""
+    """State what of clocks and bodies the numbers are with."""
     asked = ["clock offset"] if settings["calibrate_time_offset"] else []
     asked += ["body"] if settings["hand_eye"] == "auto" else []
     text = ""
     if asked:
-        text = f" Calibrated for each run, and applied where significant: {' and '.join(asked)}."
+        text = (
+            f" Calibrated per run and applied if statistically significant: {' and '.join(asked)}."
+        )
     if isinstance(settings["hand_eye"], list):
         text += " With a given hand-eye transform."
     return text
@@ -65,23 +70,35 @@ def matrices(summary: ComparisonSummary) -> list[Matrix]:
 _VALUES = {
     "time_offset_s": (
         "Clock offset [s]",
-        "Estimated for each run and applied where it is significant; errors are with it.",
+        "Estimated per run and applied to the errors if statistically significant.",
     ),
     "joint_nees_per_dof": (
         "Joint NEES per degree of freedom",
-        "About 1 where covariances fit the errors.",
+        "About 1 for consistent covariances.",
     ),
     "pose_nees_per_dof": (
         "NEES per degree of freedom, mean of poses",
-        "About 1 where covariances fit the errors.",
+        "About 1 for consistent covariances.",
+    ),
+    "horizontal_hazardous": (
+        "Hazardously misleading share of poses, horizontal",
+        "Errors over the alert limit with a protection level within it.",
+    ),
+    "horizontal_available": (
+        "Available share of poses, horizontal",
+        "Protection levels within the alert limit.",
+    ),
+    "horizontal_inflation": (
+        "Inflation for 99.9 % of the errors, horizontal",
+        "What protection levels must be multiplied by to bound the errors.",
     ),
     "nll_per_pose": (
         "Negative log-likelihood per pose",
-        "Smaller is better; comparable among estimates with the same stamps.",
+        "Smaller is better. Comparable between estimates with the same timestamps.",
     ),
     "weighted_m": (
         "ATE weighted by the groundtruth's uncertainty [m]",
-        "Over all poses of an estimate that the continuous groundtruth covers.",
+        "Over all poses that the continuous groundtruth covers.",
     ),
 }
 _RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
@@ -113,11 +130,13 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     states = summary.settings["align_states"]
     gauge = Gauge(summary.settings["gauge"])
     enough = enough_pairs(gauge, None if states == "all" else states)
+    comparable = {each: _comparable_coverage(summary, each) for each in summary.sequences}
     rows = [
         (
             algorithm,
             tuple(
-                _cell(summary.of(algorithm, each), metric, enough) for each in summary.sequences
+                _cell(summary.of(algorithm, each), metric, enough, comparable[each])
+                for each in summary.sequences
             ),
         )
         for algorithm in summary.algorithms
@@ -125,24 +144,64 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
-    over = " of trials: median (least to largest); a failed one counts as worse than all"
+    over = " of trials: median (minimum to maximum); failed trials are ranked last"
     caption = (
-        f"Absolute trajectory error, {summary.settings['ate_form']} form, rmse"
-        f"{over if several else ''}. {definition(summary.settings)}"
+        f"Absolute trajectory error, {summary.settings['ate_form']} form, "
+        f"RMSE{over if several else ''}. {definition(summary.settings)} {_COMPARABLE}"
     )
     notes = "".join(cell.note for _, cells in rows for cell in cells)
     if _PARTIAL in notes:
         least = whole_percent(LOW_COVERAGE)
-        caption += f" {_PARTIAL} covers less than {least} of the groundtruth's time."
+        caption += f" {_PARTIAL} coverage below {least} of the groundtruth."
     if _FEW in notes:
-        caption += f" {_FEW} from fewer than {enough} pairs, too few for an ATE, and not ranked."
-    return _matrix(summary, f"ate_{metric}", f"ATE, {ABSOLUTE[metric]}", caption, rows)
+        caption += f" {_FEW} fewer than {enough} pairs, too few for an ATE, not ranked."
+    if _DIAGNOSED in notes:
+        causes = {cause for each in summary.trials for cause in _mistakes(each)}
+        caption += (
+            f" {_DIAGNOSED} mistakes found ({', '.join(sorted(causes))}); follow the warnings of "
+            "the runs."
+        )
+    title = f"ATE, {ABSOLUTE[metric]}"
+    brief = _brief(
+        summary, f"{title}, RMSE{', median of trials' if several else ''}", notes, enough
+    )
+    return _matrix(summary, f"ate_{metric}", title, caption, rows, brief=brief, has_average=True)
 
 
-def _cell(trials: Sequence[Trial], metric: str, enough: int) -> Cell:
+def _brief(summary: ComparisonSummary, what: str, notes: str = "", enough: int = 0) -> str:
+    """Return a caption of one sentence."""
+    gauge = Gauge(summary.settings["gauge"])
+    aligned = "unaligned" if gauge is Gauge.NONE else f"aligned by {gauge.description}"
+    marks = ""
+    if _PARTIAL in notes:
+        marks += f", {_PARTIAL} coverage below {whole_percent(LOW_COVERAGE)}"
+    if _FEW in notes:
+        marks += f", {_FEW} fewer than {enough} pairs"
+    if _DIAGNOSED in notes:
+        marks += f", {_DIAGNOSED} mistakes found"
+    return f"{what}, {aligned}; best bold, second best underlined{marks}."
+
+
+def _comparable_coverage(summary: ComparisonSummary, sequence: str | None) -> float:
+    """Return the least coverage that compares with the greatest one of an algorithm."""
+    covered = [_coverage(summary.of(each, sequence)) for each in summary.algorithms]
+    return LOW_COVERAGE * max(covered, default=0.0)
+
+
+def _coverage(trials: Sequence[Trial]) -> float:
+    """Return the median over trials that were evaluated, of a share of the groundtruth's time."""
+    return median([each.coverage for each in trials if each.status == OK] or [0.0])
+
+
+def _mistakes(trial: Trial) -> list[str]:
+    """Return the causes that a run shows and that are mistakes; keyframes are none."""
+    return [cause for cause in trial.diagnosis if cause not in _NO_MISTAKES]
+
+
+def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) -> Cell:
     """Return the median over trials, of which a failed one is worse than any other.
 
-    What is from fewer pairs than enough is not ranked.
+    What is from fewer pairs than enough is not ranked, nor what covers less than is comparable.
     """
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
@@ -150,16 +209,20 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int) -> Cell:
         return Cell(None)
     value = median([*known, *[math.inf] * (len(trials) - len(evaluated))])
     notes = []
+    spread = ""
     if len(known) > 1:
-        notes.append(f"({three_decimals(min(known))}–{three_decimals(max(known))})")
+        spread = f"({three_decimals(min(known))}–{three_decimals(max(known))})"
     if len(known) < len(trials) and len(trials) > 1:
         notes.append(f"{len(known)}/{len(trials)}")
-    if evaluated and median(trial.coverage for trial in evaluated) < LOW_COVERAGE:
+    if evaluated and _coverage(trials) < LOW_COVERAGE:
         notes.append(_PARTIAL)
     has_few = any(trial.pairs < enough for trial in evaluated)
     if has_few:
         notes.append(_FEW)
-    return Cell(value, " ".join(notes), is_ranked=not has_few)
+    if any(map(_mistakes, evaluated)):
+        notes.append(_DIAGNOSED)
+    is_ranked = not has_few and _coverage(trials) >= comparable
+    return Cell(value, " ".join(notes), is_ranked, spread)
 
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -170,6 +233,7 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
     rows = []
     some_lost = False
+    comparable = _comparable_coverage(summary, None)
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
         evaluated = sum(trial.status == OK for trial in trials)
@@ -182,18 +246,20 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             means = pooled[algorithm, length]
             count = sum(each for _, each in means)
             mean = sum(value * each for value, each in means) / count if count else None
-            cells.append(Cell(mean, note if count else "", is_ranked=is_whole))
+            is_ranked = is_whole and _coverage(trials) >= comparable
+            cells.append(Cell(mean, note if count else "", is_ranked))
         rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
     caption = (
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
-        f"{RE_FORMS[summary.settings['re_form']]}. {definition(summary.settings)}"
+        f"{RE_FORMS[summary.settings['re_form']]}. {definition(summary.settings)} {_COMPARABLE}"
     )
     if some_lost:
-        caption += " Who lost runs, which have no sub-trajectories, is not ranked."
+        caption += " Algorithms with failed runs are not ranked."
     title = f"Relative error, {RELATIVE[metric]}, by length"
-    return _matrix(summary, f"re_{metric}", title, caption, rows, lengths)
+    brief = _brief(summary, f"{title}, mean over all sub-trajectories")
+    return _matrix(summary, f"re_{metric}", title, caption, rows, lengths, brief)
 
 
 def _matrix(
@@ -203,6 +269,9 @@ def _matrix(
     caption: str,
     rows: list[tuple[str, tuple[Cell, ...]]],
     columns: Sequence[str] | None = None,
+    brief: str = "",
+    *,
+    has_average: bool = False,
 ) -> Matrix:
     runs, coverage = [], []
     for algorithm, _ in rows:
@@ -210,4 +279,14 @@ def _matrix(
         runs.append(f"{sum(trial.status == OK for trial in trials)}/{len(trials)}")
         coverage.append(sum(trial.coverage for trial in trials) / len(trials))
     headings = tuple(summary.sequences if columns is None else columns)
-    return Matrix(name, title, caption, headings, tuple(rows), tuple(runs), tuple(coverage))
+    return Matrix(
+        name,
+        title,
+        caption,
+        headings,
+        tuple(rows),
+        tuple(runs),
+        tuple(coverage),
+        brief,
+        has_average and len(headings) > 1,
+    )

@@ -18,10 +18,11 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.pipeline import Request
-from trajeval_ros.pipeline import run as run_pipeline
-from trajeval_ros.report.canvas import thinned
+from trajeval_ros.pipeline.pipeline import run as run_pipeline
+from trajeval_ros.pipeline.request import Request
+from trajeval_ros.report.line_thinning import thinned
 
 _POINTS = 900  # of a line in a report
 
@@ -43,7 +44,8 @@ class Task:
     @functools.cached_property
     def key(self) -> str:
         """Hash of all that its numbers depend on, the program included."""
-        parts = (hash_of_numbers(), self.request.fingerprint, self.run.name, self.inputs)
+        hints = dataclasses.astuple(self.run.hints)
+        parts = (hash_of_numbers(), self.request.fingerprint, self.run.name, self.inputs, hints)
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
@@ -59,17 +61,18 @@ def work(task: Task) -> bytes | str:
     except MemoryError:
         return "out of memory; use fewer workers"
     except Exception as error:
-        return f"a defect of trajeval, please report it: {type(error).__name__}: {error}"
+        return f"internal error, please report it: {type(error).__name__}: {error}"
 
 
 def _evaluate(task: Task) -> Record:
-    groundtruth = _groundtruth(task.run.groundtruth, task.inputs[0])
-    read = read_trajectory(task.run.estimate, covariances=task.request.reads_covariances)
-    estimate = dataclasses.replace(read, name=task.run.name)
-    outcome = run_pipeline(groundtruth, [estimate], task.request)
+    run, request = task.run, task.request
+    groundtruth = _groundtruth(run.groundtruth, task.inputs[0], run.hints.of_reference)
+    read = read_trajectory(run.estimate, covariances=request.reads_covariances, hints=run.hints)
+    estimate = dataclasses.replace(read, name=run.name)
+    outcome = run_pipeline(groundtruth, [estimate], request)
     evaluation = outcome.runs[0].evaluation
     stamps = evaluation.association.groundtruth.stamps
-    asked = task.request.protocol.lengths
+    asked = request.protocol.lengths
     lengths = tuple(map(str, asked)) if evaluation.segments is not None else ()
     return Record(
         key=task.key,
@@ -81,9 +84,13 @@ def _evaluate(task: Task) -> Record:
 
 
 @functools.lru_cache(maxsize=2)
-def _groundtruth(source: str, fingerprint: str) -> Trajectory:  # noqa: ARG001 - a part of the key
+def _groundtruth(
+    source: str,
+    fingerprint: str,  # noqa: ARG001 - a part of the key
+    hints: TextHints,
+) -> Trajectory:
     """Read what the trials of a sequence share once."""
-    groundtruth = read_trajectory(source, covariances=False)
+    groundtruth = read_trajectory(source, covariances=False, hints=hints)
     return dataclasses.replace(groundtruth, name="groundtruth")
 
 
@@ -92,7 +99,8 @@ def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floa
     columns = {}
     for length, segment in zip(lengths, evaluation.segments or (), strict=True):
         columns[f"{length}.position_m"] = segment.errors.position_m
-        columns[f"{length}.rotation_deg"] = segment.errors.rotation_deg
+        if segment.errors.rotation_deg is not None:
+            columns[f"{length}.rotation_deg"] = segment.errors.rotation_deg
     pairs, rotation = evaluation.association, evaluation.absolute.rotation_deg
     truth, max_gap_s = evaluation.groundtruth, evaluation.protocol.association.max_gap_s
     position = evaluation.absolute.position_m

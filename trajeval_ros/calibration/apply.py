@@ -63,10 +63,12 @@ class Calibrated:
         hand_eye: What was applied; None for nothing.
         of_marker: Whether the errors are of the marker's position, since its groundtruth has no
             orientation that could tell the body's.
-        before: The errors without any of it; None if no poses matched, or too few to be aligned.
+        before: The errors without any of it; None if no poses matched, or too few to be aligned,
+            or `was_live`.
         after: Those of `evaluation`.
         if_applied: Those with all that was asked for, significant or not; None if that is what
             was applied, or nothing was found.
+        was_live: Whether it was applied to messages as they came, of which only pairs are left.
     """
 
     evaluation: Evaluation
@@ -81,6 +83,7 @@ class Calibrated:
     before: Ate | None
     after: Ate
     if_applied: Ate | None
+    was_live: bool = False
 
     @property
     def parameters_applied(self) -> int:
@@ -120,8 +123,8 @@ def evaluate_calibrated(
     """
     if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
         raise SettingsError(
-            f"protocol {protocol.name} has a lever arm of its own; leave out --hand-eye, or write "
-            "a protocol file with another lever_m"
+            f"protocol {protocol.name} already defines a lever arm; remove --hand-eye, or use a "
+            "protocol file with a different lever_m"
         )
     if wanted.known is not None:
         wanted.known.require_frames(groundtruth, estimate)
@@ -164,6 +167,34 @@ def evaluate_calibrated(
     )
 
 
+def moved_before(
+    evaluation: Evaluation, hand_eye: HandEye, source: str, *, of_marker: bool
+) -> Calibrated:
+    """Return an evaluation of pairs that a live run has made of one body already.
+
+    Args:
+        evaluation: Of these.
+        hand_eye: What was applied to the messages.
+        source: Where it was from.
+        of_marker: See `Calibrated`.
+    """
+    return Calibrated(
+        evaluation=evaluation,
+        wanted=CalibrationRequest(known=hand_eye, source=source),
+        calibration=None,
+        estimated_from=evaluation.estimate.name,
+        offset_applied=False,
+        rotation_applied=not of_marker,
+        lever_applied=True,
+        hand_eye=hand_eye,
+        of_marker=of_marker,
+        before=None,
+        after=Ate.of(evaluation),
+        if_applied=None,
+        was_live=True,
+    )
+
+
 def _require_body_known(
     calibration: Calibration, protocol: Protocol, wanted: CalibrationRequest
 ) -> None:
@@ -171,9 +202,9 @@ def _require_body_known(
     turn = calibration.turn
     if protocol.align_with == "poses" and wanted.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
         raise InputError(
-            "--hand-eye auto doesn't find out how the groundtruth's body is turned against the "
-            f"estimate's ({turn.reason}), so its orientations can't be used to align; align with "
-            "positions, or give --hand-eye FILE"
+            "--hand-eye auto can't estimate the rotation between the two bodies "
+            f"({turn.reason}), so orientations can't be used for the alignment; use "
+            "--align-with positions, or give --hand-eye FILE"
         )
 
 
@@ -278,9 +309,9 @@ def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
         if abs(scale - last) <= _SAME_SCALE * scale:
             return scale
     raise DegenerateGeometryError(
-        f"no scale of {body.estimate.name or 'the estimate'} agrees with the lever arm of "
-        f"{np.linalg.norm(hand_eye.lever_m):.3g} m: the body moves too little beside it; leave "
-        "out --hand-eye, or use a gauge without scale"
+        f"no scale of {body.estimate.name or 'the estimate'} is compatible with the lever arm of "
+        f"{np.linalg.norm(hand_eye.lever_m):.3g} m, since the motion is too small; remove "
+        "--hand-eye, or use a gauge without scale"
     )
 
 
@@ -291,8 +322,8 @@ def _warnings(calibrated: Calibrated) -> list[str]:
     something = calibrated.offset_applied or calibrated.hand_eye is not None
     if something and before is not None and after.position_m > _WORSE * before.position_m:
         warnings.append(
-            f"the position ATE grows from {before.position_m:.4g} m to {after.position_m:.4g} m "
-            "with the calibration, which doesn't explain the error"
+            f"the calibration increases the position ATE from {before.position_m:.4g} m to "
+            f"{after.position_m:.4g} m, so it does not explain the error"
         )
     if calibration is not None and not wanted.offset and calibration.offset.is_significant:
         assert calibration.offset.value is not None
@@ -301,7 +332,7 @@ def _warnings(calibrated: Calibrated) -> list[str]:
         apart_s = float(calibration.offset.value[0]) - assumed_s
         if abs(apart_s) > 2.0 * calibration.offset.half_width_95[0]:
             warnings.append(
-                f"the clocks are {1e3 * apart_s:+.1f} ms apart, which is not in the numbers, "
-                "since nobody asked for it: --time-offset auto"
+                f"the clocks differ by {1e3 * apart_s:+.1f} ms, which is not corrected; add "
+                "--time-offset auto"
             )
     return warnings

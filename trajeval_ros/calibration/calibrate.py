@@ -144,10 +144,10 @@ def calibrate(
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.stamped:
             raise InputError(
-                f"the {side.name or name} has no stamps, so there is no clock to compare"
+                f"{side.name or name} has no timestamps, which the clock offset needs"
             )
         if len(side.in_order()) < 2:
-            raise InputError(f"the {side.name or name} has fewer than two poses")
+            raise InputError(f"{side.name or name} has fewer than two poses")
     can_meet = _apart(groundtruth, estimate, around_s) <= SEARCH_S - OVERLAP_S
     search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
@@ -183,19 +183,20 @@ def _judged(
     duration_s = float(np.ptp(fitted.linearised.seconds))
     warnings = [solution.left_out] if solution.left_out else []
     if not fitted.settled and any(each.seen.any() for each in found.values()):
-        warnings.append("the fit of the calibration did not settle: its numbers are rough")
+        warnings.append("the calibration did not converge; its values are approximate")
     rows = _by_rows(increments, fitted, base)
     apart_s = _disagreement(rows, fitted.blocks)
     if apart_s:
         warnings.append(
-            "positions and orientations don't share a clock: by rotations alone the offset is "
-            f"{1e3 * rows['rotation'][0]:+.1f} ms, by positions alone "
-            f"{1e3 * rows['position'][0]:+.1f} ms; half of that is added to its uncertainty"
+            "positions and orientations have different clock offsets: "
+            f"{1e3 * rows['rotation'][0]:+.1f} ms from rotations, "
+            f"{1e3 * rows['position'][0]:+.1f} ms from positions; half of the difference is "
+            "added to the standard deviation"
         )
     if with_skew and duration_s < _SHORT_FOR_SKEW_S:
         warnings.append(
-            f"a skew from {duration_s:.0f} s is not to be trusted: {_SHORT_FOR_SKEW_S:g} s are "
-            "needed"
+            f"the clock skew from {duration_s:.0f} s is unreliable; use at least "
+            f"{_SHORT_FOR_SKEW_S:g} s"
         )
     hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
     extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "turn": systematic.turn_rad}
@@ -245,9 +246,9 @@ def _judged(
     )
 
 
-_TOO_SHORT = "the two overlap for too short a time for a standard deviation"
-_NO_TURN = "positions alone, on either side, don't show how a body is turned"
-_NO_LEVER = "without the estimate's orientations a lever arm can't be seen"
+_TOO_SHORT = "the common time span is too short for a standard deviation"
+_NO_TURN = "a rotation between bodies needs orientations on both sides"
+_NO_LEVER = "a lever arm needs the estimate's orientations"
 
 
 def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Calibration:

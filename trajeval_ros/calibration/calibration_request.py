@@ -36,7 +36,7 @@ class CalibrationRequest:
             SettingsError: It is both.
         """
         if self.hand_eye and self.known is not None:
-            raise SettingsError("a hand-eye transform is either known or estimated; give one")
+            raise SettingsError("a hand-eye transform is either known or estimated; give only one")
 
     @property
     def anything(self) -> bool:

@@ -148,8 +148,8 @@ def guess_offset(
     anywhere = _highest(lags_s, correlation, common, around_s, None, signal)
     if anywhere.peak >= _LEAST_PEAK[signal] and abs(anywhere.offset_s - around_s) > search_s:
         far = (
-            f"the clocks seem to be {anywhere.offset_s:+.2f} s apart, beyond the search range of "
-            f"{search_s:g} s about {around_s:g} s: give that as the time offset"
+            f"the clock offset is probably {anywhere.offset_s:+.2f} s, outside the search range "
+            f"of {search_s:g} s around {around_s:g} s; give it as --time-offset"
         )
         return replace(guess, problem=far)
     return guess
@@ -193,7 +193,7 @@ def _highest(
     within = np.flatnonzero(
         known if search_s is None else known & (np.abs(lags_s - around_s) <= search_s)
     )
-    where = "" if search_s is None else f" within {search_s:g} s of {around_s:g} s"
+    where = "" if search_s is None else f" within {search_s:g} s around {around_s:g} s"
     if len(within) < 3:
         overlap_s = float(common.max()) * _CELL_S
         return OffsetGuess(
@@ -203,7 +203,7 @@ def _highest(
             0.0,
             signal,
             overlap_s,
-            f"no offset{where} lets the two overlap for {OVERLAP_S:g} s without gaps",
+            f"no offset{where} gives a common time span of {OVERLAP_S:g} s without gaps",
         )
     # Indices that both know for long enough are one stretch, but for holes.
     heights = correlation[within]
@@ -220,17 +220,17 @@ def _highest(
     problem = ""
     if top < _LEAST_PEAK[signal]:
         problem = (
-            f"the {signal}s of groundtruth and estimate don't resemble each other at any "
-            f"offset{where} (correlation {top:.2f}, {_LEAST_PEAK[signal]:g} is needed): there is "
-            "too little change of motion in them, or the offset is larger"
+            f"the {signal}s of groundtruth and estimate do not correlate at any offset{where} "
+            f"(correlation {top:.2f}, required {_LEAST_PEAK[signal]:g}): the motion is too "
+            "uniform, or the offset is larger"
         )
     elif second > _LARGEST_SECOND * top:
         problem = (
-            f"the {signal}s match at several offsets{where} nearly as well (correlation "
-            f"{second:.2f} beside {top:.2f}), as those of a periodic or slow motion do"
+            f"the {signal}s match at several offsets{where} (correlations {top:.2f} and "
+            f"{second:.2f}): the motion is periodic or slow"
         )
     elif peak in (0, len(heights) - 1):
-        problem = f"the {signal}s match best at the edge of the search range{where}"
+        problem = f"the best match of the {signal}s is at the limit of the search range{where}"
     return OffsetGuess(
         offset_s=float(lags_s[within[peak]] + _CELL_S * refined_peak(heights, peak)),
         peak=top,

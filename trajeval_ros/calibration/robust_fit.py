@@ -92,7 +92,7 @@ def fit(
     basis: Floats,
     kinds: tuple[slice, ...] = (POSITION, ROTATION),
 ) -> Fit | None:
-    """Fit by Gauss-Newton with Huber weights, their scale estimated anew in each step.
+    """Fit by Gauss-Newton with Huber weights, their scale estimated again in each step.
 
     Args:
         increments: What is known.

@@ -30,12 +30,11 @@ from trajeval_ros.geometry import lie
 LEAST_OF_ROTATIONS = 0.02
 LEAST_OF_POSITIONS = -0.5
 POSITIONS_ALONE = (
-    "positions alone show it and rotations don't, as with a drift of the attitude; a transform "
-    "that you know is given by --hand-eye FILE"
+    "only positions support it and rotations do not, as with attitude drift; if the transform "
+    "is known, give --hand-eye FILE"
 )
 POSITIONS_WORSE = (
-    "it explains the rotations but makes the positions worse: are the axes of one of the two "
-    "mirrored?"
+    "it reduces the rotation error and increases the position error; check for mirrored axes"
 )
 
 

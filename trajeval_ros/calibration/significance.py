@@ -98,10 +98,10 @@ def judge(
     axes = found.directions[found.seen]
     hidden = ", ".join(_axis(each) for each in found.directions[~found.seen])
     if whole and hidden:
-        return unobservable(f"the motion doesn't show it about {hidden}", found.reliability)
+        return unobservable(f"not observable about {hidden} in this motion", found.reliability)
     if not len(axes):
         best = float(found.reliability.max())
-        why = f"the motion doesn't show it (reliability {best:.2f}, 0.5 is needed)"
+        why = f"not observable in this motion (reliability {best:.2f}, required 0.5)"
         return unobservable(why, found.reliability)
     # Directions that can't be seen stay zero and play no part in the test.
     shown = axes @ covariance @ axes.T
@@ -113,21 +113,12 @@ def judge(
     half_width = quantile * float(np.sqrt(np.linalg.eigvalsh(shown)[-1]))
     if half_width > widest:
         status = WEAK
-        reason = f"known to {half_width:.2g} {unit} only, and {widest:g} {unit} is needed"
-    elif by_chance < chance:
-        status, reason = (
-            SIGNIFICANT,
-            f"by chance in one of {1.0 / max(by_chance, 1e-12):.0f} cases",
-        )
-        if by_chance < 1e-6:
-            reason = "by chance in fewer than one of a million cases"
+        reason = f"95 % half width {half_width:.2g} {unit}, limit {widest:g} {unit}"
     else:
-        status = INSIGNIFICANT
-        percent = 100.0 * by_chance
-        told = f"{percent:.0f}" if percent >= 10.0 else f"{percent:.2g}"
-        reason = f"no more than chance gives in {told} % of cases"
+        status = SIGNIFICANT if by_chance < chance else INSIGNIFICANT
+        reason = "p < 1e-6" if by_chance < 1e-6 else f"p = {by_chance:.2g}"
     if hidden:
-        reason += f"; nothing shows it along {hidden}, where it is taken as 0"
+        reason += f"; not observable along {hidden}, assumed 0 there"
     return Parameter(value, sigma, quantile * sigma, found.reliability, status, reason, by_chance)
 
 

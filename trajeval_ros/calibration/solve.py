@@ -24,10 +24,10 @@ from trajeval_ros.geometry.gauge import Gauge
 
 _FEWEST_PAIRS = 30
 COLUMNS_OF = {"offset": OFFSET, "skew": SKEW, "turn": TURN, "lever": LEVER, "scale": SCALE}
-_NO_SKEW = "the run is too short for a standard deviation of a skew, which was left out"
+_NO_SKEW = "the run is too short to estimate a clock skew, so none is estimated"
 _NO_BODY = (
-    "the run is too short for standard deviations of rotation and lever arm, which were held: a "
-    "lever arm that is there puts the offset off by some milliseconds"
+    "the run is too short to estimate rotation and lever arm, so both are fixed; an actual "
+    "lever arm then changes the offset by some milliseconds"
 )
 
 

@@ -10,26 +10,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from trajeval_ros.cli import gating, options
+from trajeval_ros.cli import figure_options, gating, options
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.executors import Pool
+    from trajeval_ros.batch.shards import Shard
 
 WORK = "Work"
 
 
 def compare(
-    target: Annotated[
-        Path,
+    targets: Annotated[
+        list[Path],
         typer.Argument(
             metavar="CONFIG.yaml|DIR",
-            help="What to compare, as docs/compare.md describes it; or a folder of ov_eval's or "
-            "rpg_trajectory_evaluation's layout.",
+            help="YAML configuration (docs/compare.md), or a folder in the layout of ov_eval or "
+            "rpg_trajectory_evaluation; with --merge the output folders of all shards.",
             show_default=False,
         ),
     ],
@@ -48,21 +51,25 @@ def compare(
         typer.Option(
             metavar="LIST",
             help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
-            "(seconds), 10%,20% (of the groundtruth's path, the same for all algorithms) or none.",
+            "(seconds), 10%,20% (of the groundtruth path, the same for all algorithms) or none.",
             rich_help_panel=options.MEASURE,
         ),
     ] = None,
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
+    integrity: options.IntegrityOption = False,
+    alert_limit: options.AlertLimitOption = None,
+    risk: options.RiskOption = None,
     up: options.UpOption = None,
     start: options.StartOption = None,
     end: options.EndOption = None,
+    columns: options.ColumnsOption = None,
+    frame_rate: options.FrameRateOption = None,
     common_time_span: Annotated[
         bool | None,
         typer.Option(
             "--common-time-span/--whole-runs",
-            help="Evaluate only the time that all runs of a sequence have: a tracker that died "
-            "early can't win.",
+            help="Evaluation of only the time span that all runs of a sequence cover.",
             show_default=False,
             rich_help_panel=options.MEASURE,
         ),
@@ -71,7 +78,7 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="URL",
-            help="A host that URLs in CONFIG.yaml may be of, as in s3://bucket; repeatable.",
+            help="Host that URLs in CONFIG.yaml may use, as in s3://bucket. Repeatable.",
             rich_help_panel=WORK,
         ),
     ] = None,
@@ -80,7 +87,7 @@ def compare(
         typer.Option(
             metavar="N",
             min=1,
-            help="Processes of this machine; by default one for each core.",
+            help="Number of worker processes on this machine. Default: one per core.",
             rich_help_panel=WORK,
         ),
     ] = None,
@@ -88,10 +95,27 @@ def compare(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Evaluate on the workers of a Dask cluster: its scheduler, tcp://HOST:PORT.",
+            help="Scheduler of a Dask cluster that evaluates the runs, tcp://HOST:PORT.",
             rich_help_panel=WORK,
         ),
     ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="Evaluate the I-th of N parts only, as a job of an array; --merge makes the "
+            "tables of all.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
+    merge: Annotated[
+        bool,
+        typer.Option(
+            "--merge",
+            help="Tables and report of shards: give the --output folders of all shards.",
+            rich_help_panel=WORK,
+        ),
+    ] = False,
     baseline: gating.BaselineOption = None,
     fail_if: gating.FailIfOption = None,
     undecided: gating.UndecidedOption = "pass",
@@ -101,50 +125,111 @@ def compare(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Results, kept run by run: what is there and unchanged isn't evaluated again.",
+            help="Output folder. Runs that it already contains are evaluated again only if their "
+            "inputs or settings have changed.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = Path("comparison"),
+    dataset: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Append the tables to a Parquet dataset of many comparisons (docs/dataset.md).",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    label: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            help="Label of this comparison in the dataset, such as a commit.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
     wait: Annotated[
         bool,
         typer.Option(
             "--wait",
-            help="Wait while another comparison writes to the same folder, instead of refusing.",
+            help="Wait for another comparison that writes to the same folder. Default: error.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = False,
+    figure_format: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST",
+            help="File formats of figures in DIR/figures, separated by commas: "
+            f"{','.join(FORMATS)}. PGF needs LaTeX.",
+            rich_help_panel=figure_options.FIGURES,
+        ),
+    ] = None,
+    figure_width: figure_options.FigureWidthOption = None,
+    no_title: figure_options.NoTitleOption = False,
+    style: figure_options.StyleOption = None,
+    transpose: Annotated[
+        bool,
+        typer.Option(
+            "--transpose",
+            help="Rows are sequences and columns are algorithms in tables.tex.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
     quiet: Annotated[
         bool,
-        typer.Option("--quiet", "-q", help="Print no tables.", rich_help_panel=options.OUTPUT),
+        typer.Option(
+            "--quiet", "-q", help="No tables on the terminal.", rich_help_panel=options.OUTPUT
+        ),
     ] = False,
 ) -> None:
-    """Compare many runs: algorithms x sequences x trials, in tables and one report.
+    """Compares many runs: algorithms x sequences x trials, in tables and one report.
 
-    Settings given here override those of the file.
+    Options override the settings of the file.
 
-    What euroc.yaml describes, on all cores:
+    Evaluate the runs in euroc.yaml, on all cores:
 
         trajeval compare euroc.yaml --output comparison
 
-    A folder as ov_eval or rpg_trajectory_evaluation want it:
+    Evaluate a folder in the layout of ov_eval or rpg_trajectory_evaluation:
 
         trajeval compare results --gauge yaw
 
-    Today against yesterday; gates.md is for the pull request, gates.json for programs:
+    Evaluate one part in each job of an array, then make the tables of all:
+
+        trajeval compare euroc.yaml --shard 3/16 --output shards/3
+
+        trajeval compare --merge shards/* --output comparison
+
+    Check for regressions. gates.md is for pull requests, gates.json is for programs:
+
 
         trajeval compare euroc.yaml --baseline main.parquet
         --fail-if 'ate.position_m.rmse worse than 5 %'
     """
     from trajeval_ros.batch.compare_runs import write_tables
-    from trajeval_ros.batch.comparison import RECORDS, run_plan
+    from trajeval_ros.batch.comparison import Progress, run_plan
     from trajeval_ros.batch.comparison_summary import summary_of
     from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.dataset import append_to_dataset
     from trajeval_ros.batch.executors import local_pool
+    from trajeval_ros.batch.figure_files import write_figure_files
     from trajeval_ros.batch.output_lock import only_writer
     from trajeval_ros.batch.page import is_drawn, write_report
+    from trajeval_ros.batch.record_store import RECORDS
+    from trajeval_ros.batch.results_table import settings_of
+    from trajeval_ros.batch.shards import Shard, merged, write_merged
 
+    look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
+    look.check()
+    if look != PLAIN and figure_format is None:
+        raise SettingsError("the options of figures need --figure-format; add --figure-format pdf")
     if workers is not None and cluster is not None:
-        raise SettingsError("--workers is of this machine and --cluster of others; give one")
+        raise SettingsError(
+            "--workers (this machine) and --cluster exclude each other; give one of them"
+        )
+    if not merge and len(targets) > 1:
+        raise SettingsError(
+            "more than one configuration; give one, or add --merge if they are shards"
+        )
     said = {
         "protocol": protocol,
         "modality": modality,
@@ -159,28 +244,87 @@ def compare(
         "lengths": lengths,
         "covariance": covariance,
         "rotation_covariance_frame": rotation_covariance_frame,
+        "integrity": integrity or None,
+        "alert_limit": alert_limit,
+        "risk": risk,
         "up": up,
         "start": start,
         "end": end,
     }
-    plan = plan_of(
-        target, said, common_time_span=common_time_span, allow_remote=allow_remote or ()
-    )
+    if (dataset is None) != (not label):
+        raise SettingsError(
+            "--dataset needs --label, such as a commit, and --label needs --dataset; give both"
+        )
+    part = None if shard is None else Shard.parse(shard)
+    if part is not None and (merge or baseline or fail_if or figure_format or dataset):
+        raise SettingsError(
+            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format "
+            "and --dataset to the command that merges the shards"
+        )
+    if merge:
+        given: list[object] = list(said.values())
+        given += [columns, frame_rate, common_time_span, workers, cluster, allow_remote]
+        if any(each is not None for each in given):
+            raise SettingsError(
+                "--merge uses the settings of the shards; remove the options of the evaluation"
+            )
+        finished = merged(targets)
+        settings = finished.settings
+    else:
+        plan = plan_of(
+            targets[0],
+            said,
+            columns=columns,
+            frame_rate=frame_rate,
+            common_time_span=common_time_span,
+            allow_remote=allow_remote or (),
+        )
+        settings = settings_of(plan)
     # Read before anything is written: it may be the table of the same folder.
-    gates = gating.gates_of(baseline, fail_if or [], undecided, false_alarms, plan, paired=paired)
+    gates = gating.gates_of(
+        baseline, fail_if or [], undecided, false_alarms, settings, paired=paired
+    )
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
-        with _progress_bar() as tell:
-            progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
+        progress = Progress()
+        if merge:
+            write_merged(finished, targets, output)
+        else:
+            with _progress_bar() as tell:
+                progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell, part)
+        if part is not None:
+            _print_shard(part, progress, output, quiet=quiet)
+            return
         summary = summary_of(output)
-        write_tables(output, summary)
+        write_tables(output, summary, transpose=transpose)
+        if dataset is not None and label:
+            append_to_dataset(output, summary.title, dataset, label)
         if not is_drawn(output):
-            with drawing("drawing the report") as advance:
-                write_report(output, summary, local_pool(workers), advance)
+            with drawing("writing the report") as advance:
+                write_report(output, summary, advance)
+        if figure_format is not None:
+            with drawing("drawing figures") as advance:
+                write_figure_files(output, summary, look, local_pool(workers), advance)
         if not quiet:
             with may_break():
                 _print(summary, progress, output)
         if gates is not None:
             gating.judge(gates, output, summary.title, quiet=quiet)
+
+
+def _print_shard(shard: Shard, progress: Progress, folder: Path, *, quiet: bool) -> None:
+    """State what a shard did; runs that failed are told by the tables of all shards, too."""
+    if progress.failed:
+        print(
+            f"warning: {progress.failed} of {progress.total} runs of shard {shard} failed; the "
+            "tables after --merge list the reasons",
+            file=sys.stderr,
+        )
+    if not quiet:
+        with may_break():
+            print(
+                f"shard {shard}: {progress.new} runs evaluated, {progress.kept} unchanged: "
+                f"{folder}"
+            )
 
 
 def _tell_of_waiting(held: str) -> None:
@@ -207,7 +351,8 @@ def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None
     unchanged = sum(trial.status == OK for trial in summary.trials) - progress.new
     kept = f", {unchanged} unchanged" if unchanged else ""
     terminal.print(
-        f"{progress.new} runs evaluated{kept}; report.html, tables and runs.parquet: {folder}",
+        f"{counted(progress.new, 'run')} evaluated{kept}; report.html, tables and runs.parquet: "
+        f"{folder}",
         soft_wrap=True,
     )
     terminal.file.flush()
@@ -218,7 +363,7 @@ def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None
 
 @contextmanager
 def _progress_bar() -> Iterator[Callable[[Progress], None]]:
-    """Yield what shows how many runs are done, how many failed, and which are being evaluated."""
+    """Yield a function that shows how many runs are done, have failed and are in progress."""
     if not sys.stderr.isatty():
         yield lambda progress: None
         return

@@ -1,4 +1,4 @@
-"""`trajeval compare-association`: what poor groundtruth does to each association."""
+"""`trajeval compare-association`: association methods on degraded groundtruth."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.numbers import counted
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -23,46 +24,62 @@ def compare_association(
     groundtruth: Annotated[
         str,
         typer.Option(
-            "--groundtruth", "-g", metavar="SOURCE", help="Good and dense; as for evaluate."
+            "--groundtruth",
+            "-g",
+            metavar="SOURCE",
+            help="Accurate and dense groundtruth; see `trajeval evaluate`.",
         ),
     ],
     estimate: Annotated[
         list[str],
-        typer.Option("--estimate", "-e", metavar="SOURCE", help="Repeat it to compare several."),
+        typer.Option(
+            "--estimate",
+            "-e",
+            metavar="SOURCE",
+            help="Trajectory to evaluate. Repeat the option to compare several.",
+        ),
     ],
-    modality: Annotated[str | None, typer.Option(help="The sensors, as for evaluate.")] = None,
-    gauge: Annotated[str | None, typer.Option(help="As for evaluate (se3).")] = None,
+    modality: Annotated[
+        str | None, typer.Option(help="Sensors of the estimator; see `trajeval evaluate`.")
+    ] = None,
+    gauge: Annotated[
+        str | None,
+        typer.Option(help="Gauge of the alignment; see `trajeval evaluate`. Default: se3."),
+    ] = None,
     rate: Annotated[
-        float, typer.Option(metavar="HZ", help="Samples a second that are kept.")
+        float, typer.Option(metavar="HZ", help="Rate of the degraded groundtruth, in Hz.")
     ] = 2.0,
-    dropouts: Annotated[
-        int, typer.Option(metavar="N", help="How often the groundtruth is lost.")
-    ] = 3,
+    dropouts: Annotated[int, typer.Option(metavar="N", help="Number of dropouts.")] = 3,
     dropout_length: Annotated[
-        str, typer.Option(metavar="MIN,MAX", help="For how long, seconds.")
+        str, typer.Option(metavar="MIN,MAX", help="Shortest and longest dropout, in seconds.")
     ] = "1,2.5",
     groundtruth_noise: Annotated[
         str,
         typer.Option(
             metavar="P,R",
-            help="Standard deviations added to the samples that are kept, and told to the model: "
-            "position (m), rotation (deg).",
+            help="Standard deviations of the noise that is added to the degraded groundtruth: "
+            "position (m), rotation (deg). The motion model uses the same values.",
         ),
     ] = "0.002,0.1",
     continuous_model: Annotated[
-        str, typer.Option(metavar="NAME", help=", ".join(MODELS))
+        str,
+        typer.Option(
+            metavar="NAME", help=f"Motion models for continuous groundtruth: {', '.join(MODELS)}."
+        ),
     ] = DEFAULT_MODEL,
-    seed: Annotated[int, typer.Option(min=0, help="Of noise and dropouts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of noise and dropouts.")] = 0,
     json: Annotated[
         str | None,
-        typer.Option(metavar="FILE|-", help="Write it as JSON; - prints it alone on stdout."),
+        typer.Option(
+            metavar="FILE|-", help="JSON output file. With -, only the JSON is printed to stdout."
+        ),
     ] = None,
 ) -> None:
-    """Show what each association would report if the groundtruth were slow and had dropouts.
+    """Compares association methods on groundtruth with a reduced rate and dropouts.
 
-    Takes groundtruth that is good, such as motion capture's, keeps a few samples a second, loses
-    some seconds here and there, and evaluates against what is left. The good groundtruth tells
-    the truth beside it:
+    Takes accurate groundtruth, such as motion capture, reduces its rate and adds dropouts. All
+    association methods are evaluated on the degraded groundtruth, and compared with the accurate
+    one:
 
         trajeval compare-association -g groundtruth.csv -e estimate.txt --rate 2
     """
@@ -97,8 +114,8 @@ def _durations(text: str) -> tuple[float, float]:
         shortest, longest = (float(part) for part in text.split(","))
     except ValueError:
         raise SettingsError(
-            f"can't read the dropouts' length {text!r}; write the shortest and the longest in "
-            "seconds, as in --dropout-length 1,2.5"
+            f"--dropout-length {text!r} is not valid; give the shortest and the longest duration "
+            "in seconds, as in 1,2.5"
         ) from None
     return shortest, longest
 
@@ -123,8 +140,8 @@ def _print(
 
     terminal = console()
     terminal.print(
-        f"groundtruth left: {len(poor)} samples, {degradation.rate_hz:g} Hz with "
-        f"{degradation.dropouts} dropouts of {degradation.shortest_s:g} to "
+        f"degraded groundtruth: {counted(len(poor), 'sample')} at {degradation.rate_hz:g} Hz, "
+        f"{counted(degradation.dropouts, 'dropout')} of {degradation.shortest_s:g} to "
         f"{degradation.longest_s:g} s, noise {degradation.noise.position_m:g} m",
         soft_wrap=True,
     )

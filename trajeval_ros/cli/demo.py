@@ -1,4 +1,4 @@
-"""`trajeval demo`: a simulated flight, evaluated live and recorded, and what to look at."""
+"""`trajeval demo`: a simulated flight, evaluated live and recorded."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ import typer
 from trajeval_ros.cli.pictures import HAVE_RERUN, PICTURE
 from trajeval_ros.cli.simulate import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
 from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.formatting.numbers import counted
 
 _MODALITY = "stereo-inertial"
 _RATE = 5
@@ -34,14 +36,14 @@ _FIGURE = "trajectory_top.png"
 def demo(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="New, or of an earlier demo."),
+        typer.Argument(metavar="FOLDER", help="Output folder: new, or from an earlier demo."),
     ] = Path("demo_output"),
 ) -> None:
-    """Simulate a flight, evaluate it live and recorded, and draw it: about a minute.
+    """Simulates a flight, evaluates it live and recorded, and draws it. Takes about a minute.
 
-    With ROS 2 (rclpy), the flight is replayed to the live evaluator, in a process of its own, and
-    the live numbers stand beside those of the recording. Without ROS 2, the recording alone is
-    evaluated. The picture needs rerun-sdk and a Vulkan driver; without it the demo goes on.
+    With ROS 2 (rclpy), the flight is replayed to the live evaluator, and the live results are
+    compared with the recording. Without ROS 2, only the recording is evaluated. The picture is
+    optional and needs rerun-sdk and a Vulkan driver.
 
         trajeval demo
     """
@@ -50,28 +52,29 @@ def demo(
     has_ros = find_spec("rclpy") is not None
     status = 0
     try:
-        _heading("Simulate a flight, and odometry that drifts")
+        _heading("Simulate a flight and odometry with drift")
         print(_quietly("simulate", str(bag), "--overwrite").splitlines()[0])
         if has_ros:
-            _heading(f"Evaluate it live, replayed at {_RATE} times its speed")
+            _heading(f"Evaluate the flight live, replayed at {_RATE} times its speed")
             _evaluate_live(bag, live)
-            _heading("Evaluate the recording, and compare")
+            _heading("Evaluate the recording and compare")
         else:
-            _heading("Evaluate the recording (there is no rclpy here, so nothing runs live)")
-        _evaluate(bag, recorded, *(["--quiet"] if has_ros else []))
+            _heading("Evaluate the recording (rclpy is not installed, so no live evaluation)")
+        draws = ["--rrd", str(recorded / PICTURE)] if HAVE_RERUN else []
+        _evaluate(bag, recorded, *draws, *(["--quiet"] if has_ros else []))
         if has_ros:
             _compare(live / "result.json", recorded / "result.json")
-        _heading("Evaluate a visual-inertial estimator: do its errors fit its covariances?")
+        _heading("Evaluate a visual-inertial estimator: consistency of errors and covariances")
         _judge(folder / "certain_flight", folder / "certainty")
     except TrajevalError as error:
         print(f"trajeval: {error}", file=sys.stderr)
         status = 2
     shown = live if (live / PICTURE).exists() else recorded
     _heading("Draw the picture")
-    print("by Rerun's viewer, without a window; this takes some seconds", flush=True)
+    print("with Rerun's viewer, without a window; this takes some seconds", flush=True)
     picture = folder / "rerun.png"
     why_none = _draw(shown / PICTURE, picture)
-    _heading("What is where" if not status else "The demo failed; what is where")
+    _heading("Results" if not status else "The demo failed; results so far")
     _tell(shown, picture, why_none)
     if status:
         raise typer.Exit(status)
@@ -84,7 +87,7 @@ def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
         InputError: The folder holds something else.
     """
     if folder.is_dir() and any(folder.iterdir()) and not is_simulated(bag):
-        raise InputError(f"{folder} is not of an earlier demo; name another folder")
+        raise InputError(f"{folder} exists and is not from an earlier demo; choose another folder")
     for each in results:
         shutil.rmtree(each, ignore_errors=True)
     (folder / "rerun.png").unlink(missing_ok=True)
@@ -108,16 +111,18 @@ def _evaluate_live(bag: Path, output: Path) -> None:
     try:
         # Without its own lines: those of the node are enough.
         waiting = ("--wait-for-subscribers", str(_PATIENCE_S))
-        _quietly("replay", str(bag), "--rate", str(_RATE), *waiting)
+        # Nobody listens to the flight's IMU.
+        topics = ("--topic", GROUNDTRUTH_TOPIC, "--topic", ESTIMATE_TOPIC)
+        _quietly("replay", str(bag), "--rate", str(_RATE), *waiting, *topics)
         node.send_signal(signal.SIGINT)
         status = node.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired as error:
-        raise InputError(f"the live evaluator did not end within {_PATIENCE_S} s") from error
+        raise InputError(f"the live evaluator did not stop within {_PATIENCE_S} s") from error
     finally:
         node.kill()
         node.wait()
     if status:
-        raise InputError(f"the live evaluator ended with status {status}")
+        raise InputError(f"the live evaluator exited with status {status}")
 
 
 def _evaluate(bag: Path, output: Path, *options: str) -> None:
@@ -166,13 +171,15 @@ def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
     lost = sum(values[1] - values[0] for values in received.values())
     if lost:
         lines.append(
-            f"The columns differ because {lost} messages were lost between replay and evaluator: "
-            "this machine was too busy. Run the demo again when it is less so."
+            f"The columns differ: {counted(lost, 'message')} lost between replay and evaluator. "
+            "The machine is overloaded. Close other programs and run the demo again."
         )
     elif all(_agree(*values) for values in numbers.values()):
-        lines.append("Every message arrived, and both columns agree.")
+        lines.append("All messages arrived, and both columns agree.")
     else:
-        lines.append("The columns differ although every message arrived: please report this.")
+        lines.append(
+            "The columns differ although all messages arrived. Please report this as a bug."
+        )
     return lines
 
 
@@ -196,9 +203,9 @@ def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
 def _draw(recording: Path, png: Path) -> str:
     """Draw the picture; returns why there is none, empty if there is one."""
     if not HAVE_RERUN:
-        return "rerun-sdk is not installed: pip install 'trajeval-ros[rerun]'"
+        return f"rerun-sdk is not installed: {extra_command('rerun')}"
     if not recording.exists():
-        return "there is no recording to draw"
+        return "no recording exists"
     from trajeval_ros.viewer.screenshot import save_png
 
     try:
@@ -216,12 +223,12 @@ def _tell(shown: Path, picture: Path, why_none: str) -> None:
     print(f"picture:    {f'none: {why_none}' if why_none else _near(picture)}")
     print(f"recording:  {_near(recording) if recording.exists() else 'none'}")
     print(f"report:     {_near(report) if report.exists() else 'none'}", end="")
-    print(f", figures beside it, such as {_near(figure)}" if figure.exists() else "")
+    print(f", and figures in the same folder, such as {_near(figure)}" if figure.exists() else "")
     if recording.exists() and HAVE_RERUN:
         more = "" if has_display() else " --web"
-        print(f"next, to see it move:\n  {_command()} view {_quoted(recording)}{more}")
+        print(f"next, show the run in 3D:\n  {_command()} view {_quoted(recording)}{more}")
     else:
-        print(f"next, to see what a recording of yours holds:\n  {_command()} info YOUR.mcap")
+        print(f"next, list the contents of your recording:\n  {_command()} info YOUR.mcap")
 
 
 def _command() -> str:
@@ -273,11 +280,11 @@ def _refuse(arguments: tuple[str, ...], status: int) -> None:
     if status in (_INTERRUPTED, -signal.SIGINT):
         raise KeyboardInterrupt
     if status:
-        raise InputError(f"trajeval {arguments[0]} ended with status {status}")
+        raise InputError(f"trajeval {arguments[0]} exited with status {status}")
 
 
 def _begin(*arguments: str, **options: Any) -> subprocess.Popen[Any]:
-    """Begin a verb in a process of its own."""
+    """Start a verb in a process of its own."""
     sys.stdout.flush()
     return subprocess.Popen([sys.executable, "-m", "trajeval_ros", *arguments], **options)
 

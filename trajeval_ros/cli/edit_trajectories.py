@@ -1,4 +1,4 @@
-"""`trajeval trajectory`: look at trajectories, change them, save them in another format."""
+"""`trajeval trajectory`: print, transform and convert trajectories."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.cli import options
+from trajeval_ros.cli import figure_options, options, plotting
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
@@ -22,7 +22,9 @@ from trajeval_ros.io.requests.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.save_trajectories import FORMATS, MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.sources import each_topic, read_many
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
+from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -35,7 +37,7 @@ def trajectory(
         list[str],
         typer.Argument(
             metavar="SOURCE...",
-            help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all of its topics with poses.",
+            help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all its topics with poses.",
             show_default=False,
         ),
     ],
@@ -43,37 +45,47 @@ def trajectory(
         str | None,
         typer.Option(
             metavar="SOURCE",
-            help="What to align and synchronise to, and whose first stamp --start counts from.",
+            help="Reference for alignment and synchronisation; --start counts from its first "
+            "timestamp.",
             rich_help_panel=options.INPUT,
         ),
     ] = None,
+    columns: options.ColumnsOption = None,
+    frame_rate: options.FrameRateOption = None,
     start: options.StartOption = None,
     end: options.EndOption = None,
     merge: Annotated[
         bool,
-        typer.Option("--merge", help="Make one of all sources.", rich_help_panel=options.INPUT),
+        typer.Option(
+            "--merge",
+            help="Concatenation of all sources into one trajectory.",
+            rich_help_panel=options.INPUT,
+        ),
     ] = False,
     world_axes: Annotated[
         str | None,
         typer.Option(
             metavar="ros|optical",
-            help="Turn the fixed frame to ROS's axes (x forward, y left, z up) from a camera's "
-            "(x right, y down, z forward), or the other way.",
+            help="Axes of the fixed frame after conversion: ros (x forward, y left, z up) or "
+            "optical (x right, y down, z forward).",
             rich_help_panel=FRAMES,
         ),
     ] = None,
     body_axes: Annotated[
         str | None,
         typer.Option(
-            metavar="ros|optical", help="The same for the body's axes.", rich_help_panel=FRAMES
+            metavar="ros|optical",
+            help="Axes of the body frame after conversion, as --world-axes.",
+            rich_help_panel=FRAMES,
         ),
     ] = None,
     transform_right: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Multiply each pose by this one on the right: another point of the body, such as "
-            "the camera in the IMU. A TransformStamped in YAML, as --hand-eye takes it.",
+            help="Transformation to multiply all poses by on the right: another point of the "
+            "body, such as the camera in the IMU frame. A TransformStamped in YAML, as for "
+            "--hand-eye.",
             rich_help_panel=FRAMES,
         ),
     ] = None,
@@ -81,23 +93,23 @@ def trajectory(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Multiply by this one on the left: another fixed frame. The same format; a line "
-            "`scale: 2.0` makes it a Sim(3).",
+            help="Transformation to multiply all poses by on the left: another fixed frame. Same "
+            "format; a line `scale: 2.0` makes it a Sim(3).",
             rich_help_panel=FRAMES,
         ),
     ] = None,
     gauge: Annotated[
         str | None,
         typer.Option(
-            help="Align to the reference; what alignment may change, by name: none, translation, "
-            "yaw, planar, se3, sim3.",
+            help="Alignment to the reference: none, translation, yaw, planar, se3 or sim3.",
             rich_help_panel=options.ALIGN,
         ),
     ] = None,
     modality: Annotated[
         str | None,
         typer.Option(
-            help="Align to the reference as these sensors need it, such as stereo-inertial.",
+            help="Alignment to the reference with the gauge of these sensors, such as "
+            "stereo-inertial.",
             rich_help_panel=options.ALIGN,
         ),
     ] = None,
@@ -107,15 +119,16 @@ def trajectory(
         bool,
         typer.Option(
             "--synchronise",
-            help="Keep what pairs with the reference, and save its states in the same rows, too.",
+            help="Keep only poses paired with the reference, and save the paired reference with "
+            "the same number of rows.",
             rich_help_panel=options.PAIR,
         ),
     ] = False,
     association: Annotated[
         str | None,
         typer.Option(
-            help="linear (default) interpolates the reference at a source's stamps; nearest pairs "
-            "stamps one to one.",
+            help="Pairing method: linear (default) interpolates the reference at a source's "
+            "timestamps; nearest pairs timestamps one to one.",
             rich_help_panel=options.PAIR,
         ),
     ] = None,
@@ -125,7 +138,7 @@ def trajectory(
         str | None,
         typer.Option(
             metavar="xy|xz|yz",
-            help="Project on a plane; of rotations the turn about its normal is left.",
+            help="Plane to project on. Only rotations about its normal are kept.",
             rich_help_panel=FRAMES,
         ),
     ] = None,
@@ -133,27 +146,31 @@ def trajectory(
         str | None,
         typer.Option(
             metavar="M,DEG",
-            help="Keep a pose when it is so many metres from the one kept before it, or turned by "
-            "so many degrees.",
+            help="Motion filter: keep a pose if it differs from the last kept pose by M metres "
+            "or DEG degrees.",
             rich_help_panel=FEWER,
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Keep so many poses a second.", rich_help_panel=FEWER),
+        typer.Option(
+            metavar="HZ", help="Rate to thin the poses to, in Hz.", rich_help_panel=FEWER
+        ),
     ] = None,
     poses: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Keep N poses, evenly spread by count.", rich_help_panel=FEWER
+            metavar="N",
+            help="Number of poses to keep, evenly spaced by index.",
+            rich_help_panel=FEWER,
         ),
     ] = None,
     save_as: Annotated[
         str | None,
         typer.Option(
             metavar="|".join(FORMATS),
-            help="Save what the table shows: a text file for each trajectory, or one MCAP file or "
-            "one rosbag2 folder (sqlite3) for all.",
+            help="Output format: one text file per trajectory, or one MCAP file or rosbag2 "
+            "folder (sqlite3) for all.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -161,7 +178,7 @@ def trajectory(
         str | None,
         typer.Option(
             metavar="|".join(MESSAGES),
-            help="Type of the messages in a bag (PoseStamped).",
+            help="Message type in a bag. Default: PoseStamped.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -169,48 +186,72 @@ def trajectory(
         Path,
         typer.Option(
             metavar="FOLDER",
-            help="Where to save; what exists there is never overwritten.",
+            help="Output folder. Existing files are never overwritten.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = Path(),
+    plot: plotting.PlotOption = None,
+    colour_by: plotting.ColourByOption = None,
+    map_file: plotting.MapOption = None,
+    map_bounds: plotting.MapBoundsOption = None,
+    figure_format: figure_options.FigureFormatOption = None,
+    figure_width: figure_options.FigureWidthOption = None,
+    style: figure_options.StyleOption = None,
     strict: options.StrictOption = False,
     quiet: options.QuietOption = False,
 ) -> None:
-    """Look at trajectories, change them, and save them in another format.
+    """Prints trajectories, transforms them and saves them in other formats.
 
-    What is in a bag and a file, side by side:
+    Compare the trajectories of a bag and a file:
 
         trajeval trajectory flight.mcap groundtruth.csv
 
-    All topics of a bag as TUM files:
+    Convert all topics of a bag to TUM files:
 
         trajeval trajectory flight.mcap --save-as tum --output texts
 
-    Aligned to groundtruth, and only where it has poses:
+    Align to groundtruth, and keep only paired poses:
 
         trajeval trajectory vio.txt --reference gt.csv --gauge yaw --synchronise --save-as tum
 
-    A minute of it, 10 poses a second, for Foxglove:
+    Convert one minute at 10 Hz for Foxglove:
 
         trajeval trajectory vio.txt --start 30 --end +60 --rate 10 --save-as mcap
 
-    A camera's trajectory (KITTI) in ROS's axes:
+    Draw the trajectory and the groundtruth, with the path coloured by error:
+
+        trajeval trajectory vio.txt --reference gt.csv --gauge yaw --plot xy,xyz --colour-by error
+
+    Convert a camera trajectory (KITTI) to ROS axes:
 
         trajeval trajectory 00.txt --world-axes ros --body-axes ros --save-as tum --output ros
 
-    Whatever is asked for happens in this order: cut by time, merge, axes, transform on the right
-    and on the left, align, synchronise, project, motion filter, rate, number of poses.
+    Read a table without a header (docs/trajectory.md lists the column names):
+
+        trajeval trajectory odom.csv --columns 't_ns _ x y yaw_deg' --save-as tum
+
+    Operations are applied in this order: time span, merge, axes, transform on the right and on the
+    left, align, synchronise, project, motion filter, rate, number of poses.
     """
     if message is not None and save_as not in ("mcap", "rosbag2"):
-        raise SettingsError("--message is for bags; add --save-as mcap or --save-as rosbag2")
+        raise SettingsError(
+            "--message applies to bags only; add --save-as mcap or --save-as rosbag2"
+        )
     aligns = gauge is not None or modality is not None
     if not aligns and (align_states is not None or align_with is not None):
-        raise SettingsError("nothing is aligned; add --gauge or --modality")
+        raise SettingsError(
+            "the options of the alignment need --gauge or --modality; add one of them"
+        )
     pairing = (association, max_time_difference, max_gap)
     if not aligns and not synchronise and any(each is not None for each in pairing):
-        raise SettingsError("nothing is paired; add --synchronise, --gauge or --modality")
+        raise SettingsError(
+            "the options of the association need --synchronise, --gauge or "
+            "--modality; add one of them"
+        )
     if association == "continuous":
-        raise SettingsError("association continuous is for likelihoods; use linear or nearest")
+        raise SettingsError(
+            "association continuous computes likelihoods only; use linear or nearest"
+        )
     protocol = request_from(
         {
             "gauge": gauge,
@@ -236,18 +277,32 @@ def trajectory(
         rate_hz=rate,
         poses=poses,
     )
+    plots = plotting.Plotting.parse(
+        plot,
+        colour_by,
+        map_file,
+        map_bounds,
+        FigureStyle.parse(figure_format, figure_width, style, has_titles=True),
+    )
     if save_as is not None:
         files_of(output, ["any"], save_as)  # a format that is none is told before reading
+    hints = TextHints.of(columns, frame_rate)
     wanted = [each for source in sources for each in each_topic(source)]
     # In one call, which opens a bag once for all that is in it.
     others = [] if reference is None else [reference]
     names = [*names_of(wanted), *("reference" for _ in others)]
-    read = _read([*wanted, *others], names, strict=strict)
+    every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
+    read = _read([*wanted, *others], names, every_hint, strict=strict)
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []
     if save_as is not None:
         paths = save_trajectories(output, everything, save_as, message or "PoseStamped")
+    paths += plots.write(
+        output,
+        [each.trajectory for each in edited],
+        None if reference is None else read[-1].in_order(),
+    )
     if not quiet:
         with may_break():
             _print(everything, paths)
@@ -264,14 +319,16 @@ def parse_motion(text: str) -> tuple[float, float]:
         distance_m, angle_deg = (float(part) for part in text.split(","))
     except ValueError:
         raise SettingsError(
-            f"can't read the motion filter {text!r}; write metres and degrees, as in 0.1,5"
+            f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
         ) from None
     return distance_m, math.radians(angle_deg)
 
 
-def _read(sources: Sequence[str], names: Sequence[str], *, strict: bool) -> list[Trajectory]:
+def _read(
+    sources: Sequence[str], names: Sequence[str], hints: Sequence[TextHints], *, strict: bool
+) -> list[Trajectory]:
     with progress(f"reading {', '.join(names)}") as advance:
-        found = read_many(sources, advance=advance, strict=strict)
+        found = read_many(sources, advance=advance, strict=strict, hints=hints)
     return [dataclasses.replace(each, name=name) for each, name in zip(found, names, strict=True)]
 
 
@@ -317,7 +374,7 @@ def _row(trajectory: Trajectory) -> tuple[str, ...]:
 
 
 def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool) -> None:
-    """Print on stderr what the user must know, and with `quiet` only what is missing."""
+    """Print notes and warnings on stderr; with `quiet` only those about missing data."""
     from trajeval_ros.report.console import console
 
     remarks = console(sys.stderr)

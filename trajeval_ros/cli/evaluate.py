@@ -1,4 +1,4 @@
-"""`trajeval evaluate`: recorded runs, end to end."""
+"""`trajeval evaluate`: evaluation of recorded runs."""
 
 from __future__ import annotations
 
@@ -9,23 +9,35 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.cli import options
+from trajeval_ros.cli import figure_options, mend_options, options
 from trajeval_ros.cli.deliver import deliver, refuse_inputs
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.sources import read_many
-from trajeval_ros.pipeline import run
+from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.pipeline.pipeline import run
+from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.pipeline.request import Request
 
 
 def evaluate(
-    groundtruth: options.GroundtruthOption,
-    estimate: options.EstimatesOption,
+    by_position: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="GROUNDTRUTH ESTIMATE",
+            help="Groundtruth and estimates, instead of --groundtruth and --estimate.",
+            show_default=False,
+        ),
+    ] = None,
+    groundtruth: options.GroundtruthIfNamedOption = None,
+    estimate: options.EstimatesIfNamedOption = None,
     protocol: options.ProtocolOption = None,
     modality: options.ModalityOption = None,
     gauge: options.GaugeOption = None,
@@ -37,6 +49,12 @@ def evaluate(
     max_gap: options.MaxGapOption = None,
     time_offset: options.TimeOffsetOption = None,
     hand_eye: options.HandEyeOption = None,
+    lever_arm: options.LeverArmOption = None,
+    align_weights: options.AlignWeightsOption = None,
+    datum: options.DatumOption = None,
+    min_fix_status: options.MinFixStatusOption = None,
+    max_fix_sigma: options.MaxFixSigmaOption = None,
+    fix_correlation: options.FixCorrelationOption = None,
     continuous_model: options.ContinuousModelOption = None,
     groundtruth_noise: options.GroundtruthNoiseOption = None,
     lengths: options.LengthsOption = None,
@@ -45,15 +63,39 @@ def evaluate(
     re_form: options.ReFormOption = None,
     covariance: options.CovarianceOption = None,
     rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
+    integrity: options.IntegrityOption = False,
+    alert_limit: options.AlertLimitOption = None,
+    risk: options.RiskOption = None,
+    watch_limits: options.WatchLimitsOption = None,
     up: options.UpOption = None,
     start: options.StartOption = None,
     end: options.EndOption = None,
+    columns: options.ColumnsOption = None,
+    frame_rate: options.FrameRateOption = None,
+    fix: mend_options.FixOption = None,
+    estimate_scale: mend_options.EstimateScaleOption = None,
+    groundtruth_scale: mend_options.GroundtruthScaleOption = None,
+    quaternion_order: mend_options.QuaternionOrderOption = None,
+    inverse: mend_options.InverseOption = None,
+    estimate_axes: mend_options.EstimateAxesOption = None,
+    clock_rate: mend_options.ClockRateOption = None,
+    swap: mend_options.SwapOption = False,
     json: options.JsonOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Write result.json, errors.npz, figures and run.rrd (for Rerun) to this folder.",
+            help="Output folder for result.json, errors and aligned poses (errors.npz, "
+            "errors.parquet) and figures.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="MCAP output file with errors, paths and statistics as ROS 2 messages, for "
+            "Foxglove and PlotJuggler (docs/topics.md).",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -61,7 +103,7 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write a recording for Rerun's viewer; `trajeval view FILE` shows it.",
+            help="Output file for Rerun's viewer. Open it with `trajeval view FILE`.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -69,40 +111,48 @@ def evaluate(
         bool,
         typer.Option(
             "--viewer",
-            help="Show the result in Rerun's viewer, until it is closed.",
+            help="Opens the result in Rerun's viewer.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,
     require: options.RequireOption = None,
+    figure_format: figure_options.FigureFormatOption = None,
+    figure_width: figure_options.FigureWidthOption = None,
+    no_title: figure_options.NoTitleOption = False,
+    style: figure_options.StyleOption = None,
     strict: options.StrictOption = False,
     quiet: options.QuietOption = False,
 ) -> None:
-    """Evaluate estimated trajectories against groundtruth: ATE and relative errors.
+    """Evaluates estimated trajectories against groundtruth: ATE and relative errors.
 
-    Two text files, groundtruth and a stereo-inertial VIO:
+    Evaluate a stereo-inertial VIO against groundtruth, from two text files:
 
-        trajeval evaluate -g groundtruth.txt -e estimate.txt --modality stereo-inertial
+        trajeval evaluate groundtruth.txt estimate.txt --modality stereo-inertial
 
-    Two topics of a bag, with result.json and figures in a folder:
+    Evaluate two topics of a bag, and write result.json and figures to a folder:
 
         trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
 
-    Groundtruth of a marker body with a clock of its own (docs/calibration.md):
+    Estimate the clock offset and the pose of a motion capture marker (docs/calibration.md):
 
         trajeval evaluate -g mocap.txt -e vio.txt --time-offset auto --hand-eye auto
 
-    Numbers as evo or rpg_trajectory_evaluation compute them: --protocol evo, --protocol rpg.
+    Compute the metrics of evo or rpg_trajectory_evaluation: --protocol evo, --protocol rpg.
 
-    As evo_rpe -d 10 -u f, and the ATE by the number of aligned states (tutorial, Table III):
+    Compute evo_rpe -d 10 -u f, and the ATE by the number of aligned states (tutorial, Table III):
 
         trajeval evaluate -g gt.txt -e vio.txt --protocol evo --gauge none --lengths 10f
         trajeval evaluate -g gt.txt -e vio.txt --align-states 1,25%,50%,75%,all
 
-    Whether errors fit the covariances in the estimate's messages:
+    Test the consistency of the covariances in the estimate's messages:
 
         trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
 
-    Slow groundtruth with dropouts, such as RTK or a total station of 2 Hz and 1 cm:
+    Use GNSS fixes as groundtruth, with the antenna 1 m above the body (docs/gnss.md):
+
+        trajeval evaluate -g run:/fix -e run:/odom --modality stereo-inertial --lever-arm 0,0,1
+
+    Use slow groundtruth with dropouts, such as RTK or a total station with 2 Hz and 1 cm:
 
         trajeval evaluate -g rtk.txt -e vio.txt --association continuous --groundtruth-noise 0.01,1
     """
@@ -119,6 +169,12 @@ def evaluate(
             "max_gap": max_gap,
             "time_offset": time_offset,
             "hand_eye": hand_eye,
+            "lever_arm": lever_arm,
+            "align_weights": align_weights,
+            "datum": datum,
+            "min_fix_status": min_fix_status,
+            "max_fix_sigma": max_fix_sigma,
+            "fix_correlation": fix_correlation,
             "continuous_model": continuous_model,
             "groundtruth_noise": groundtruth_noise,
             "lengths": lengths,
@@ -127,39 +183,83 @@ def evaluate(
             "re_form": re_form,
             "covariance": covariance,
             "rotation_covariance_frame": rotation_covariance_frame,
+            "integrity": integrity,
+            "alert_limit": alert_limit,
+            "risk": risk,
+            "watch_limits": watch_limits,
             "up": up,
             "start": start,
             "end": end,
+            "fix": fix,
+            "estimate_scale": estimate_scale,
+            "groundtruth_scale": groundtruth_scale,
+            "quaternion_order": quaternion_order,
+            "inverse": inverse,
+            "estimate_axes": estimate_axes,
+            "clock_rate": clock_rate,
+            "swap": swap or None,
         }
     )
     requirements = [Requirement.parse(text) for text in require or []]
-    pictures = Pictures(rrd=rrd, viewer=viewer, in_output=True)
+    pictures = Pictures(rrd=rrd, viewer=viewer)
     pictures.check()
-    sources = [groundtruth, *estimate]
-    refuse_inputs([rrd, None if json in (None, "-") else Path(json), output], sources)
-    truth, *estimates = _read(sources, covariances=request.reads_covariances, strict=strict)
+    look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
+    look.check()
+    if look != PLAIN and output is None:
+        raise SettingsError("the options of figures need an output folder; add --output DIR")
+    sources = _sources(by_position or [], groundtruth, estimate or [])
+    refuse_inputs([mcap, rrd, None if json in (None, "-") else Path(json), output], sources)
+    hints = TextHints.of(columns, frame_rate)
+    every_hint = [hints.of_reference, *[hints] * (len(sources) - 1)]
+    truth, *estimates = _read(sources, every_hint, request, strict=strict)
     outcome = run(truth, estimates, request)
-    chose_gauge = gauge is not None or modality is not None or protocol not in (None, "default")
     deliver(
         outcome,
         requirements,
         json=json,
         output=output,
         quiet=quiet,
-        gauge_given=chose_gauge,
         pictures=pictures,
+        mcap=mcap,
+        look=look,
     )
 
 
-def _read(sources: Sequence[str], *, covariances: bool, strict: bool) -> list[Trajectory]:
-    """Read groundtruth and estimates; covariances are the estimates'."""
+def _sources(by_position: list[str], groundtruth: str | None, estimates: list[str]) -> list[str]:
+    """Return the groundtruth and the estimates, from arguments or options.
+
+    Raises:
+        SettingsError: They were named in two ways, or one is missing.
+    """
+    if by_position and (groundtruth is not None or estimates):
+        raise SettingsError(
+            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
+            "--estimate"
+        )
+    truths = by_position[:1] if groundtruth is None else [groundtruth]
+    estimates = estimates or by_position[1:]
+    if truths and estimates:
+        return [*truths, *estimates]
+    missing = "groundtruth" if estimates else "estimate" if truths else "groundtruth and estimate"
+    raise SettingsError(f"{missing} missing; call trajeval evaluate GROUNDTRUTH ESTIMATE")
+
+
+def _read(
+    sources: Sequence[str], hints: Sequence[TextHints], request: Request, *, strict: bool
+) -> list[Trajectory]:
+    """Read groundtruth and estimates, with covariances where they are needed."""
+    covariances = [
+        request.reads_groundtruth_covariances,
+        *[request.reads_covariances] * (len(sources) - 1),
+    ]
     names = names_of(sources)
     with progress(f"reading {', '.join(names)}") as advance:
         trajectories = read_many(
             sources,
             advance=advance,
-            covariances=[False, *[covariances] * (len(sources) - 1)],
+            covariances=covariances,
             strict=strict,
+            hints=hints,
         )
     return [
         dataclasses.replace(trajectory, name=name)

@@ -1,10 +1,10 @@
-"""Gates of `trajeval compare`: their options, what they compare with, and the exit status."""
+"""Gates of `trajeval compare`: options, baseline and exit status."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +15,6 @@ from trajeval_ros.io.writing import write_text
 if TYPE_CHECKING:
     from trajeval_ros.batch.gate import Gate
     from trajeval_ros.batch.gate_values import GateValues
-    from trajeval_ros.batch.plan import Plan
 
 GATES = "Gates"
 
@@ -23,7 +22,7 @@ BaselineOption = Annotated[
     Path | None,
     typer.Option(
         metavar="OLD.parquet",
-        help="The runs.parquet of another comparison, by the same settings.",
+        help="File runs.parquet of another comparison with the same settings.",
         rich_help_panel=GATES,
     ),
 ]
@@ -31,9 +30,9 @@ FailIfOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="GATE",
-        help="Exit with status 1 if numbers are worse than in the baseline by more than a "
-        "margin, and trials tell it from chance; repeatable. Such as "
-        "'ate.position_m.rmse worse than 5 %'.",
+        help="Gate; exits with status 1 if a value is worse than the baseline by more than the "
+        "margin, with statistical significance. Repeatable. Example: 'ate.position_m.rmse worse "
+        "than 5 %'.",
         rich_help_panel=GATES,
     ),
 ]
@@ -41,7 +40,7 @@ UndecidedOption = Annotated[
     str,
     typer.Option(
         metavar="pass|fail",
-        help="What a gate does that is neither worse nor shown to be no worse.",
+        help="Verdict of a gate whose test is inconclusive: pass or fail.",
         rich_help_panel=GATES,
     ),
 ]
@@ -49,7 +48,7 @@ FalseAlarmsOption = Annotated[
     float,
     typer.Option(
         metavar="PERCENT",
-        help="How often gates may call something worse without a change; all gates share it.",
+        help="Probability of a false alarm over all gates, in percent.",
         rich_help_panel=GATES,
     ),
 ]
@@ -57,8 +56,8 @@ PairedOption = Annotated[
     bool,
     typer.Option(
         "--paired",
-        help="Trials of one name share a seed with the baseline's, so gates compare them pair by "
-        "pair.",
+        help="Paired test, for trials that share seeds with the trials of the same name in the "
+        "baseline.",
         rich_help_panel=GATES,
     ),
 ]
@@ -66,7 +65,7 @@ PairedOption = Annotated[
 
 @dataclass(frozen=True)
 class Gates:
-    """What is judged, by what.
+    """Gates and their baseline.
 
     Attributes:
         gates: What may not get worse.
@@ -88,38 +87,36 @@ def gates_of(
     texts: list[str],
     undecided: str,
     false_alarms: float,
-    plan: Plan,
+    settings: dict[str, Any],
     *,
     paired: bool,
 ) -> Gates | None:
-    """Return gates and what they compare with; refuses what can't be compared before the work."""
+    """Return the gates and their baseline; refuse comparisons that are not possible."""
     from trajeval_ros.batch.gate import Gate
     from trajeval_ros.batch.gate_values import GateValues, require_same_settings
-    from trajeval_ros.batch.results_table import ResultsTable, settings_of
+    from trajeval_ros.batch.results_table import ResultsTable
 
     if (path is None) != (not texts):
-        raise SettingsError(
-            "--baseline says what to compare with and --fail-if what is worse; give both"
-        )
+        raise SettingsError("--baseline and --fail-if belong together; give both")
     require_one_of(undecided, ("pass", "fail"), "value of --undecided")
     if not 0.0 < false_alarms <= 20.0:
         raise SettingsError(
-            f"--false-alarms {false_alarms:g} is a chance in per cent; give one above 0 and up to "
-            "20, such as 2.5"
+            f"--false-alarms {false_alarms:g} is out of range; give a percentage above 0 and up "
+            "to 20, such as 2.5"
         )
     if path is None:
         if paired:
-            raise SettingsError("--paired is of --baseline and --fail-if; give them, too")
+            raise SettingsError("--paired needs --baseline and --fail-if; give both")
         return None
     gates = [Gate.parse(text) for text in texts]
     for gate in gates:
         if paired and gate.spread_percent is not None:
             raise SettingsError(
-                f"--paired measures how much pairs vary, and the gate '{gate}' gives a spread; "
-                "leave one of them out"
+                f"--paired estimates the spread, and gate '{gate}' also gives one; remove one of "
+                "them"
             )
     values = GateValues(ResultsTable(path))
-    require_same_settings(values, settings_of(plan), gates)
+    require_same_settings(values, settings, gates)
     for gate in gates:
         values.find(gate.path)
     return Gates(gates, values, undecided == "fail", false_alarms / 100.0, paired)
@@ -128,8 +125,8 @@ def gates_of(
 def judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     """Write and print the verdicts; exit with status 1 if something is worse."""
     from trajeval_ros.batch import gates
-    from trajeval_ros.batch.comparison import GATES as GATES_FILE
-    from trajeval_ros.batch.comparison import GATES_JSON, RUNS
+    from trajeval_ros.batch.finished_comparison import GATES as GATES_FILE
+    from trajeval_ros.batch.finished_comparison import GATES_JSON, RUNS
     from trajeval_ros.batch.gate_values import GateValues, remarks_on
     from trajeval_ros.batch.gates_json import to_json
     from trajeval_ros.batch.gates_markdown import to_markdown

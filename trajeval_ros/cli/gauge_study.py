@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import os
 from importlib.util import find_spec
@@ -11,12 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from trajeval_ros.cli import figure_options
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
     from trajeval_ros.report.gauge_report import GaugeStudy
     from trajeval_ros.visual_inertial.examination import Examination, MeasurementModel
+    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
     from trajeval_ros.visual_inertial.preintegration import ImuNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
     from trajeval_ros.visual_inertial.solver import GaugeHandling
@@ -32,50 +34,58 @@ _LAYOUTS_AND_SHAPES = [
 def gauge_study(
     output: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="Write tables.md, study.json and the figures there."),
+        typer.Option(
+            metavar="DIR", help="Output folder for tables.md, study.json and the figures."
+        ),
     ],
     motion: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SOURCE",
-            help="Fly a recorded trajectory as well, with simulated sensors; repeatable.",
+            help="Recorded trajectory to use as motion, with simulated sensors. Repeatable.",
         ),
     ] = None,
     start: Annotated[
         float,
-        typer.Option(metavar="S", help="Where in a recorded trajectory the motion begins."),
+        typer.Option(
+            metavar="S", help="Start of the motion in a recorded trajectory, in seconds."
+        ),
     ] = 50.0,
     duration: Annotated[
-        float, typer.Option(metavar="S", help="How long a part of a recorded trajectory.")
+        float,
+        typer.Option(
+            metavar="S", help="Duration of the motion in a recorded trajectory, in seconds."
+        ),
     ] = 15.0,
     profile: Annotated[
         str,
         typer.Option(
-            help="Simulated sensors: paper (errors of Table II's size), euroc, stereo (paper's "
-            "and a second camera), overconfident."
+            help="Simulated sensors: paper (as in Table II), euroc, stereo (as paper, with a "
+            "second camera), overconfident."
         ),
     ] = "paper",
     tracks: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Estimate a recording as well: feature tracks and IMU, with groundtruth; "
-            "docs/tracks.md describes the folder.",
+            help="Folder with a recording: feature tracks, IMU and groundtruth (docs/tracks.md).",
         ),
     ] = None,
     keyframes: Annotated[
         int,
-        typer.Option(metavar="N", help="Keyframes of --motion, and at most of --tracks."),
+        typer.Option(
+            metavar="N",
+            help="Number of keyframes of --motion, and largest number of keyframes of --tracks.",
+        ),
     ] = 30,
     every: Annotated[
-        int, typer.Option(metavar="N", help="Every Nth image of --tracks is a keyframe.")
+        int, typer.Option(metavar="N", help="Interval of keyframes in --tracks: every Nth image.")
     ] = 3,
     pixel_noise: Annotated[
         float,
         typer.Option(
             metavar="PX",
-            help="Standard deviation of a measured coordinate of --tracks: what the estimate "
-            "weighs it by.",
+            help="Standard deviation of an image coordinate of --tracks, for the weights.",
         ),
     ] = 1.0,
     imu_noise: Annotated[
@@ -85,34 +95,57 @@ def gauge_study(
             help="Noise densities of the IMU of --tracks, rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).",
         ),
     ] = "6e-4,2e-2",
+    estimate_biases: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-biases",
+            help="Estimation of the IMU biases at every keyframe of --tracks. By default, biases "
+            "are taken from the groundtruth, as in the paper.",
+        ),
+    ] = False,
+    bias_noise: Annotated[
+        str,
+        typer.Option(
+            metavar="GYRO,ACCEL,GYRO_WALK,ACCEL_WALK",
+            help="Noise of estimated biases: standard deviations at the first keyframe, rad/s and "
+            "m/s^2, and densities of the random walk, rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz).",
+        ),
+    ] = "1e-3,5e-2,1.9e-5,3e-3",
     gravity: Annotated[
-        float, typer.Option(metavar="G", help="Gravity where --tracks was recorded, m/s^2.")
+        float,
+        typer.Option(
+            metavar="G", help="Gravity at the place of the recording in --tracks, m/s^2."
+        ),
     ] = 9.81,
     split_half: Annotated[
         bool,
         typer.Option(
             "--split-half",
-            help="Test the covariance of --tracks without groundtruth, by estimates from halves "
-            "of the landmarks.",
+            help="Test of the covariance of --tracks without groundtruth, with estimates from "
+            "halves of the landmarks.",
         ),
     ] = False,
     trials: Annotated[
-        int, typer.Option(metavar="N", help="Solves for each configuration and gauge.")
+        int, typer.Option(metavar="N", help="Number of trials per configuration and gauge.")
     ] = 50,
+    figure_format: figure_options.FigureFormatOption = None,
+    figure_width: figure_options.FigureWidthOption = None,
+    no_title: figure_options.NoTitleOption = False,
+    style: figure_options.StyleOption = None,
 ) -> None:
-    """Compare gauge fixation, gauge prior and free gauge, as Zhang, Gallego and Scaramuzza did.
+    """Compares gauge fixation, gauge prior and free gauge, as in Zhang, Gallego and Scaramuzza.
 
-    Table II with the paper's values beside ours, the sweep of the prior's weight (Fig. 4 to 6),
+    Reproduce Table II with the values of the paper, the sweep of the prior weight (Fig. 4 to 6),
     iterations and time (Fig. 7), covariances and their transformation (Fig. 1 and 9):
 
         trajeval gauge-study --output study
 
-    Section VII (Table III, Fig. 10 and 11) on measured feature tracks and IMU; the paper's own
-    tracks are not public:
+    Reproduce section VII (Table III, Fig. 10 and 11) with measured feature tracks and IMU data
+    (the tracks of the paper are not public):
 
         trajeval gauge-study --output study --tracks V1_01_tracks --split-half
 
-    With the motion of real flights, and simulated sensors:
+    Use the motion of recorded flights, with simulated sensors:
 
         trajeval gauge-study --output study --motion MH_01.txt --motion V1_01.csv
     """
@@ -123,13 +156,16 @@ def gauge_study(
     if trials < 1:
         raise SettingsError(f"--trials must be at least 1, not {trials}")
     if output.exists() and not output.is_dir():
-        raise InputError(f"{output} is a file; name a folder")
+        raise InputError(f"{output} is a file; choose a folder")
+    look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
+    look.check()
     sensors = profile_named(profile)
     model = MeasurementModel(
         _above_zero("--every", every),
         keyframes,
         _above_zero("--pixel-noise", pixel_noise),
         _imu_noise(imu_noise),
+        _bias_noise(bias_noise) if estimate_biases else None,
         _above_zero("--gravity", gravity),
         split_half,
     )
@@ -143,28 +179,38 @@ def gauge_study(
         scenes[measured] = examined.scene
     study = _study(profile, trials, scenes, measured, examined)
     output.mkdir(parents=True, exist_ok=True)
-    _write(output, study)
+    _write(output, study, look)
     _print(output, study)
 
 
 def _above_zero(option: str, value: float) -> Any:
     if not 0.0 < value < float("inf"):
-        raise SettingsError(f"{option} must be above zero, not {value:g}")
+        raise SettingsError(f"{option} must be greater than zero, not {value:g}")
     return value
 
 
 def _imu_noise(words: str) -> ImuNoise:
     from trajeval_ros.visual_inertial.preintegration import ImuNoise
 
+    return ImuNoise(*_numbers("--imu-noise", words, "6e-4,2e-2"))
+
+
+def _bias_noise(words: str) -> BiasNoise:
+    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
+
+    return BiasNoise(*_numbers("--bias-noise", words, "1e-3,5e-2,1.9e-5,3e-3"))
+
+
+def _numbers(option: str, words: str, example: str) -> list[float]:
+    """Return as many numbers above zero as the example has."""
+    count = len(example.split(","))
     try:
-        gyroscope, accelerometer = (float(word) for word in words.split(","))
+        values = [float(word) for word in words.split(",")]
     except ValueError:
-        raise SettingsError(
-            f"--imu-noise must be two numbers, as 6e-4,2e-2, not {words!r}"
-        ) from None
-    return ImuNoise(
-        _above_zero("--imu-noise", gyroscope), _above_zero("--imu-noise", accelerometer)
-    )
+        values = []
+    if len(values) != count:
+        raise SettingsError(f"{option} needs {count} numbers, as in {example}, not {words!r}")
+    return [_above_zero(option, value) for value in values]
 
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:
@@ -174,7 +220,12 @@ def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examin
 
     if folder is None:
         if model.is_split:
-            raise SettingsError("--split-half needs --tracks: it tests measured data")
+            raise SettingsError("--split-half tests measured data; add --tracks")
+        if model.bias_noise is not None:
+            raise SettingsError(
+                "--estimate-biases needs measured data, since simulated IMUs "
+                "have no biases; add --tracks"
+            )
         return "", None
     recording = read_tracks_folder(folder)
     return f"tracks of {recording.name}", examine(recording, model)
@@ -255,18 +306,16 @@ def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
         return sweep(scene, trials, lambda: advance(next(done), count), SWEEP_WEIGHTS)
 
 
-def _write(folder: Path, study: GaugeStudy) -> None:
+def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
     from trajeval_ros.io.json_file import json_text
-    from trajeval_ros.io.writing import write_text, write_whole
+    from trajeval_ros.io.writing import write_text
     from trajeval_ros.report import canvas
 
     write_text(folder / "study.json", json_text(study.numbers(), indent=1))
     write_text(folder / "tables.md", study.tables())
     if find_spec("matplotlib") is not None:
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
-        with canvas.house_style():
-            for file, figure in study.figures().items():
-                write_whole(folder / file, functools.partial(canvas.save, figure))
+        canvas.save_all(study.figures(), folder, look)
 
 
 def _print(folder: Path, study: GaugeStudy) -> None:
@@ -279,8 +328,8 @@ def _print(folder: Path, study: GaugeStudy) -> None:
     show(terminal, accuracy_table(study.compared))
     for name, (stopped, converged) in study.covariances.items():
         terminal.print(
-            f"{name}: the free gauge's covariance, transformed, differs by "
-            f"{100 * stopped.difference:.3f} % from that of fixation, and by "
+            f"{name}: after transformation, the covariance of the free gauge differs by "
+            f"{100 * stopped.difference:.3f} % from the covariance of gauge fixation, and by "
             f"{100 * converged.difference:.1g} % at the minimum"
         )
     terminal.print(study.sensors)

@@ -1,12 +1,16 @@
-"""`trajeval info`: what is in this bag or file, and what could be evaluated in it?"""
+"""`trajeval info`: contents of a bag or file, and the likely role of every topic."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from trajeval_ros.cli import options
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -15,6 +19,9 @@ if TYPE_CHECKING:
     from trajeval_ros.io.describe import Description, TrajectorySummary
 
 Row = tuple[str, ...]
+_COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "frame", "likely role")
+# What a narrow terminal doesn't show of several topics; that of one shows all.
+_LEFT_OUT_FIRST = ("last s", "first s", "frame", "path m", "type")
 
 
 def info(
@@ -22,32 +29,53 @@ def info(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="A trajectory file, a bag, BAG:TOPIC, or BAG:/tf:PARENT.CHILD.",
+            help="Trajectory file, bag, BAG:TOPIC, BAG:/tf:PARENT.CHILD or folder.",
         ),
     ],
+    columns: options.ColumnsOption = None,
+    frame_rate: options.FrameRateOption = None,
 ) -> None:
-    """Tell what a bag or a file holds, and what could be evaluated in it.
+    """Prints the contents of a bag or file, and which topics can be evaluated.
 
-    All topics of a bag, with rates, stamps and frames, and the TF tree:
+    List all topics of a bag with rates, timestamps and frames, and the TF tree:
 
         trajeval info flight.mcap
 
-    One topic, or the pose of one TF frame in another:
+    Show one topic, or the pose of one TF frame in another:
 
         trajeval info flight.mcap:/odometry
 
         trajeval info flight.mcap:/tf:map.base_link
 
-    A text file; whether it is TUM, KITTI, EuRoC, OpenVINS or VINS-Mono shows in its content:
+    Show a text file. Its format (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) is detected:
 
         trajeval info groundtruth.csv
+
+    Name the columns of a table that has no header (docs/trajectory.md has the names):
+
+        trajeval info odom.csv --columns 't_ns _ x y yaw_deg'
+
+    List the bags and trajectory files in a folder:
+
+        trajeval info recordings
     """
     from trajeval_ros.cli.progress import progress
+    from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.describe import describe
+    from trajeval_ros.io.text.hints import NO_HINTS, TextHints
     from trajeval_ros.report.console import console
 
+    hints = TextHints.of(columns, frame_rate)
+    folder = Path(source)
+    if folder.is_dir() and not holds_bag(folder):
+        if hints != NO_HINTS:
+            raise SettingsError(
+                "--columns and --frame-rate are of one text file, not of a folder; name the file"
+            )
+        _list_folder(folder)
+        return
     with progress(f"reading {source}") as advance:
-        description = describe(source, advance=advance)
+        description = describe(source, advance=advance, hints=hints)
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
     for note in description.notes:
@@ -55,18 +83,7 @@ def info(
     if len(description.trajectories) == 1:
         _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:
-        header = (
-            "topic",
-            "type",
-            "poses",
-            "Hz",
-            "first s",
-            "last s",
-            "path m",
-            "frame",
-            "could be",
-        )
-        _print_table(terminal, header, [_row(each) for each in description.trajectories])
+        _print_topics(terminal, [_row(each) for each in description.trajectories])
         _print_remarks(terminal, description.trajectories)
     _print_edges(terminal, description)
     if description.others:
@@ -78,12 +95,43 @@ def info(
     _print_next_step(terminal, description)
 
 
+def _list_folder(folder: Path) -> None:
+    """Print the sources in a folder, and what was skipped.
+
+    Raises:
+        InputError: There is none.
+    """
+    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.io.find_sources import find_sources
+    from trajeval_ros.report.console import console
+
+    with progress(f"searching {folder}") as advance:
+        found = find_sources(folder, advance)
+    left_out = "; ".join(found.left_out)
+    if not found.sources:
+        more = f"; skipped: {left_out}" if left_out else ""
+        raise InputError(
+            f"no readable bag or trajectory in {folder} "
+            f"({counted(found.others, 'other file')}){more}"
+        )
+    terminal = console()
+    rows = [
+        (str(each.path), each.kind, each.problem or ", ".join(each.topics))
+        for each in found.sources
+    ]
+    _print_table(terminal, ("source", "format", "topics with poses or transforms"), rows)
+    if found.others:
+        terminal.print(f"other files: {found.others}", soft_wrap=True)
+    if left_out:
+        terminal.print(f"skipped: {left_out}", soft_wrap=True)
+
+
 def _row(summary: TrajectorySummary) -> Row:
     """Return a trajectory as a row of the table."""
     topic = summary.source.rpartition(":")[2]
     if summary.problem:
         kind = summary.kind.rpartition("/")[2]
-        return (topic, kind, str(summary.poses), "", "", "", "", "", "nothing, see below")
+        return (topic, kind, str(summary.poses), "", "", "", "", "", "none, see below")
     return (
         topic,
         summary.kind.rpartition("/")[2],
@@ -104,21 +152,21 @@ def _details(summary: TrajectorySummary) -> list[Row]:
     rows: list[Row] = [
         ("format", summary.kind),
         ("poses", str(summary.poses)),
-        ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown: no stamps"),
+        ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown: no timestamps"),
         ("stamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
         ("duration", f"{(summary.last_ns - summary.first_ns) / NANOSECONDS:.3f} s"),
         ("gaps over 0.5 s", _gaps(summary)),
         ("path length", f"{summary.path_length_m:.3f} m"),
         ("frames", _frames(summary) or "unnamed"),
         ("holds", ", ".join(("position", *summary.holds))),
-        ("could be", summary.could_be),
+        ("likely role", summary.could_be),
     ]
     return [*rows, *(("note", note) for note in summary.notes)]
 
 
 def _gaps(summary: TrajectorySummary) -> str:
     """Return how many gaps there are, and the longest."""
-    return f"{summary.gaps}, the longest {summary.longest_gap_s:.2f} s" if summary.gaps else "none"
+    return f"{summary.gaps}, longest {summary.longest_gap_s:.2f} s" if summary.gaps else "none"
 
 
 def _frames(summary: TrajectorySummary) -> str:
@@ -134,7 +182,7 @@ def _seconds(stamp: int) -> str:
 
 
 def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) -> None:
-    """Print what the tables of several trajectories have no column for."""
+    """Print the remarks that have no column in the table."""
     for summary in summaries:
         topic = summary.source.rpartition(":")[2]
         remarks = [summary.problem] if summary.problem else list(summary.notes)
@@ -165,13 +213,33 @@ def _print_edges(terminal: Console, description: Description) -> None:
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:
-    """Print the command that evaluates what looks like a pair, if one does."""
+    """Print the command that evaluates a likely pair, if there is one."""
     usable = [each for each in description.trajectories if not each.problem]
     truths = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
     if len(truths) == 1 and others:
         terminal.print(
             f"\ntrajeval evaluate -g {truths[0].source} -e {others[0].source}", soft_wrap=True
+        )
+
+
+def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
+    """Print as many columns as fit into the terminal."""
+    from trajeval_ros.report.console import add_rows, new_table, show, width_of
+
+    for count in range(len(_LEFT_OUT_FIRST) + 1):
+        kept = [at for at, name in enumerate(_COLUMNS) if name not in _LEFT_OUT_FIRST[:count]]
+        table = new_table("", [_COLUMNS[at] for at in kept])
+        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
+        if width_of(table) <= terminal.width:
+            break
+    show(terminal, table)
+    if count:
+        left_out = ", ".join(_LEFT_OUT_FIRST[:count])
+        terminal.print(
+            f"columns hidden (narrow terminal): {left_out}; call trajeval info "
+            "SOURCE:TOPIC to see them",
+            soft_wrap=True,
         )
 
 

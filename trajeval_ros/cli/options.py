@@ -1,15 +1,17 @@
-"""Options that several verbs share: spelled, explained and checked alike."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
-from trajeval_ros.metrics.protocol import ATE_FORMS, PROTOCOLS
+from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS, ATE_FORMS, PROTOCOLS
 
+GNSS = "GNSS fixes and surveyed points"
 INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (
     "Input",
     "Alignment",
@@ -24,32 +26,31 @@ _MODALITIES = "; ".join(
     if gauge in MODALITIES.values()
 )
 
-GroundtruthOption = Annotated[
-    str,
-    typer.Option(
-        "--groundtruth",
-        "-g",
-        metavar="SOURCE",
-        help="PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD. Text (TUM, KITTI, EuRoC, OpenVINS, "
-        "VINS-Mono) and bags (MCAP, rosbag2 sqlite3, ROS 1) are recognised by content.",
-        rich_help_panel=INPUT,
-    ),
-]
-EstimatesOption = Annotated[
-    list[str],
-    typer.Option(
-        "--estimate",
-        "-e",
-        metavar="SOURCE",
-        help="The trajectory to evaluate; repeat it to compare several.",
-        rich_help_panel=INPUT,
-    ),
-]
+_GROUNDTRUTH = typer.Option(
+    "--groundtruth",
+    "-g",
+    metavar="SOURCE",
+    help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. The "
+    "format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) or bag "
+    "(MCAP, rosbag2 sqlite3, ROS 1).",
+    rich_help_panel=INPUT,
+)
+_ESTIMATES = typer.Option(
+    "--estimate",
+    "-e",
+    metavar="SOURCE",
+    help="Trajectory to evaluate. Repeat the option to evaluate several.",
+    rich_help_panel=INPUT,
+)
+GroundtruthOption = Annotated[str, _GROUNDTRUTH]
+GroundtruthIfNamedOption = Annotated[str | None, _GROUNDTRUTH]
+EstimatesOption = Annotated[list[str], _ESTIMATES]
+EstimatesIfNamedOption = Annotated[list[str] | None, _ESTIMATES]
 ProtocolOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME|FILE.yaml",
-        help=f"A named set of settings: {', '.join(PROTOCOLS)}, or a file of your own "
+        help=f"Named set of settings: {', '.join(PROTOCOLS)}, or a YAML file "
         "(docs/definitions.md). Other options override it.",
         rich_help_panel=INPUT,
     ),
@@ -57,16 +58,16 @@ ProtocolOption = Annotated[
 ModalityOption = Annotated[
     str | None,
     typer.Option(
-        help=f"The sensors, which decide what alignment may change. {_MODALITIES}.",
+        help=f"Sensors of the estimator; they determine the gauge. {_MODALITIES}.",
         rich_help_panel=ALIGN,
     ),
 ]
 GaugeOption = Annotated[
     str | None,
     typer.Option(
-        help="What alignment may change, by name: "
+        help="Transformation that the alignment fits: "
         + ", ".join(each.value for each in Gauge)
-        + " (se3 if neither gauge nor modality is given).",
+        + " (default: se3).",
         rich_help_panel=ALIGN,
     ),
 ]
@@ -74,7 +75,8 @@ AlignStatesOption = Annotated[
     str | None,
     typer.Option(
         metavar="all|N",
-        help="Align by all matched states (default) or the first N; 1 aligns the first pose.",
+        help="States used for the alignment: all pairs (default) or the first N. With 1, the "
+        "first poses are aligned.",
         rich_help_panel=ALIGN,
     ),
 ]
@@ -83,8 +85,9 @@ AlignStatesOrTableOption = Annotated[
     typer.Option(
         "--align-states",
         metavar="all|N|LIST",
-        help="Align by all matched states (default) or the first N; 1 aligns the first pose. A "
-        "list such as 1,25%,50%,75%,all also gives a table of the ATE by each.",
+        help="States used for the alignment: all pairs (default) or the first N. With 1, the "
+        "first poses are aligned. A list such as 1,25%,50%,75%,all adds a table with the ATE of "
+        "every entry.",
         rich_help_panel=ALIGN,
     ),
 ]
@@ -92,30 +95,36 @@ AlignWithOption = Annotated[
     str | None,
     typer.Option(
         metavar="positions|poses",
-        help="What decides the alignment's rotation: positions (default), or poses to let "
-        "orientations help, for paths that are nearly straight.",
+        help="Data that determine the rotation of the alignment: positions (default), or poses "
+        "to include orientations, for nearly straight paths.",
         rich_help_panel=ALIGN,
     ),
 ]
 AssociationOption = Annotated[
     str | None,
     typer.Option(
-        help="linear (default) interpolates the groundtruth at the estimate's stamps; "
-        "nearest pairs stamps one to one; continuous models the groundtruth between its samples "
-        "with its uncertainty, and computes likelihoods.",
+        help="Pairing method. linear (default for poses): interpolate the groundtruth at the "
+        "estimate's timestamps. groundtruth-stamps (default for points and GNSS fixes): "
+        "interpolate the estimate at the groundtruth's timestamps. nearest: pair nearest "
+        "timestamps one to one. continuous: model the groundtruth and its uncertainty over "
+        "time, and compute likelihoods.",
         rich_help_panel=PAIR,
     ),
 ]
 MaxTimeDifferenceOption = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Limit for nearest, seconds (0.02).", rich_help_panel=PAIR),
+    typer.Option(
+        metavar="S",
+        help="Largest time difference of a pair for nearest, in seconds. Default: 0.02.",
+        rich_help_panel=PAIR,
+    ),
 ]
 MaxGapOption = Annotated[
     float | None,
     typer.Option(
         metavar="S",
-        help="Never interpolate across a longer groundtruth gap, seconds (0.5). Steps between "
-        "pairs up to it are always covered, longer ones by docs/definitions.md.",
+        help="Longest gap to interpolate across, in seconds. Default: 0.5. It also defines "
+        "coverage (docs/definitions.md).",
         rich_help_panel=PAIR,
     ),
 ]
@@ -123,25 +132,80 @@ TimeOffsetOption = Annotated[
     str | None,
     typer.Option(
         metavar="S|auto",
-        help="Added to the estimate's stamps, seconds. auto estimates it, and applies it if it "
-        "is significant.",
+        help="Offset added to the estimate's timestamps, in seconds. auto estimates it and "
+        "applies it if it is statistically significant.",
         rich_help_panel=PAIR,
     ),
 ]
 HandEyeOption = Annotated[
     str | None,
     typer.Option(
-        metavar="none|auto|FILE",
-        help="The pose of the groundtruth's marker in the estimate's body. auto estimates it, and "
-        "applies it if it is significant; FILE is a TransformStamped in YAML.",
+        metavar="none|auto|FILE|BAG:/tf_static:BODY.MARKER",
+        help="Pose of the groundtruth's marker in the estimate's body: a TransformStamped in a "
+        "YAML file, or a static transform in a bag. auto estimates it and applies it if it is "
+        "statistically significant.",
         rich_help_panel=PAIR,
+    ),
+]
+LeverArmOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,Z",
+        help="Position of the GNSS antenna or prism in the estimate's body frame, in metres.",
+        rich_help_panel=GNSS,
+    ),
+]
+AlignWeightsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(ALIGN_WEIGHTS),
+        help="Weights of the alignment: equal (default), or from the position covariances of the "
+        "estimate or of the groundtruth.",
+        rich_help_panel=ALIGN,
+    ),
+]
+DatumOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LAT,LON,HEIGHT",
+        help="Origin of the east-north-up frame of GNSS fixes, in degrees and metres above the "
+        "ellipsoid. Default: the first fix that is used.",
+        rich_help_panel=GNSS,
+    ),
+]
+MinFixStatusOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="0|1|2",
+        help="Minimum status of a fix: 0 any fix, 1 satellite-based, 2 ground-based "
+        "augmentation. Many drivers use the same status for float and fixed RTK.",
+        rich_help_panel=GNSS,
+    ),
+]
+MaxFixSigmaOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M",
+        help="Largest horizontal standard deviation of a fix per axis, from its own covariance, "
+        "in metres.",
+        rich_help_panel=GNSS,
+    ),
+]
+FixCorrelationOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        help="Correlation time of the fix errors, in seconds, for the interval of the estimate's "
+        "own error. Default: 100.",
+        rich_help_panel=GNSS,
     ),
 ]
 ContinuousModelOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help=f"For association continuous: {', '.join(MODELS)}. Default: {DEFAULT_MODEL}.",
+        help=f"Motion model for association continuous: {', '.join(MODELS)}. Default: "
+        f"{DEFAULT_MODEL}.",
         rich_help_panel=PAIR,
     ),
 ]
@@ -149,8 +213,8 @@ GroundtruthNoiseOption = Annotated[
     str | None,
     typer.Option(
         metavar="P,R",
-        help="Standard deviations of the groundtruth's samples: position (m), rotation (deg). "
-        "For association continuous (0.002,0.1) and --covariance.",
+        help="Standard deviations of the groundtruth: position (m), rotation (deg). For "
+        "--covariance and association continuous. Default of the latter: 0.002,0.1.",
         rich_help_panel=PAIR,
     ),
 ]
@@ -158,8 +222,8 @@ ApplyOption = Annotated[
     str | None,
     typer.Option(
         metavar="all|scale",
-        help="What of the alignment is applied: all of it (default), or the scale of gauge sim3 "
-        "alone, as evo_ape -s.",
+        help="Part of the alignment to apply: all (default), or only the scale of gauge sim3, as "
+        "evo_ape -s does.",
         rich_help_panel=ALIGN,
     ),
 ]
@@ -177,24 +241,24 @@ PairsOption = Annotated[
     str | None,
     typer.Option(
         metavar="all|consecutive",
-        help="Sub-trajectories from every pair of states (default; protocol evo: consecutive), or "
-        "each from where the one before ends.",
+        help="Sub-trajectories start at every state (default), or consecutive: at the end of the "
+        "previous one (default of protocol evo).",
         rich_help_panel=MEASURE,
     ),
 ]
 AteFormOption = Annotated[
     str | None,
     typer.Option(
-        help=f"{' or '.join(ATE_FORMS)}: difference of positions, or the tutorial's eq. (23), "
-        "which depends on where the origin is.",
+        help=f"Form of the ATE, {' or '.join(ATE_FORMS)}: difference of positions, or eq. (23) of "
+        "the tutorial, which depends on the choice of the origin.",
         rich_help_panel=MEASURE,
     ),
 ]
 ReFormOption = Annotated[
     str | None,
     typer.Option(
-        help="gauge, se3 (relative poses), matrices (the same by KITTI's matrices as they are) or "
-        "tutorial (eq. 26 to the letter).",
+        help="Form of the relative error: gauge, se3 (relative poses), matrices (as se3, with "
+        "KITTI's matrices as stored) or tutorial (eq. 26).",
         rich_help_panel=MEASURE,
     ),
 ]
@@ -202,8 +266,8 @@ CovarianceOption = Annotated[
     str | None,
     typer.Option(
         metavar="FILE.npz|message|none",
-        help="Test whether errors fit the estimate's covariances: the joint covariance of all "
-        "poses in a file, or the covariance of each pose in its message.",
+        help="Consistency test of errors and covariances. Source of the covariances: a file with "
+        "the joint covariance of all poses, or the messages with one covariance per pose.",
         rich_help_panel=CONSISTENCY,
     ),
 ]
@@ -211,8 +275,42 @@ RotationCovarianceFrameOption = Annotated[
     str | None,
     typer.Option(
         metavar="world|body",
-        help="Axes of the messages' rotation covariances: those of the fixed frame (default), as "
-        "in ROS, or of the body, as OpenVINS publishes them.",
+        help="Axes of rotation covariances in messages: world (default), as in ROS, or body, as "
+        "in OpenVINS.",
+        rich_help_panel=CONSISTENCY,
+    ),
+]
+IntegrityOption = Annotated[
+    bool,
+    typer.Option(
+        "--integrity",
+        help="Integrity test: compares errors with the protection levels that the covariances "
+        "give at --risk.",
+        rich_help_panel=CONSISTENCY,
+    ),
+]
+AlertLimitOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="M[,DEG]",
+        help="Largest acceptable position error (horizontal and vertical), and heading error.",
+        rich_help_panel=CONSISTENCY,
+    ),
+]
+RiskOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="P",
+        help="Probability that an error may exceed its protection level (1e-5).",
+        rich_help_panel=CONSISTENCY,
+    ),
+]
+WatchLimitsOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="With --integrity: limits of `trajeval watch`, whose errors count as alerts in the "
+        "time to alert.",
         rich_help_panel=CONSISTENCY,
     ),
 ]
@@ -220,9 +318,9 @@ UpOption = Annotated[
     str | None,
     typer.Option(
         metavar="AXIS[,AXIS]",
-        help="The axis that points up (x, y, z, -x, -y, -z) in all frames, or in the "
-        "groundtruth's and in the estimates', as in --up=-y,z. By default -y for KITTI's "
-        "matrices and optical frames, else z. Gauges yaw and planar, yaw and tilt are about it.",
+        help="Vertical axis (x, y, z, -x, -y or -z) of all frames, or of the groundtruth and of "
+        "the estimates, as in --up=-y,z. Default: -y for KITTI matrices and optical frames, "
+        "otherwise z. It defines gauges yaw and planar, and the yaw and tilt errors.",
         rich_help_panel=INPUT,
     ),
 ]
@@ -230,8 +328,8 @@ StartOption = Annotated[
     str | None,
     typer.Option(
         metavar="S|@STAMP",
-        help="Use only what is from then on: seconds after the first stamp of the groundtruth (or "
-        "reference; without one, of each source), as in 10.5, or a stamp, as in @1403636580.5.",
+        help="Start of the evaluated time span: seconds after the first timestamp of the "
+        "groundtruth (or reference), as in 10.5, or a timestamp, as in @1403636580.5.",
         rich_help_panel=INPUT,
     ),
 ]
@@ -239,7 +337,24 @@ EndOption = Annotated[
     str | None,
     typer.Option(
         metavar="S|@STAMP|+S",
-        help="Use only what is up to then: as --start, or +30 for 30 s after the start.",
+        help="End of the evaluated time span: as --start, or +30 for 30 s after the start.",
+        rich_help_panel=INPUT,
+    ),
+]
+ColumnsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Columns of text files (except the groundtruth or reference), as in 't x y z qw qx "
+        "qy qz'. Use _ for columns to ignore. Names: docs/trajectory.md.",
+        rich_help_panel=INPUT,
+    ),
+]
+FrameRateOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="HZ",
+        help="Pose rate of text files without timestamps, such as KITTI, TartanAir and g2o.",
         rich_help_panel=INPUT,
     ),
 ]
@@ -247,7 +362,7 @@ StrictOption = Annotated[
     bool,
     typer.Option(
         "--strict",
-        help="Verify everything that is read of a bag, and exit with status 2 if it is damaged.",
+        help="Verification of all data read from a bag. Exits with status 2 if it is damaged.",
         rich_help_panel=INPUT,
     ),
 ]
@@ -255,7 +370,7 @@ JsonOption = Annotated[
     str | None,
     typer.Option(
         metavar="FILE|-",
-        help="Write the result as JSON; - prints it alone on stdout.",
+        help="JSON output file. With -, only the JSON is printed to stdout.",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -263,11 +378,17 @@ RequireOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="BOUND",
-        help="Exit with status 1 unless it holds for every estimate; repeatable. "
-        "Such as 'ate.position_m.rmse < 0.3' or 're.8m.position_percent.mean < 1'.",
+        help="Requirement for every estimate; exits with status 1 if it is not met. Repeatable. "
+        "Examples: 'ate.position_m.rmse < 0.3', 're.8m.position_percent.mean < 1'.",
         rich_help_panel=OUTPUT,
     ),
 ]
 QuietOption = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Print nothing.", rich_help_panel=OUTPUT)
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="No output on the terminal except warnings about missing data.",
+        rich_help_panel=OUTPUT,
+    ),
 ]

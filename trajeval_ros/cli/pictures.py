@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from trajeval_ros.io.temporary import temporary_folder
-from trajeval_ros.pipeline import RunOutcome
+from trajeval_ros.pipeline.outcome import RunOutcome
 
 PICTURE = "run.rrd"
 HAVE_RERUN = find_spec("rerun") is not None
@@ -21,12 +21,10 @@ class Pictures:
     Attributes:
         rrd: A file; None for none.
         viewer: Whether to show it.
-        in_output: Whether it belongs to the output folder, where rerun-sdk is installed.
     """
 
     rrd: Path | None = None
     viewer: bool = False
-    in_output: bool = False
 
     def check(self) -> None:
         """Refuse what can't be done, before anything is computed or written.
@@ -43,11 +41,6 @@ class Pictures:
         """Write the file that was asked for by name."""
         if self.rrd is not None:
             _write(self.rrd, runs)
-
-    def write_into(self, folder: Path, runs: Sequence[RunOutcome]) -> None:
-        """Write the file of an output folder."""
-        if self.in_output and HAVE_RERUN:
-            _write(folder / PICTURE, runs)
 
     def show(self, runs: Sequence[RunOutcome]) -> None:
         """Show it if that was asked for, and wait until the viewer is closed."""

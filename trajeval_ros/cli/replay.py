@@ -1,16 +1,16 @@
-"""`trajeval replay`: a recorded bag as live ROS 2 traffic."""
+"""`trajeval replay`: publish a recorded bag as live ROS 2 messages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer.core import TyperCommand
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.escaping import visible
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -18,45 +18,34 @@ if TYPE_CHECKING:
     from trajeval_ros.io.bags.playback import Channel, Playback
 
 _LATE_S = 0.1
-_ROS_ARGUMENTS = "--ros-args"
-
-
-class RosCommand(TyperCommand):
-    """A command that hands what follows `--ros-args` to ROS, as `ros2 run` has it."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Keep the ROS arguments in the context; the others are the command's."""
-        cut = args.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in args else len(args)
-        ctx.obj = args[cut:]
-        return super().parse_args(ctx, args[:cut])
 
 
 def replay(
     context: typer.Context,
     bag: Annotated[
         str,
-        typer.Argument(
-            metavar="BAG", help="A rosbag2 folder, an MCAP or sqlite3 file, a ROS 1 bag."
-        ),
+        typer.Argument(metavar="BAG", help="Rosbag2 folder, MCAP or sqlite3 file, or ROS 1 bag."),
     ],
     topic: Annotated[
         list[str] | None,
         typer.Option(
-            "--topic", metavar="TOPIC", help="Play this topic only; repeat it for several."
+            "--topic", metavar="TOPIC", help="Topic to play; repeatable. Default: all topics."
         ),
     ] = None,
     rate: Annotated[
         float,
-        typer.Option(metavar="R", help="Seconds of the bag per second: 1 as recorded, 10 faster."),
+        typer.Option(
+            metavar="R", help="Playback speed, as a factor of the recorded speed. Default: 1."
+        ),
     ] = 1.0,
     start: Annotated[
-        float, typer.Option(metavar="S", help="Begin so many seconds after the bag's beginning.")
+        float, typer.Option(metavar="S", help="Start, in seconds after the start of the bag.")
     ] = 0.0,
     end: Annotated[
         float | None,
         typer.Option(
             metavar="S",
-            help="End so many seconds after the bag's beginning.",
+            help="End, in seconds after the start of the bag.",
             show_default="its end",
         ),
     ] = None,
@@ -64,27 +53,24 @@ def replay(
         float,
         typer.Option(
             metavar="S",
-            help="Wait until every topic has a subscriber, so many seconds at the most, and begin "
-            "then anyway; nodes need a second or two to find each other.",
+            help="Longest wait for subscribers to every topic, in seconds; then playback starts. "
+            "Nodes need one to two seconds for discovery.",
         ),
     ] = 3.0,
-    no_clock: Annotated[
-        bool, typer.Option("--no-clock", help="Don't publish the bag's time on /clock.")
-    ] = False,
+    no_clock: Annotated[bool, typer.Option("--no-clock", help="No messages on /clock.")] = False,
 ) -> None:
-    """Publish what a bag recorded as live ROS 2 traffic, with /clock.
+    """Publishes a recorded bag as live ROS 2 messages, with /clock.
 
-    Messages go out byte by byte as they were recorded, at their log times; those of ROS 1 are
-    encoded anew. Publishers are reliable, so that every subscriber can connect; what subscribers
-    need `use_sim_time` for is on /clock. A message is kept until reliable subscribers have it:
-    where they are too slow, the replay waits for them and says so. What a subscriber's own queue
-    is too short for is lost there. Ctrl-C ends it in order.
+    Messages are published unchanged at their log times; ROS 1 messages are converted. Publishers
+    are reliable. Subscribers with `use_sim_time` use /clock. The replay waits for slow reliable
+    subscribers, and reports it. A subscriber with a queue that is too short can still lose
+    messages. Stop with Ctrl-C.
 
-    All topics at five times the speed, as soon as each has a subscriber:
+    Play all topics at five times the speed, as soon as every topic has a subscriber:
 
         trajeval replay flight --rate 5 --wait-for-subscribers 60
 
-    One topic, 20 s of it, under another name; repeat `--topic` for several:
+    Play 20 s of one topic under another name. Repeat `--topic` for several topics:
 
         trajeval replay flight --topic /odom --start 10 --end 30 --ros-args -r /odom:=/vio
     """
@@ -97,7 +83,9 @@ def replay(
 
     source = parse_source(bag)
     if source.topic:
-        raise InputError(f"name the topic apart from its bag, as in --topic {source.topic}")
+        raise InputError(
+            f"replay takes a bag without a topic; give the topic as --topic {source.topic}"
+        )
     _check(rate, wait_for_subscribers)
     with Bag(source.path) as opened:
         require_ros()
@@ -109,13 +97,13 @@ def replay(
         if wait_for_subscribers:
             names = _names(playback.channels)
             print(
-                f"waiting {wait_for_subscribers:g} s at most for subscribers to {names}",
+                f"waiting up to {wait_for_subscribers:g} s for subscribers to {names}",
                 flush=True,
             )
 
         def begin(alone: Sequence[Channel]) -> None:
             if alone:
-                _print_notes([f"nobody has subscribed to {_names(alone)} yet"])
+                _print_notes([f"no subscribers to {_names(alone)} yet"])
             print(f"playing {playback.duration_s:.1f} s at rate {rate:g}", flush=True)
 
         with progress(f"{opened.path}, {playback.duration_s:.0f} s at rate {rate:g}") as advance:
@@ -133,11 +121,16 @@ def replay(
 
 
 def _check(rate: float, patience_s: float) -> None:
-    """Raise SettingsError if a number means nothing."""
+    """Raise SettingsError if a number is out of range."""
     if not (math.isfinite(rate) and rate > 0.0):
-        raise SettingsError(f"--rate {rate:g} is no speed; give a positive number, 1 as recorded")
+        raise SettingsError(
+            f"--rate {rate:g} is out of range; give a positive number, such as 1 "
+            "for the recorded speed"
+        )
     if not (math.isfinite(patience_s) and patience_s >= 0.0):
-        raise SettingsError(f"--wait-for-subscribers {patience_s:g} is no time in seconds")
+        raise SettingsError(
+            f"--wait-for-subscribers {patience_s:g} is out of range; give 0 or more seconds"
+        )
 
 
 def _names(channels: Sequence[Channel]) -> str:
@@ -154,12 +147,14 @@ def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: fl
     counts = [f"{played.counts[each]} on {visible(each.name)}" for each in playback.channels]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS
     if played.worst_lag_s > _LATE_S:
-        lag = f"fell behind by {played.worst_lag_s:.2f} s: a lower --rate keeps the times"
+        lag = f"late by up to {played.worst_lag_s:.2f} s: use a lower --rate"
     else:
-        lag = f"at most {played.worst_lag_s * 1e3:.1f} ms late"
+        lag = f"late by at most {played.worst_lag_s * 1e3:.1f} ms"
     if played.waited_s:
-        lag += f", after {played.waited_s:.1f} s of waiting for subscribers that are slower"
-    damaged = f"; {playback.damaged} damaged ones passed over" if playback.damaged else ""
+        lag += f", with {played.waited_s:.1f} s of waiting for slow subscribers"
+    damaged = (
+        f"; {counted(playback.damaged, 'damaged message')} skipped" if playback.damaged else ""
+    )
     print(
         f"{'replayed' if played.is_complete else 'stopped after'} {bag_time:.1f} s of the bag in "
         f"{played.took_s:.1f} s (rate {rate:g}), {lag}; messages: {', '.join(counts)}{damaged}",

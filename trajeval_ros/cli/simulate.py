@@ -1,4 +1,4 @@
-"""`trajeval simulate`: bags to try everything on, without a robot."""
+"""`trajeval simulate`: bags of simulated flights."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.temporary import temporary_folder
 
 if TYPE_CHECKING:
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 GROUNDTRUTH_TOPIC = "/groundtruth/pose"
 ESTIMATE_TOPIC = "/vio/odometry"
+FIX_TOPIC, FIX_TYPE = "/fix", "sensor_msgs/msg/NavSatFix"
+RECEIVERS = ("rtk", "consumer")
+IMU_TOPIC = "/imu"
 _DRIFT = "drift"
 # What a marker differs by from the body that it is on: m, rad, s.
 _LEVER_M = (0.1, -0.05, 0.2)
@@ -36,69 +40,85 @@ class Storage(str, Enum):
 def simulate(
     output: Annotated[
         Path,
-        typer.Argument(
-            metavar="BAG", help="Folder to write the rosbag2 bag to; it must not exist yet."
-        ),
+        typer.Argument(metavar="BAG", help="Output folder of the rosbag2 bag. It must not exist."),
     ],
     seed: Annotated[
         int,
-        typer.Option(help="Chooses flight, frames and drift; the same seed, the same messages."),
+        typer.Option(
+            help="Seed of flight, frames and drift. The same seed gives the same messages."
+        ),
     ] = 0,
     duration: Annotated[
         float,
-        typer.Option(metavar="S", help="Length of the flight, seconds; it flies 1.8 m/s or so."),
+        typer.Option(
+            metavar="S", help="Duration of the flight, in seconds. The speed is about 1.8 m/s."
+        ),
     ] = 120.0,
     storage: Annotated[
         Storage,
-        typer.Option(help="File format inside of the bag: mcap (Jazzy's default) or sqlite3."),
+        typer.Option(help="Storage format of the bag: mcap (default of Jazzy) or sqlite3."),
     ] = Storage.MCAP,
     profile: Annotated[
         str,
         typer.Option(
             metavar="drift|paper|euroc|stereo|overconfident",
-            help="drift: a kinematic model without covariance. The others: a visual-inertial "
-            "estimator with covariance, honest with the sensors of the gauge paper, the same and "
-            "a second camera (stereo), or those of EuRoC (at most 1800 s), or too sure of itself "
-            "(at most 10 s): residuals look fine, and the joint NEES is several times its degrees "
-            "of freedom.",
+            help="Odometry model. drift: kinematic model without covariance. paper, stereo, "
+            "euroc: consistent visual-inertial estimator with covariance (at most 1800 s), with "
+            "the sensors of the gauge paper, with a second camera, or with the sensors of "
+            "EuRoC. overconfident: estimator whose joint NEES is several times its degrees of "
+            "freedom (at most 10 s).",
         ),
     ] = _DRIFT,
     runs: Annotated[
         int,
         typer.Option(
             metavar="N",
-            help="Bags of the same flight with other noise, BAG_0, BAG_1, ...; not for drift.",
+            help="Number of bags of the same flight with different noise, BAG_0, BAG_1, ... Not "
+            "for drift.",
         ),
     ] = 1,
     marker: Annotated[
         bool,
         typer.Option(
             "--marker",
-            help="Groundtruth of a marker on the body instead of the body, by a clock that is "
-            "100 ms ahead: as a motion capture system gives it. For drift alone.",
+            help="Groundtruth of a marker on the body, with a clock 100 ms ahead, as from a "
+            "motion capture system. For drift only.",
         ),
     ] = False,
+    gnss: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(RECEIVERS),
+            help="Simulates a drive instead of a flight, with GNSS fixes on /fix: rtk (1 cm, "
+            "with periods of float solutions) or consumer (1.2 m, with multipath). Errors are "
+            "correlated over minutes, and there are outages. For drift only.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
             "--overwrite",
-            help="Replace BAG, and BAG.npz of a profile, if an earlier `trajeval simulate` wrote "
-            "them.",
+            help="Replace BAG and BAG.npz if they are from an earlier `trajeval simulate`.",
         ),
     ] = False,
 ) -> None:
-    """Write a bag with a simulated flight: true poses, and the odometry of a VIO.
+    """Writes a bag with a simulated flight: true poses, VIO odometry and IMU data.
 
-    By default the odometry is a kinematic drift model, not an estimator: yaw, position and scale
-    wander off, roll and pitch don't, stamps jitter, its frame is its own, and it is silent for
-    2 s. A bag, and how wrong the odometry in it is:
+    By default, the odometry is a kinematic drift model without an estimator. Yaw, position and
+    scale drift, roll and pitch do not. Timestamps have jitter, the frame is arbitrary, and one gap
+    lasts 2 s. Simulate a bag and evaluate its odometry:
 
         trajeval simulate flight
 
         trajeval evaluate -g flight:/groundtruth/pose -e flight:/vio/odometry --gauge yaw
 
-    With a profile it is that of a visual-inertial estimator, 10 keyframes a second, each with the
-    covariance of its pose; the joint covariance of all of them is in fly.npz:
+    Simulate a drive with an RTK receiver (docs/gnss.md):
+
+        trajeval simulate drive --gnss rtk --duration 600
+
+    With a profile, a visual-inertial estimator with 10 keyframes per second is simulated. Messages
+    contain the covariance of their pose, and fly.npz contains the joint covariance of all
+    keyframes:
 
         trajeval simulate fly --profile euroc
 
@@ -106,11 +126,17 @@ def simulate(
     """
     if profile == _DRIFT:
         if runs != 1:
-            raise SettingsError("--runs is for estimators: choose one by --profile euroc")
-        _write_drift(output, seed, duration, storage, marker=marker, overwrite=overwrite)
+            raise SettingsError(
+                "--runs needs a simulated estimator; choose one, as in --profile euroc"
+            )
+        if marker and gnss is not None:
+            raise SettingsError("--marker and --gnss exclude each other; give one of them")
+        _write_drift(
+            output, seed, duration, storage, marker=marker, gnss=gnss, overwrite=overwrite
+        )
     else:
-        if marker:
-            raise SettingsError("--marker is for the drift model: leave out --profile")
+        if marker or gnss is not None:
+            raise SettingsError("--marker and --gnss need the drift model; remove --profile")
         _write_runs(output, seed, duration, storage, profile, runs, overwrite=overwrite)
 
 
@@ -131,17 +157,18 @@ def _write_runs(
     from trajeval_ros.io.requests.covariance_file import write_joint_covariance
     from trajeval_ros.visual_inertial.flight import fly
     from trajeval_ros.visual_inertial.scene import PROFILES
+    from trajeval_ros.visual_inertial.simulated_imu import readings_of
 
     if profile not in PROFILES:
         raise SettingsError(
-            f"there is no profile {profile!r}; use one of {_DRIFT}, {', '.join(PROFILES)}"
+            f"unknown profile {profile!r}; use one of {_DRIFT}, {', '.join(PROFILES)}"
         )
     if runs < 1 or seed < 0:
         raise SettingsError("--runs must be at least 1, and --seed at least 0")
     if output.name in ("", ".."):
         raise SettingsError(
-            f"{output} has no name of its own to call bags and covariances after; name a new "
-            "folder, such as fly"
+            f"{output} has no folder name to derive file names from; give a new folder, such as "
+            "flight"
         )
     flight = fly(seed, duration, PROFILES[profile])
     bags = [output]
@@ -156,7 +183,12 @@ def _write_runs(
             zip(bags, flight.runs(seed, runs), strict=True), start=1
         ):
             estimate = odometry.estimate
-            write_bag(bag, _topics(flight.groundtruth, estimate), storage=storage.value)
+            write_bag(
+                bag,
+                _topics(flight.groundtruth, estimate),
+                storage=storage.value,
+                inertial={IMU_TOPIC: readings_of(flight.groundtruth, seed)},
+            )
             quaternions = estimate.quaternions
             assert quaternions is not None
             joint = JointCovariance(
@@ -188,26 +220,50 @@ def _topics(groundtruth: Trajectory, estimate: Trajectory) -> dict[str, tuple[Tr
 
 
 def _write_drift(
-    output: Path, seed: int, duration: float, storage: Storage, *, marker: bool, overwrite: bool
+    output: Path,
+    seed: int,
+    duration: float,
+    storage: Storage,
+    *,
+    marker: bool,
+    gnss: str | None,
+    overwrite: bool,
 ) -> None:
     """Write a flight with the kinematic drift model."""
     from trajeval_ros.io.bags.write_bag import write_bag
     from trajeval_ros.visual_inertial import drifting_odometry
+    from trajeval_ros.visual_inertial.simulated_imu import readings_of
 
-    simulated = drifting_odometry.simulate(seed, duration)
+    simulated = drifting_odometry.simulate(seed, duration, drives=gnss is not None)
     _make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     groundtruth, more, options = simulated.groundtruth, "", ""
+    topics = _topics(groundtruth, simulated.estimate)
+    if gnss is not None:
+        from trajeval_ros.visual_inertial.gnss_receiver import ANTENNA_M, receive
+
+        fixes = receive(groundtruth, gnss, seed)
+        write_bag(output, topics | {FIX_TOPIC: (fixes, FIX_TYPE)}, storage=storage.value)
+        more = f", {counted(len(fixes), 'fix', 'fixes')} of a {gnss} receiver on {FIX_TOPIC}"
+        options = f" --lever-arm {','.join(f'{each:g}' for each in ANTENNA_M)}"
+        options += " --max-fix-sigma 0.05" if gnss == "rtk" else ""
+        _say([output], groundtruth, simulated.estimate, more, options, FIX_TOPIC)
+        return
     if marker:
         groundtruth = _marked(groundtruth)
         lever = " ".join(f"{each:g}" for each in _LEVER_M)
         angle_deg = math.degrees(math.hypot(*_TURN))
         more = (
-            f"; the groundtruth is of a marker, {lever} m away from the body and turned by "
-            f"{angle_deg:.1f} deg, and {1e3 * _AHEAD_S:g} ms ahead"
+            f"; the groundtruth is the pose of a marker, {lever} m from the body and rotated by "
+            f"{angle_deg:.1f} deg, with a clock {1e3 * _AHEAD_S:g} ms ahead"
         )
         options = " --time-offset auto --hand-eye auto"
-    write_bag(output, _topics(groundtruth, simulated.estimate), storage=storage.value)
+    write_bag(
+        output,
+        _topics(groundtruth, simulated.estimate),
+        storage=storage.value,
+        inertial={IMU_TOPIC: readings_of(simulated.groundtruth, seed)},
+    )
     _say([output], groundtruth, simulated.estimate, more, options)
 
 
@@ -227,17 +283,19 @@ def _say(
     estimate: Trajectory,
     more: str = "",
     options: str = "",
+    measured_by: str = GROUNDTRUTH_TOPIC,
 ) -> None:
     """Print what was written, and what to do with it."""
+    what = "a drive" if measured_by == FIX_TOPIC else "flight"
     names = f"{bags[0]} to {bags[-1]}" if len(bags) > 1 else str(bags[0])
     print(
         f"wrote {names}: {groundtruth.duration_s:.0f} s and {groundtruth.path_length_m:.0f} m of "
-        f"flight, {len(groundtruth)} poses on {GROUNDTRUTH_TOPIC}, {len(estimate)} on "
-        f"{ESTIMATE_TOPIC}{more}"
+        f"{what}, {counted(len(groundtruth), 'pose')} on {GROUNDTRUTH_TOPIC}, {len(estimate)} "
+        f"on {ESTIMATE_TOPIC}, and the IMU on {IMU_TOPIC}{more}"
     )
     bag = shlex.quote(str(bags[0]))
     print(
-        f"next: trajeval evaluate --groundtruth {bag}:{GROUNDTRUTH_TOPIC} "
+        f"next: trajeval evaluate --groundtruth {bag}:{measured_by} "
         f"--estimate {bag}:{ESTIMATE_TOPIC} --modality stereo-inertial{options}"
     )
 
@@ -247,11 +305,11 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
     if not output.exists() and not output.is_symlink():
         return
     if not overwrite:
-        raise InputError(f"{output} exists; name another folder, or add --overwrite")
+        raise InputError(f"{output} exists; choose another folder or add --overwrite")
     if not is_simulated(output):
         raise InputError(
-            f"{output} is not a bag that trajeval simulate wrote, so it is not overwritten; "
-            "name another folder"
+            f"{output} is not a bag from trajeval simulate and is not overwritten; choose another "
+            "folder"
         )
     # A kill must not leave half of it, which nobody would take for a simulation's.
     with temporary_folder(output.name, output.parent) as going:
@@ -265,18 +323,18 @@ def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
     if not file.exists() and not file.is_symlink():
         return
     if not overwrite:
-        raise InputError(f"{file} exists; name another folder, or add --overwrite")
+        raise InputError(f"{file} exists; choose another folder or add --overwrite")
     try:
         read_joint_covariance(file)
     except InputError as error:
         raise InputError(
-            f"{file} is not a joint covariance that trajeval simulate wrote, so it is not "
-            "overwritten; name another folder"
+            f"{file} is not a joint covariance from trajeval simulate and is not overwritten; "
+            "choose another folder"
         ) from error
 
 
 def is_simulated(folder: Path) -> bool:
-    """Whether a folder holds a bag with the two simulated topics, and no other file."""
+    """Whether a folder holds a bag with the simulated topics alone, and no other file."""
     metadata = folder / "metadata.yaml"
     if folder.is_symlink() or not metadata.is_file():
         return False
@@ -289,4 +347,4 @@ def is_simulated(folder: Path) -> bool:
         for line in lines
         if line.strip().startswith("name: /")
     }
-    return topics == {GROUNDTRUTH_TOPIC, ESTIMATE_TOPIC}
+    return topics - {IMU_TOPIC, FIX_TOPIC} == {GROUNDTRUTH_TOPIC, ESTIMATE_TOPIC}

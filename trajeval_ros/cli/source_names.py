@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from trajeval_ros.formatting.topic_names import part_of_topic
+from trajeval_ros.io.sources import STDIN
+
 
 def names_of(sources: Sequence[str]) -> list[str]:
-    """Return a short name for each source, told apart by as many folders as it takes."""
+    """Return a short name for each source, told apart by as many folders as it takes.
+
+    Topics are called as the live evaluator calls them.
+    """
     parts = [_parts(source) for source in sources]
     depth = 1
     names = ["/".join(each[-1:]) for each in parts]
@@ -20,9 +26,11 @@ def names_of(sources: Sequence[str]) -> list[str]:
 
 
 def _parts(source: str) -> list[str]:
-    path, _, topic = source.partition(":")
+    if source == STDIN:
+        return ["stdin"]
+    path, _, topic = source.rpartition("://")[2].partition(":")
+    folders = [part for part in path.split("/") if part] or [path]
     if topic:
-        return [part for part in (*path.split("/"), topic.strip("/")) if part]
-    parts = [part for part in path.split("/") if part] or [path]
-    stem, _, ending = parts[-1].rpartition(".")
-    return [*parts[:-1], stem if stem and ending.isalnum() else parts[-1]]
+        return [*folders, part_of_topic(topic)]
+    stem, _, ending = folders[-1].rpartition(".")
+    return [*folders[:-1], stem if stem and ending.isalnum() else folders[-1]]

@@ -1,4 +1,4 @@
-"""`trajeval view`: a result in three dimensions."""
+"""`trajeval view`: results in Rerun's viewer."""
 
 from __future__ import annotations
 
@@ -19,22 +19,21 @@ def view(
         Path,
         typer.Argument(
             metavar="RESULT",
-            help="A folder that `trajeval evaluate --output` or the live evaluator wrote, or a "
-            "file that `--rrd` wrote.",
+            help="Output folder of `trajeval evaluate` or of the live evaluator, or a .rrd file.",
         ),
     ],
     web: Annotated[
         bool,
-        typer.Option("--web", help="Serve a web page on this machine instead of a window."),
+        typer.Option("--web", help="Viewer as a web page on this machine, instead of a window."),
     ] = False,
 ) -> None:
-    """Show trajectories and errors in Rerun's viewer, until it is closed.
+    """Shows trajectories and errors in Rerun's viewer.
 
-    A recorded run, and a live one:
+    Show a recorded run, and a live run:
 
-        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
+        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --rrd run.rrd
 
-        trajeval view result
+        trajeval view run.rrd
 
         trajeval view trajeval_2026_03_01-10_00_00
     """
@@ -45,11 +44,11 @@ def view(
         show(picture, in_browser=web)
         return
     if not result.is_dir():
-        raise InputError(f"there is no {result}; name a folder of results, or a .rrd file")
+        raise InputError(f"{result} does not exist; give a folder with results or a .rrd file")
     if not any(result.glob(f"*{SUFFIX}")):
         raise InputError(
-            f"{result} holds no {PICTURE}; trajeval evaluate --output writes one where rerun-sdk "
-            "is installed, --rrd FILE another"
+            f"no {PICTURE} in {result}; install rerun-sdk and write one with trajeval evaluate "
+            "--rrd FILE"
         )
     from trajeval_ros.viewer.recorded_scene import write_recording
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import lie
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.joint_covariance import JointCovariance
+    from trajeval_ros.geometry.trajectory import Trajectory
 
 SOURCES = ("none", "message", "joint")
 FRAMES = ("world", "body")
@@ -48,23 +50,46 @@ class CovarianceRequest:
         """
         if self.source not in SOURCES or (self.source == "joint") != (self.joint is not None):
             raise SettingsError(
-                f"covariances come from one of {', '.join(SOURCES)}, and joint needs a joint "
-                f"covariance; {self.source!r} was given"
+                f"the covariance source must be one of {', '.join(SOURCES)}, not "
+                f"{self.source!r}; joint also needs a joint covariance"
             )
         if self.rotation_frame not in FRAMES:
             raise SettingsError(
-                f"there is no rotation covariance frame {self.rotation_frame!r}; use world, or "
-                "body for OpenVINS and others that perturb rotations on the right"
+                f"unknown rotation covariance frame {self.rotation_frame!r}; use world, or body "
+                "for estimators with right perturbations of rotations, such as OpenVINS"
             )
         if self.rotation_frame == "body" and self.source != "message":
             raise SettingsError(
-                "--rotation-covariance-frame body is about covariances in messages; add "
-                "--covariance message (a joint file says itself how rotations are perturbed)"
+                "--rotation-covariance-frame body needs covariances from messages; add "
+                "--covariance message"
             )
         if self.groundtruth_noise is not None:
             position_m, rotation_deg = self.groundtruth_noise
             if not (0.0 < position_m < math.inf and 0.0 < rotation_deg < math.inf):
                 raise SettingsError(
-                    "the groundtruth noise must be two standard deviations above zero, in metres "
-                    f"and degrees, not {position_m:g},{rotation_deg:g}"
+                    "the groundtruth noise must be two standard deviations greater than zero, "
+                    f"in metres and degrees, not {position_m:g},{rotation_deg:g}"
                 )
+
+    def about_world(self, estimate: Trajectory) -> Trajectory:
+        """Return the estimate as it was read with rotation covariances about the world's axes.
+
+        All that moves poses (lever arms, up axes, alignments) takes them to be so.
+
+        Raises:
+            InputError: They are about the body's axes, which nothing tells.
+        """
+        if self.rotation_frame == "world" or estimate.covariances is None:
+            return estimate
+        if estimate.quaternions is None:
+            raise InputError("covariances can't be rotated without the estimate's orientations")
+        from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+
+        rotations = lie.to_matrix(estimate.quaternions)
+        turned = world_from_body_rotations(estimate.covariances, rotations)
+        return replace(estimate, covariances=turned)
+
+    @property
+    def once_turned(self) -> CovarianceRequest:
+        """What to ask for once `about_world` has turned the estimate's."""
+        return replace(self, rotation_frame="world")

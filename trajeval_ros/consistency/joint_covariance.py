@@ -9,6 +9,7 @@ import scipy.linalg
 import scipy.sparse
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
@@ -64,25 +65,29 @@ class JointCovariance:
         matrix = self.covariance if self.information is None else self.information
         what = "covariance" if self.information is None else "information matrix"
         if matrix is None:
-            raise InputError("the joint covariance file has neither a covariance nor information")
+            raise InputError(
+                "the joint covariance file has neither a covariance nor an information matrix"
+            )
         size = len(self.stamps) * self.block
         if matrix.shape != (size, size):
             raise InputError(
-                f"the joint {what} is {matrix.shape[0]} x {matrix.shape[1]}, but "
-                f"{len(self.stamps)} poses of {self.block} need {size} x {size}"
+                f"the joint {what} is {matrix.shape[0]} x {matrix.shape[1]}; {size} x {size} is "
+                f"expected for {counted(len(self.stamps), 'pose')} with blocks of {self.block}"
             )
         values = matrix if self.information is None else self.information.data
         if not np.isfinite(values).all():
-            raise InputError(f"the joint {what} is not finite throughout")
+            raise InputError(f"the joint {what} has entries that are not finite")
         difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
         if not difference <= _ASYMMETRY * largest:
             raise InputError(
-                f"the joint {what} is not symmetric: entries differ by {difference:.3g} from "
-                "their mirror images"
+                f"the joint {what} is not symmetric: entries differ by up to {difference:.3g} "
+                "from the transpose"
             )
         diagonal = matrix.diagonal()
         if (diagonal < 0.0).any() or largest == 0.0:
-            raise InputError(f"the joint {what} has no positive diagonal, which means unknown")
+            raise InputError(
+                f"the diagonal of the joint {what} is not positive, which means unknown"
+            )
         if self.information is not None and self.gauge == "free":
             self._require_free_gauge()
 
@@ -98,8 +103,9 @@ class JointCovariance:
         missing = np.flatnonzero(self.stamps[rows] != trajectory.stamps)
         if len(missing):
             raise InputError(
-                f"the joint covariance has no pose at stamp {trajectory.stamps[missing[0]]} ns "
-                f"({len(missing)} of {len(rows)} are missing); is it of this estimate?"
+                f"the joint covariance has no pose at timestamp {trajectory.stamps[missing[0]]} "
+                f"ns ({len(missing)} of {len(rows)} missing); check that it is from this "
+                "estimate"
             )
         away = np.linalg.norm(self.positions[rows] - trajectory.positions, axis=1).max()
         quaternions = trajectory.quaternions
@@ -107,8 +113,9 @@ class JointCovariance:
         turned = lie.angle(lie.multiply(lie.conjugate(self.quaternions[rows]), quaternions)).max()
         if away > _SAME_POSITION_M or turned > _SAME_ROTATION_RAD:
             raise InputError(
-                f"the joint covariance is of other poses: they differ by up to {away:.3g} m and "
-                f"{np.degrees(turned):.3g} deg from the estimate's at the same stamps"
+                f"the poses of the joint covariance differ from the estimate by up to {away:.3g} "
+                f"m and {np.degrees(turned):.3g} deg at equal timestamps; check that it is from "
+                "this estimate"
             )
         return rows
 
@@ -170,8 +177,8 @@ class JointCovariance:
     def _indefinite(self) -> InputError:
         return InputError(
             "the joint information matrix is not positive definite"
-            + (" but for position and yaw" if self.gauge == "free" else "")
-            + "; say gauge free if it has no prior, and give it of one connected run"
+            + (" except for position and yaw" if self.gauge == "free" else "")
+            + "; set gauge free if it has no prior, and use one connected run"
         )
 
     def _require_free_gauge(self) -> None:
@@ -184,6 +191,6 @@ class JointCovariance:
         scale = np.einsum("nk,n,nk->k", moves, self.information.diagonal(), moves)
         if (known > _LEFT_IN_GAUGE * scale).any():
             raise InputError(
-                "the joint information matrix says that its gauge is free, but it resists a "
-                "translation of all poses: its rank is too high, it has a prior; say gauge prior"
+                "the joint information matrix declares gauge free, but a translation of all "
+                "poses is constrained by a prior; set gauge prior"
             )

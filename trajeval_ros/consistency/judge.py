@@ -11,8 +11,6 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import Evaluation
 
@@ -21,7 +19,9 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
     """Judge whether the errors of an evaluation fit the estimate's covariances.
 
     Covariances are of the estimate at its own stamps and, from messages, perhaps about the body's
-    axes; both are undone here: the time offset is taken off, and axes are turned.
+    axes; both are undone here: the time offset is taken off, and axes are turned. Where a lever
+    arm or another up axis moves the estimate, `CovarianceRequest.about_world` has to come before
+    that, as in `run`.
 
     Args:
         evaluation: With paired states, and covariances of the estimate where `request` asks for
@@ -50,8 +50,8 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
     as_published = evaluation.protocol.nees_form == "as_published"
     if as_published and request.joint is not None:
         raise SettingsError(
-            "NEES form as_published, as of protocol ov_eval, is by the covariances of single "
-            "poses: use --covariance message, or another protocol with a joint covariance"
+            "NEES form as_published (protocol ov_eval) needs covariances of single poses; use "
+            "--covariance message, or another protocol for a joint covariance"
         )
     aligned = _aligned(evaluation, request)
     if request.joint is not None:
@@ -59,7 +59,7 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
             return judge_joint(aligned, request.joint, request.name.rpartition("/")[2])
         except InputError as error:
             raise InputError(f"{request.name}: {error}") from error
-    at_start = bool(aligned.estimate.stamps[0] == evaluation.estimate.stamps[0])
+    at_start = evaluation.association.from_the_start
     return judge_marginals(aligned, from_the_start=at_start, as_published=as_published)
 
 
@@ -67,25 +67,18 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
     protocol, pairs = evaluation.protocol, evaluation.association
     if protocol.align_weights != "none":
         raise SettingsError(
-            "consistency knows no alignment that is weighted by covariances; use align "
-            "weights none"
+            "the consistency test needs an alignment with equal weights; use align weights none"
         )
     if protocol.align_with != "positions":
         raise SettingsError(
-            "consistency knows no alignment that weighs orientations; align with positions"
+            "the consistency test needs an alignment by positions; use align with positions"
         )
     if evaluation.alignment.untrustworthy:
         why = evaluation.alignment.untrustworthy
-        raise InputError(f"no covariance can be brought into this gauge: {why}")
+        raise InputError(f"no covariance can be transformed to this gauge: {why}")
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)
-    if request.rotation_frame == "body" and estimate.covariances is not None:
-        if estimate.quaternions is None:
-            raise InputError("the estimate has no orientations to turn its covariances by")
-        turned = world_from_body_rotations(
-            estimate.covariances, lie.to_matrix(estimate.quaternions)
-        )
-        estimate = dataclasses.replace(estimate, covariances=turned)
+    estimate = request.about_world(estimate)
     variances = None
     if request.groundtruth_noise is not None:
         position_m, rotation_deg = request.groundtruth_noise

@@ -22,6 +22,7 @@ from trajeval_ros.consistency.nees import (
     joint_nees,
     joint_nees_by_information,
     pose_nees,
+    summary_of,
 )
 from trajeval_ros.consistency.result import (
     AS_PUBLISHED_STATEMENT,
@@ -34,7 +35,6 @@ from trajeval_ros.consistency.result import (
     Joint,
     PoseNees,
     sigmas_of,
-    summary_of,
     verdict_of,
 )
 from trajeval_ros.consistency.s_transformation import (
@@ -86,9 +86,7 @@ class Aligned:
             DegenerateGeometryError: The states don't determine the alignment.
         """
         if len(self.estimate) < 2:
-            raise InputError(
-                "one pair of states says nothing about consistency; there must be two"
-            )
+            raise InputError("the consistency test needs at least two pairs")
         aligned = self.similarity.trajectory(self.estimate)
         return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
@@ -116,8 +114,8 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
     covariance.require_sound()
     if aligned.gauge is Gauge.NONE and covariance.gauge in ("free", "first4"):
         raise InputError(
-            f"a joint covariance in gauge {covariance.gauge} says nothing of errors in a common "
-            "frame, since position and yaw of the whole are not in it; align by gauge yaw"
+            f"a joint covariance in gauge {covariance.gauge} has no information on global "
+            "position and yaw; align by gauge yaw"
         )
     transformation, errors = aligned.transformation(), aligned.errors()
     rows = covariance.rows_of(aligned.estimate)
@@ -200,14 +198,14 @@ def judge_marginals(
     name = aligned.estimate.name or "the estimate"
     if covariances is None:
         raise InputError(
-            f"{name} has no covariances, or only zeros, which means unknown; give a joint "
-            "covariance with --covariance FILE.npz, or use --covariance none"
+            f"{name} has no covariances, or only zeros (unknown); give a joint covariance with "
+            "--covariance FILE.npz, or use --covariance none"
         )
     # Before the covariances, of which those of a single pair would read as all unknown.
     transformation, errors = aligned.transformation(), aligned.errors()
     why = unknown_covariances(covariances)
     if why:
-        raise InputError(f"the covariances of {name} can't be used: {why}; use --covariance none")
+        raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
     blocks = carried(covariances, aligned.similarity)
     statement, exactness = BOUND_STATEMENT, "exact"
     if aligned.gauge is Gauge.NONE:
@@ -270,5 +268,5 @@ def _nees_by_pose(errors: Floats, blocks: Floats, first: int) -> PoseNees:
             dof = part.stop - part.start
             column[first:] = pose_nees(errors[first:, part], blocks[first:, part, part]) / dof
     except np.linalg.LinAlgError:
-        raise InputError("a pose's own covariance is singular, so it has no NEES") from None
+        raise InputError("the covariance of a pose is singular, so it has no NEES") from None
     return PoseNees(*columns)

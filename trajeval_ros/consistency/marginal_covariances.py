@@ -33,13 +33,13 @@ def unknown_covariances(covariances: Floats) -> str:
         return f"a variance is {variances.max():.3g}, which means unknown"
     said = np.abs(covariances[1:]).max(axis=(1, 2)) > 0.0
     if not said.any():
-        return "they are all zero, which means unknown"
+        return "all are zero, which means unknown"
     if not said.all():
         return "some are all zero, which means unknown"
     if not (variances[1:] > 0.0).all():
-        return "some have variances of zero"
+        return "some variances are zero"
     if not is_covariance(covariances[1:]).all():
-        return "some are no covariances: not symmetric, or with negative eigenvalues"
+        return "some are not symmetric, or have negative eigenvalues"
     return ""
 
 
@@ -82,8 +82,8 @@ def without_initial_prior(covariances: Floats, transformation: STransformation) 
     stripped = (stripped + np.swapaxes(stripped, 1, 2)) / 2.0
     if not is_covariance(stripped[1:]).all():
         raise InputError(
-            "the first pose's covariance is not that of a prior of position and yaw alone: some "
-            "later pose would be left with a negative variance"
+            "the covariance of the first pose is not only a prior of position and yaw: its "
+            "removal gives a later pose a negative variance"
         )
     return stripped
 

@@ -15,12 +15,15 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from trajeval_ros.consistency.result import PartNees, PerPose, PoseNees
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.gauge import POSE_DOF
 
 # Squared pivots of a correlation matrix below this are rounding: a direction without variance.
 _ROUNDING = 1e-13
+_SIGNIFICANCE = 0.05
 
 
 def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
@@ -54,8 +57,8 @@ def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
         pivot = 0.0
     if pivot < _ROUNDING:
         raise InputError(
-            f"the covariance is not positive definite on the {size - null.shape[1]} directions "
-            "that the alignment leaves: its rank is lower, or it is no covariance"
+            f"the covariance is not positive definite in the {size - null.shape[1]} directions "
+            "that remain after alignment: its rank is too low, or it is not a covariance"
         )
     whitened = scipy.linalg.solve_triangular(factor, within / units, lower=True)
     return float(whitened @ whitened)
@@ -149,6 +152,33 @@ def chi_square_band(dof: float) -> tuple[float, float]:
     """
     low, high = chi2.ppf([0.025, 0.975], dof) / dof
     return float(low), float(high)
+
+
+def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True) -> PerPose:
+    """Summarise the NEES of poses.
+
+    Args:
+        nees: Of all poses.
+        dof: Of the mean of NEES / 6, where it is known.
+        in_gauge: Whether covariances and errors are in one gauge.
+    """
+    count = int(np.count_nonzero(np.isfinite(nees.pose)))
+    # Bonferroni: holds whatever the correlations are, and for a bound as well.
+    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, POSE_DOF)) / POSE_DOF
+    position, rotation = (
+        PartNees(float(np.nanmean(each)), float(np.nanmax(each)))
+        for each in (nees.position, nees.rotation)
+    )
+    return PerPose(
+        poses=count,
+        mean=float(np.nanmean(nees.pose)),
+        max=float(np.nanmax(nees.pose)),
+        limit_95=limit if in_gauge else None,
+        position=position,
+        rotation=rotation,
+        effective_dof=dof,
+        band_95=None if dof is None else chi_square_band(dof),
+    )
 
 
 def extra_directions(transformation: STransformation) -> Floats:

@@ -5,27 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
-from trajeval_ros.consistency.nees import chi_square_band
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.gauge import POSE_DOF, Gauge
+from trajeval_ros.geometry.gauge import Gauge
 
-_SIGNIFICANCE = 0.05
-
-JOINT_STATEMENT = "exact: the joint covariance was brought into the gauge of the alignment"
+JOINT_STATEMENT = "exact: the joint covariance is transformed to the gauge of the alignment"
 OWN_GAUGE_STATEMENT = "per-pose NEES exact in the estimator's own gauge"
 STRIPPED_STATEMENT = (
-    "per-pose NEES exact in the estimator's own gauge, if what the first pose's covariance holds "
-    "is a prior of position and yaw, as it looks; it was taken off all poses"
+    "per-pose NEES exact in the estimator's own gauge, provided that the first pose's "
+    "covariance is a prior of position and yaw; this prior is removed from all poses"
 )
-COMMON_FRAME_STATEMENT = "per-pose NEES exact: nothing was aligned, the frames are the same"
+COMMON_FRAME_STATEMENT = "per-pose NEES exact: no alignment, the frames are the same"
 AS_PUBLISHED_STATEMENT = (
-    "covariances as published, in whatever gauge the estimator has, errors in that of the "
-    "alignment: NEES as ov_eval computes it, which need not be 1 for an honest estimator"
+    "NEES as in ov_eval: covariances in the gauge of the estimator, errors in the gauge of the "
+    "alignment; the expected value of a consistent estimator can differ from 1"
 )
 BOUND_STATEMENT = (
-    "bound only (cross-covariances not in the message); can show over-confidence, cannot confirm "
+    "bound only (messages have no cross-covariances); can detect overconfidence, cannot confirm "
     "consistency"
 )
 
@@ -156,33 +152,6 @@ class Consistency:
 def sigmas_of(blocks: Floats) -> Floats:
     """Return the standard deviations (N, d) that blocks (N, d, d) hold."""
     return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
-
-
-def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True) -> PerPose:
-    """Summarise the NEES of poses.
-
-    Args:
-        nees: Of all poses.
-        dof: Of the mean of NEES / 6, where it is known.
-        in_gauge: Whether covariances and errors are in one gauge.
-    """
-    count = int(np.count_nonzero(np.isfinite(nees.pose)))
-    # Bonferroni: holds whatever the correlations are, and for a bound as well.
-    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, POSE_DOF)) / POSE_DOF
-    position, rotation = (
-        PartNees(float(np.nanmean(each)), float(np.nanmax(each)))
-        for each in (nees.position, nees.rotation)
-    )
-    return PerPose(
-        poses=count,
-        mean=float(np.nanmean(nees.pose)),
-        max=float(np.nanmax(nees.pose)),
-        limit_95=limit if in_gauge else None,
-        position=position,
-        rotation=rotation,
-        effective_dof=dof,
-        band_95=None if dof is None else chi_square_band(dof),
-    )
 
 
 def verdict_of(joint: Joint) -> str:

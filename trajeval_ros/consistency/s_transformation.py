@@ -141,8 +141,9 @@ class STransformation:
         open_ = not (scale > 0.0).all()
         if open_ or np.linalg.cond(product / scale / scale[:, None]) > _WORST_CONDITION:
             raise DegenerateGeometryError(
-                f"the states that were aligned don't determine gauge {self.gauge.value}, so there "
-                "is no covariance in it; align by more states, or by a gauge that turns less"
+                f"the aligned states do not determine gauge {self.gauge.value}, so its "
+                "covariance is undefined; align by more states, or use a gauge with fewer "
+                "degrees of freedom"
             )
 
 
@@ -215,5 +216,5 @@ def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:
     for who, side in (("groundtruth", groundtruth), ("estimate", aligned)):
         if side.quaternions is None:
             raise InputError(
-                f"the {who} has no orientations, so no pose covariance can be judged by it"
+                f"the {who} has no orientations, which the test of pose covariances needs"
             )

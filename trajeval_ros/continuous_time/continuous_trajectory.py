@@ -20,6 +20,7 @@ from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
 from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.covariance_frames import body_from_world_positions
@@ -124,8 +125,8 @@ class ContinuousTrajectory:
         covered = self.covers(stamps)
         if not covered.all():
             raise InputError(
-                f"{np.count_nonzero(~covered)} of {len(stamps)} stamps are before or after the "
-                "groundtruth, where it can't be known"
+                f"{np.count_nonzero(~covered)} of {counted(len(stamps), 'timestamp')} are "
+                "outside the time span of the groundtruth"
             )
         return self.poses.at(self.samples.seconds(stamps))
 
@@ -198,27 +199,26 @@ def _statements(samples: Samples) -> tuple[str, ...]:
     statements = []
     if samples.merged:
         statements.append(
-            f"{samples.merged} groundtruth poses were merged into others within 1 % of the usual "
-            "step"
+            f"{counted(samples.merged, 'groundtruth pose')} merged with a neighbour closer than "
+            "1 % of the median step"
         )
     if len(samples) < _FEW:
         statements.append(
-            f"{len(samples)} groundtruth samples say little of how fast the body moves between "
-            "them, so that all uncertainties are guesses"
+            f"{len(samples)} groundtruth samples are too few to estimate the motion between "
+            "them; all uncertainties are rough"
         )
     spread = samples.poses[:, :3, 3].std(axis=0).max()
     turns = samples.step_turns()
     if spread < samples.noise.position_m and turns.max() < 2.0 * samples.noise.rotation_rad:
         statements.append(
-            "the groundtruth does not move beyond its noise of "
-            f"{samples.noise.position_m:g} m, so it says nothing of how fast this body can move "
-            "between samples"
+            f"the groundtruth moves less than its noise of {samples.noise.position_m:g} m, so "
+            "the motion between samples can't be estimated"
         )
     wild = np.count_nonzero(turns > MOST_TURN_RAD)
     if wild:
         statements.append(
-            f"between two groundtruth poses the body turns by more than "
-            f"{np.degrees(MOST_TURN_RAD):.0f} deg at {wild} place{'s' if wild > 1 else ''}; which "
-            "way, or how often, can't be known, and rotations there are not to be trusted"
+            f"consecutive groundtruth poses differ by more than {np.degrees(MOST_TURN_RAD):.0f} "
+            f"deg at {counted(int(wild), 'place')}; the rotation between them is ambiguous, and "
+            "rotation errors there are unreliable"
         )
     return tuple(statements)

@@ -109,7 +109,7 @@ class GPSegments:
         """Return the two segments (Q,) that know of each time, and the weight (Q,) of the second.
 
         From the start of a segment, its predecessor's say fades and its own grows, until the
-        predecessor or the next segment's turn ends it: `min` keeps the last segment, which begins
+        predecessor or the next segment's turn ends it: `min` keeps the last segment, which starts
         out of step, from making a jump. Across a break, the nearer one alone knows.
         """
         starts, ends = self.times[:, 0], self.times[:, -1]

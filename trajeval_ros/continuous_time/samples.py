@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, se3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -46,9 +47,9 @@ class Noise:
         for name in ("position_m", "rotation_rad"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingsError(
-                    f"the groundtruth's noise must be above zero, not {getattr(self, name):g}: "
-                    "without any, every error is infinitely unlikely; use 0.0005 m and 0.05 deg "
-                    "for motion capture, 0.02 m for RTK"
+                    "the groundtruth noise must be greater than zero, not "
+                    f"{getattr(self, name):g}; use 0.0005 m and 0.05 deg for motion capture, "
+                    "0.02 m for RTK"
                 )
 
     def per_axis(self, oriented: bool) -> tuple[float, ...]:
@@ -86,9 +87,8 @@ class Samples:
         trajectory = trajectory.in_order()
         if len(trajectory) < 2:
             raise InputError(
-                f"{trajectory.name or 'the groundtruth'} has {len(trajectory)} "
-                f"{'pose' if len(trajectory) == 1 else 'poses'}, and with fewer than two nothing "
-                "can be said of the time between; use association nearest"
+                f"{trajectory.name or 'the groundtruth'} has {counted(len(trajectory), 'pose')}, "
+                "and association continuous needs at least two; use association nearest"
             )
         oriented = trajectory.quaternions is not None
         rotations = np.broadcast_to(np.eye(3), (len(trajectory), 3, 3))
@@ -142,8 +142,8 @@ class Samples:
         first = np.flatnonzero(apart)
         if len(first) < 2:
             raise InputError(
-                f"all {len(self)} groundtruth poses are within {limit:.3g} s of each other, and "
-                "nothing can be said of any other time"
+                f"all {len(self)} groundtruth poses are within {limit:.3g} s, which is too short "
+                "for association continuous; use association nearest"
             )
         group = np.cumsum(apart) - 1
         counts = np.bincount(group)

@@ -6,46 +6,51 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.diagnosis.evidence import Examined, Seen
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.enough_pairs import enough_pairs
 
 if TYPE_CHECKING:
-    from trajeval_ros.metrics.evaluation import Evaluation
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.protocol import Protocol
 
 
-def few_pairs(evaluation: Evaluation) -> str:
+def few_pairs(protocol: Protocol, pairs: Association) -> str:
     """Return that there are too few pairs, for the line that gives the ATE; else nothing."""
-    protocol, count = evaluation.protocol, len(evaluation.association)
-    enough = enough_pairs(protocol.gauge, protocol.align_states)
-    if count >= enough:
+    count = len(pairs)
+    if count >= enough_pairs(protocol.gauge, protocol.align_states):
         return ""
-    return f"{count} {'pair is' if count == 1 else 'pairs are'} too few for an ATE"
+    return f"{counted(count, 'pair')}, too few for an ATE"
 
 
-def about_few_pairs(evaluation: Evaluation) -> list[str]:
-    """Return the warning about too few pairs, with what may give more."""
-    said = few_pairs(evaluation)
-    if not said:
-        return []
-    protocol, pairs, truth = evaluation.protocol, evaluation.association, evaluation.groundtruth
-    enough = enough_pairs(protocol.gauge, protocol.align_states)
-    warning = said
+def number_of_pairs(
+    protocol: Protocol, pairs: Association, truth: Trajectory, estimate: Trajectory
+) -> Examined:
+    """Judge the number of pairs of two trajectories, and say what may give more."""
+    name, scores = "number of pairs", {"pairs": float(len(pairs))}
+    warning = few_pairs(protocol, pairs)
+    if not warning:
+        return Examined(name, scores)
     if protocol.gauge.has_translation:
+        enough = enough_pairs(protocol.gauge, protocol.align_states)
         warning += (
-            f": with fewer than {enough}, the alignment by {protocol.gauge.value} takes out most "
-            "of what it should show"
+            f": the alignment by {protocol.gauge.value} removes most of the error of fewer than "
+            f"{enough} pairs"
         )
     step_s = float(np.median(np.diff(truth.stamps))) / NANOSECONDS if len(truth) > 1 else 0.0
     if step_s > pairs.rule.max_gap_s and pairs.rule.method == "linear":
         warning += (
-            f"; the groundtruth's {len(truth)} states are {step_s:.1f} s apart "
-            f"(median) and nothing is interpolated across more than {pairs.rule.max_gap_s:g} s: "
-            "pair surveyed points by --association nearest --max-time-difference SECONDS"
+            f"; the groundtruth has {counted(len(truth), 'state')}, {step_s:.1f} s apart "
+            f"(median), and the limit for interpolation is {pairs.rule.max_gap_s:g} s: for "
+            "surveyed points, use --association groundtruth-stamps"
         )
-    elif pairs.rule.method not in ("linear", "continuous", "index"):
+    elif pairs.rule.method in ("nearest", "rpg", "evo"):
         warning += (
-            f"; {len(truth)} groundtruth states and {len(evaluation.estimate)} estimated ones are "
-            f"paired within {pairs.rule.max_time_difference_s:g} s: --max-time-difference SECONDS "
-            "sets another limit"
+            f"; {len(truth)} groundtruth states and {len(estimate)} estimated states are paired "
+            f"within {pairs.rule.max_time_difference_s:g} s: change the limit with "
+            "--max-time-difference SECONDS"
         )
-    return [warning]
+    seen = Seen("few_pairs", 1.0, {"said": warning, **scores})
+    return Examined(name, scores, (seen,))

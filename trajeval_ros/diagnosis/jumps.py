@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import step_angles, step_lengths
 
 LEAST_JUMP_M = 1.0
 LEAST_JUMP_DEG = 30.0
@@ -50,11 +50,11 @@ class Steps:
             quaternions: Of the estimate; None without rotations.
             scale: Metres per unit of the estimate's positions.
         """
-        true_m = _lengths(np.diff(truth_positions, axis=0))
-        position_m = np.abs(true_m - scale * _lengths(np.diff(positions, axis=0)))
+        true_m = step_lengths(truth_positions)
+        position_m = np.abs(true_m - scale * step_lengths(positions))
         rotation_deg = np.zeros(len(true_m))
         if truth_quaternions is not None and quaternions is not None:
-            turned = _turns(truth_quaternions) - _turns(quaternions)
+            turned = step_angles(truth_quaternions) - step_angles(quaternions)
             rotation_deg = np.degrees(np.abs(turned))
         return cls(true_m, position_m, rotation_deg)
 
@@ -72,12 +72,3 @@ class Steps:
             (self.position_m > limit_m) | (self.rotation_deg > limit_deg)
         )
         return found
-
-
-def _lengths(vectors: Floats) -> Floats:
-    lengths: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    return lengths
-
-
-def _turns(quaternions: Floats) -> Floats:
-    return lie.angle(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))

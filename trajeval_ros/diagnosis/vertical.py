@@ -50,12 +50,15 @@ def doubt_of(trajectory: Trajectory) -> str:
     from_it = float(np.degrees(np.arccos(min(abs(float(axis[nearest])), 1.0))))
     if from_it > _NEAR_DEG:
         direction = ", ".join(f"{each:.2f}" for each in axis)
-        what = f"the direction ({direction}), which is no axis: turn the frame so that one is up"
+        what = (
+            f"the direction ({direction}), which is not an axis; rotate the frame to a "
+            "vertical axis"
+        )
     else:
-        what = f"the {name} axis: give --up=-{name} or --up={name}, whichever points up"
+        what = f"the {name} axis; set --up=-{name} or --up={name}"
     return (
-        f"{trajectory.up} can't be up in the groundtruth's frame, since its body turns about, and "
-        f"moves across, {what}; or --up={trajectory.up.name}, if that is up all the same"
+        f"{trajectory.up} is probably not the vertical axis of the groundtruth's frame: the body "
+        f"turns about {what}; to keep it, set --up={trajectory.up.name}"
     )
 
 
@@ -95,7 +98,7 @@ def require_vertical(groundtruth: Trajectory, gauge: Gauge) -> None:
     """
     doubt = doubt_of(groundtruth) if gauge.turns_about_gravity_only else ""
     if doubt:
-        raise InputError(f"gauge {gauge.value} turns about the vertical, and {doubt}")
+        raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}")
 
 
 def without_vertical(evaluation: Evaluation) -> Evaluation:
@@ -103,7 +106,8 @@ def without_vertical(evaluation: Evaluation) -> Evaluation:
 
     Those of form `euler` are no angles about gravity, but what the toolbox prints.
     """
-    if evaluation.absolute.yaw_deg is None:
+    # Such an alignment is refused where there is a doubt.
+    if evaluation.absolute.yaw_deg is None or evaluation.protocol.gauge.turns_about_gravity_only:
         return evaluation
     doubt = doubt_of(evaluation.groundtruth)
     if not doubt:
@@ -111,18 +115,16 @@ def without_vertical(evaluation: Evaluation) -> Evaluation:
     nothing = {"yaw_deg": None, "tilt_deg": None}
     segments = evaluation.segments
     if segments is not None and evaluation.protocol.re_form != "euler":
-        segments = tuple(
-            dataclasses.replace(
-                each,
-                errors=dataclasses.replace(each.errors, yaw_deg=None, tilt_deg=None),
-                statistics={**each.statistics, **nothing},
-            )
-            for each in segments
-        )
+        segments = tuple(each.without(*nothing) for each in segments)
     return dataclasses.replace(
         evaluation,
-        absolute=dataclasses.replace(evaluation.absolute, yaw_deg=None, tilt_deg=None),
-        ate={**evaluation.ate, **nothing},
+        absolute=dataclasses.replace(
+            evaluation.absolute, horizontal_m=None, vertical_m=None, yaw_deg=None, tilt_deg=None
+        ),
+        ate={**evaluation.ate, **nothing, "horizontal_m": None, "vertical_m": None},
         segments=segments,
-        warnings=(f"{doubt}; yaw and tilt errors are withheld", *evaluation.warnings),
+        warnings=(
+            f"{doubt}; yaw, tilt, horizontal and vertical errors withheld",
+            *evaluation.warnings,
+        ),
     )

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.diagnosis.few_pairs import about_few_pairs
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.findings import Diagnosis
+from trajeval_ros.diagnosis.fix_hints import about_projection
 from trajeval_ros.diagnosis.jumps import Steps
-from trajeval_ros.diagnosis.rotation_hints import about_bodies, about_freedom, about_poses
+from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
+from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import ASSUMED
 
 if TYPE_CHECKING:
@@ -28,11 +30,15 @@ _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
 _SPARSE_S = 0.12
 _REASONS = {
-    "no_groundtruth_within_max_time_difference": "no groundtruth close enough in time",
+    "no_groundtruth_within_max_time_difference": "beyond the largest time difference to "
+    "groundtruth",
     "no_groundtruth_of_this_frame": "in frames without groundtruth",
     "before_groundtruth": "before the groundtruth",
     "after_groundtruth": "after the groundtruth",
     "in_groundtruth_gap": "in a groundtruth gap",
+    "before_estimate": "before the estimate",
+    "after_estimate": "after the estimate",
+    "in_estimate_gap": "in an estimate gap",
 }
 
 
@@ -44,15 +50,32 @@ def reasons(dropped: Mapping[str, int]) -> str:
     )
 
 
-def warnings_of(evaluation: Evaluation) -> tuple[str, ...]:
-    """Return the warnings about a finished evaluation, the gravest first."""
+def completeness_in_words(evaluation: Evaluation) -> str:
+    """Return how many states of sparse groundtruth have an estimate."""
+    pairs, share = evaluation.association, evaluation.association.groundtruth_coverage
+    what = {"gnss": "fixes", "points": "points"}.get(pairs.groundtruth.kind, "groundtruth poses")
+    # Of a live run only pairs are at hand, and how many of the states they are.
+    states = round(len(pairs) / share)
+    gap = pairs.coverage.longest_gap
+    without = "" if gap is None else f", longest gap {gap}"
     return (
-        *about_few_pairs(evaluation),
+        f"{len(pairs)} of {states} {what} ({percent(share)}) along "
+        f"{pairs.groundtruth.path_length_m:.1f} m have an estimate{without}"
+    )
+
+
+def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return the warnings about a finished evaluation, the gravest first.
+
+    What was diagnosed comes before all else, in words.
+    """
+    return (
+        *(each.text for each in diagnosis.findings),
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
         *evaluation.groundtruth.conflicts,
         *evaluation.estimate.conflicts,
         *_about_alignment(evaluation),
-        *_about_jumps(evaluation),
+        *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
@@ -65,20 +88,20 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
     protocol, alignment = evaluation.protocol, evaluation.alignment
     if protocol.align_states is not None and alignment.states_used < protocol.align_states:
         warnings.append(
-            f"aligned by all {alignment.states_used} matched states, since there are fewer than "
-            f"the {protocol.align_states} asked for"
+            f"aligned by all {alignment.states_used} pairs, fewer than the requested "
+            f"{protocol.align_states}"
         )
     if protocol.ate_form == "tutorial":
         warnings.append(
-            "the tutorial's form of the ATE, eq. (23), depends on where the world's origin is; "
-            "it compares only with numbers of the same form and origin"
+            "the ATE form tutorial, eq. (23), depends on the choice of the origin; compare only "
+            "results with the same form and origin"
         )
     truth_up, estimate_up = evaluation.groundtruth.up, evaluation.estimate.up
     known = ASSUMED not in (truth_up.origin, estimate_up.origin)
     if known and truth_up.name != estimate_up.name and protocol.gauge.minimum_states == 1:
         warnings.append(
-            f"{truth_up} is up in the groundtruth's frame, {estimate_up} in the estimate's, and "
-            f"gauge {protocol.gauge.value} doesn't turn one to the other"
+            f"the vertical axes differ, groundtruth {truth_up} and estimate {estimate_up}, and "
+            f"gauge {protocol.gauge.value} can't align them"
         )
     if protocol.align_states == 1:
         warnings += _about_first_state(evaluation)
@@ -97,9 +120,16 @@ def _about_first_state(evaluation: Evaluation) -> list[str]:
     if jump_deg < LARGE_TILT_DEG:
         return []
     return [
-        f"the estimate turns {jump_deg:.0f} deg more than the groundtruth from its first to its "
-        "second matched state: the first pose, by which all was aligned, looks like a placeholder"
+        f"from the first to the second pair the estimate rotates {jump_deg:.0f} deg more than "
+        "the groundtruth: the first pose, used for the alignment, is probably a placeholder"
     ]
+
+
+def _explains_jumps(diagnosis: Diagnosis) -> bool:
+    """Return whether something graver makes the two move apart."""
+    graver = (each for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank)
+    # What is the groundtruth in most of its poses may jump in others.
+    return any(each.cause != "identical" for each in graver)
 
 
 def _about_jumps(evaluation: Evaluation) -> list[str]:
@@ -120,9 +150,9 @@ def _about_jumps(evaluation: Evaluation) -> list[str]:
     where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
     return [
         f"the estimate jumps {where}, first {truth.seconds[first + 1]:.1f} s after the first "
-        f"pair: by {steps.position_m[first]:.2f} m and {steps.rotation_deg[first]:.0f} deg more "
-        "than the groundtruth moved: after a restart with a new origin, one alignment can't fit "
-        "the parts on both sides"
+        f"pair, by {steps.position_m[first]:.2f} m and {steps.rotation_deg[first]:.0f} deg "
+        "more than the groundtruth: after a restart with a new origin, one alignment can't "
+        "fit both parts"
     ]
 
 
@@ -135,22 +165,10 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
         if side.quaternions is None
     ]
     if without:
-        warnings.append(
-            f"the {' and the '.join(without)} has positions only: rotation errors and relative "
-            "errors are withheld"
-        )
-    body = about_bodies(evaluation)
-    if body:
-        return [*warnings, *body]
-    tilt = evaluation.absolute.tilt_deg
-    if evaluation.protocol.gauge is Gauge.YAW and tilt is not None:
-        typical = float(np.median(tilt))
-        if typical > LARGE_TILT_DEG:
-            warnings.append(
-                f"the vertical axes of estimate and groundtruth differ by {typical:.0f} deg "
-                "(median), which a yaw alignment can't mend: are their up axes right (--up), and "
-                "are both of the same body?"
-            )
+        withheld = "rotation errors"
+        if evaluation.segments is None and evaluation.protocol.lengths:
+            withheld += " and relative errors"
+        warnings.append(f"{withheld} withheld: no orientations in the {' and the '.join(without)}")
     return warnings
 
 
@@ -159,46 +177,59 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
     warnings = []
     if evaluation.score is not None:
         missing = evaluation.score.missing
-        return [f"{missing} points have no estimate, and are worth nothing"] if missing else []
-    if min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
+        return [f"{counted(missing, 'point')} without an estimate, scored 0"] if missing else []
+    if pairs.estimate_coverage is None:
+        if pairs.groundtruth_coverage < LOW_COVERAGE:
+            warnings.append(
+                f"{completeness_in_words(evaluation)} (dropped: {reasons(pairs.dropped)}); "
+                "compare only results at the same points"
+            )
+    elif min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
         why, coverage = reasons(pairs.dropped), pairs.coverage
         warnings.append(
             f"the {coverage.of_what} cover {100 * coverage.covered:.0f} % of the groundtruth's "
             f"time and {100 * pairs.estimate_coverage:.0f} % of the estimate's poses"
             + (f" (dropped: {why})" if why else "")
             + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
-            + ": errors over a part compare only with errors over the same part"
+            + "; compare only runs with the same coverage"
         )
     return warnings
 
 
 def _about_relative_errors(evaluation: Evaluation) -> list[str]:
-    empty = [str(each.length) for each in evaluation.segments or () if not len(each.errors.ends)]
+    empty = [str(each.length) for each in evaluation.segments or () if not each.count]
     if not empty:
         return []
     path = evaluation.association.groundtruth
     return [
-        f"no sub-trajectory of {', '.join(empty)}: the matched path is {path.path_length_m:.1f} m "
-        f"long, in {path.duration_s:.1f} s"
+        f"no sub-trajectories of {', '.join(empty)}: the paired path has "
+        f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
+    ]
+
+
+def about_frames(groundtruth: str, estimate: str) -> list[str]:
+    """Return the warning of two bodies whose names, where both are known, differ."""
+    if not groundtruth or not estimate or groundtruth == estimate:
+        return []
+    return [
+        f"the groundtruth is of body {groundtruth!r} and the estimate of {estimate!r}: if the "
+        "bodies differ, the errors include their lever arm and rotation"
     ]
 
 
 def _about_inputs(evaluation: Evaluation) -> list[str]:
     truth, estimate = evaluation.groundtruth, evaluation.estimate
-    warnings = []
-    if truth.child_frame and estimate.child_frame and truth.child_frame != estimate.child_frame:
-        warnings.append(
-            f"the groundtruth is of body {truth.child_frame!r} and the estimate of "
-            f"{estimate.child_frame!r}: if these are not the same point of the same body, their "
-            "lever arm and rotation are in the errors"
-        )
+    # That an antenna is no body, `fix_hints` says.
+    is_fix = truth.kind == "gnss"
+    warnings = [] if is_fix else about_frames(truth.child_frame, estimate.child_frame)
     paired = evaluation.association.estimate
     for name, side in (("groundtruth", truth), ("estimate", paired)):
+        warnings += about_projection(name, side)
         if _stamped_at_arrival(side):
             warnings.append(
-                f"the {name}'s stamps jitter and its motion doesn't: they look like times of "
-                "arrival; stamp at the sensor, or expect an error of speed times jitter, and a "
-                "constant delay that --time-offset auto can find"
+                f"the {name}'s timestamps are probably arrival times: they have jitter, its "
+                "motion has none; use sensor timestamps, and check for a constant delay with "
+                "--time-offset auto"
             )
     if truth.dropped:
         warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")

@@ -15,7 +15,9 @@ _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udff
 _MARKDOWN = re.compile(r"[\\`*<>|&~#$]|\](?=[(\[:])|(?<![^\W_])_|_(?![^\W_])")
 _LATEX = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "–": "--", "†": r"$^\dagger$", "‡": r"$^\ddagger$", "×": r"$\times$",
+    "–": "--", "†": r"$^\dagger$", "‡": r"$^\ddagger$", "§": r"$^\S$", "×": r"$\times$",
+    "−": "$-$", "±": r"$\pm$", "∞": r"$\infty$", "σ": r"$\sigma$", "φ": r"$\varphi$",
+    "…": r"\dots{}",
     **{each: f"\\{each}" for each in "&%$#_{}"},
 }  # fmt: skip
 _FORMULA = ("=", "+", "-", "@")

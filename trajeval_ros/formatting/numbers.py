@@ -17,6 +17,11 @@ def four_digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
 
 
+def with_unit(value: float, unit: str) -> str:
+    """Return four significant digits and the unit, if there is one."""
+    return f"{value:.4g} {unit}".rstrip()
+
+
 def three_decimals(value: float | None) -> str:
     """Return three decimals, or three significant digits where these say nothing.
 
@@ -53,3 +58,14 @@ def metres(value: float | None) -> str:
 def degrees(value: float | None) -> str:
     """Return an angle to a hundredth of a degree."""
     return NOTHING if value is None else f"{value:.2f}°"
+
+
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun: "1 run", "2 runs".
+
+    Args:
+        count: The number.
+        noun: The singular.
+        plural: The plural, unless it is the singular with an s.
+    """
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"

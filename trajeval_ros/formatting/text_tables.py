@@ -13,6 +13,7 @@ from trajeval_ros.formatting.escaping import csv_text, latex_text, markdown_text
 BOLD, UNDERLINE = "bold", "underline"
 _MARKDOWN = {"": "{}", BOLD: "**{}**", UNDERLINE: "<u>{}</u>"}
 _LATEX = {"": "{}", BOLD: "\\textbf{{{}}}", UNDERLINE: "\\underline{{{}}}"}
+_UNDERSCORE, _BREAKABLE = "\\_", "\\_\\allowbreak{}"
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,15 @@ def markdown_table(headings: TextRow, rows: Iterable[TextRow]) -> list[str]:
     return [f"| {' | '.join(each)} |" for each in lines]
 
 
-def latex_table(label: str, caption: str, headings: TextRow, rows: Iterable[TextRow]) -> list[str]:
+def latex_table(
+    label: str,
+    caption: str,
+    headings: TextRow,
+    rows: Iterable[TextRow],
+    *,
+    remarks: Sequence[str] = (),
+    is_wide: bool = False,
+) -> list[str]:
     """Return the lines of a table for the booktabs package, laid out likewise.
 
     Args:
@@ -50,21 +59,37 @@ def latex_table(label: str, caption: str, headings: TextRow, rows: Iterable[Text
         caption: What is in it, as plain text.
         headings: Of the columns.
         rows: Cells of each.
+        remarks: Sentences for the source, which LaTeX doesn't print.
+        is_wide: Make it as wide as a page of two columns, by the tabularx package.
     """
+    numbers = len(headings) - 1
+    heads = _cells(headings, latex_text, _LATEX)
+    size: list[str] = []
+    begin, end = f"\\begin{{tabular}}{{l{'r' * numbers}}}", "\\end{tabular}"
+    if is_wide:
+        # Names of sequences may be broken where they have an underscore.
+        heads = [f"\\scriptsize {each.replace(_UNDERSCORE, _BREAKABLE)}" for each in heads]
+        size = ["  \\footnotesize", "  \\setlength{\\tabcolsep}{2pt}"]
+        right = ">{\\raggedleft\\arraybackslash}X"
+        begin = f"\\begin{{tabularx}}{{\\textwidth}}{{l*{{{numbers}}}{{{right}}}}}"
+        end = "\\end{tabularx}"
+    star = "*" if is_wide else ""
     return [
-        "% needs \\usepackage{booktabs}",
-        "\\begin{table}",
+        "% needs \\usepackage{booktabs" + (",tabularx}" if is_wide else "}"),
+        *(f"% {latex_text(each)}" for each in remarks),
+        f"\\begin{{table{star}}}",
         "  \\centering",
+        *size,
         f"  \\caption{{{latex_text(caption)}}}",
         f"  \\label{{tab:{label.replace('_', '-')}}}",
-        f"  \\begin{{tabular}}{{l{'r' * (len(headings) - 1)}}}",
+        f"  {begin}",
         "    \\toprule",
-        f"    {' & '.join(_cells(headings, latex_text, _LATEX))} \\\\",
+        f"    {' & '.join(heads)} \\\\",
         "    \\midrule",
         *(f"    {' & '.join(_cells(each, latex_text, _LATEX))} \\\\" for each in rows),
         "    \\bottomrule",
-        "  \\end{tabular}",
-        "\\end{table}",
+        f"  {end}",
+        f"\\end{{table{star}}}",
         "",
     ]
 

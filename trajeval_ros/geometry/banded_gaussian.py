@@ -50,8 +50,8 @@ class BandedGaussian:
                 factor = scipy.linalg.cholesky(left, lower=True)
             except np.linalg.LinAlgError as error:
                 raise DegenerateGeometryError(
-                    "the measurements leave directions open besides position and yaw, which the "
-                    "gauge accounts for; add landmarks, or keyframes that see them from elsewhere"
+                    "the measurements do not determine all directions except position and yaw; "
+                    "add landmarks, or keyframes with other viewpoints"
                 ) from error
             whitened = scipy.linalg.solve_triangular(factor, coupling, lower=True)
             correction = whitened.T @ whitened
@@ -84,7 +84,7 @@ class BandedGaussian:
         return found
 
     def marginals(self, starts: NDArray[np.int64], size: int) -> Floats:
-        """Return the blocks (B, size, size) on the covariance's diagonal that begin at `starts`.
+        """Return the blocks (B, size, size) on the covariance's diagonal that start at `starts`.
 
         Blocks may lie across two links.
         """

@@ -83,10 +83,10 @@ class Gauge(Enum):
 
 
 _DESCRIPTIONS = {
-    Gauge.NONE: "no alignment, the frames are taken to be the same",
+    Gauge.NONE: "no alignment, same frame",
     Gauge.TRANSLATION: "translation only",
     Gauge.YAW: "yaw and translation, 4-DoF",
-    Gauge.PLANAR: "SE(2) in the groundtruth's level plane, 2-D errors",
+    Gauge.PLANAR: "SE(2) in the groundtruth's horizontal plane, 2-D errors",
     Gauge.SE3: "SE(3), rigid body",
     Gauge.SIM3: "Sim(3), similarity with scale",
 }
@@ -211,9 +211,7 @@ def dimension(gauge: Gauge) -> int:
     dimensions = {Gauge.NONE: 0, Gauge.YAW: 4, Gauge.SE3: 6, Gauge.SIM3: 7}
     if gauge not in dimensions:
         raise SettingsError(
-            f"covariances can't be brought into gauge {gauge.value}: that of a visual-inertial "
-            "estimate leaves yaw and translation open, and a plane has no six; use yaw, se3 or "
-            "sim3"
+            f"covariances can't be transformed to gauge {gauge.value}; use yaw, se3 or sim3"
         )
     return dimensions[gauge]
 

@@ -29,16 +29,18 @@ _GIMBAL_LOCK = 1e-7
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
-def by_blocks(function: Callable[..., tuple[Floats, ...]], *columns: NDArray[Any]) -> list[Floats]:
+def by_blocks(
+    function: Callable[..., tuple[NDArray[Any], ...]], *columns: NDArray[Any]
+) -> list[NDArray[Any]]:
     """Return what `function` returns for columns of N rows each, worked out block by block."""
     count = len(columns[0])
     if count <= _BLOCK:
         return list(function(*columns))
-    results: list[Floats] = []
+    results: list[NDArray[Any]] = []
     for begin in range(0, count, _BLOCK):
         rows = slice(begin, begin + _BLOCK)
         parts = function(*(column[rows] for column in columns))
-        results = results or [np.empty((count, *part.shape[1:])) for part in parts]
+        results = results or [np.empty((count, *part.shape[1:]), part.dtype) for part in parts]
         for result, part in zip(results, parts, strict=True):
             result[rows] = part
     return results

@@ -12,6 +12,10 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
+# What is said of a side that is moved by a lever arm.
+MARKERS_VELOCITIES = "velocities dropped: they are of the marker, not of the body"
+BODYS_VELOCITIES = "velocities dropped: they are of the body, not of the marker"
+
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
@@ -42,6 +46,18 @@ class HandEye:
         lever = np.zeros(3) if lever_m is None else lever_m
         return cls(lie.from_rotation_vector(vector), lever)
 
+    def names(self, groundtruth: str, estimate: str, *, of_marker: bool) -> tuple[str, str]:
+        """Return the names of the bodies of both sides, once one of them is moved by this.
+
+        Args:
+            groundtruth: The name of what the groundtruth was of.
+            estimate: Of what the estimate was.
+            of_marker: Whether the estimate is moved to the marker, not groundtruth to the body.
+        """
+        if of_marker:
+            return groundtruth, self.marker or groundtruth
+        return self.body or estimate, estimate
+
     def inverse(self) -> HandEye:
         """Return the pose of the body in the marker."""
         back = lie.conjugate(self.rotation_xyzw)
@@ -56,9 +72,9 @@ class HandEye:
         named = self.body and self.body == groundtruth.child_frame
         if named and self.marker == estimate.child_frame and self.body != self.marker:
             raise InputError(
-                f"the hand-eye transform is of {self.marker!r} in {self.body!r}, but the "
-                f"groundtruth is of {self.body!r} and the estimate of {self.marker!r}: its "
-                f"inverse is needed, with frame_id {self.marker} and child_frame_id {self.body}"
+                f"the hand-eye transform of {self.marker!r} in {self.body!r} is inverted, since "
+                f"the groundtruth is of {self.body!r}; give its inverse, with frame_id "
+                f"{self.marker} and child_frame_id {self.body}"
             )
 
     def of_body(self, groundtruth: Trajectory, body: str = "") -> Trajectory:
@@ -78,7 +94,7 @@ class HandEye:
         velocities, notes = groundtruth.velocities, groundtruth.notes
         if velocities is not None and self.lever_m.any():
             velocities = None
-            notes = (*notes, "velocities are the marker's, not the body's, and are left out")
+            notes = (*notes, MARKERS_VELOCITIES)
         return dataclasses.replace(
             groundtruth,
             positions=groundtruth.positions - arm,
@@ -109,14 +125,13 @@ class HandEye:
         quaternions = estimate.quaternions
         if quaternions is None:
             raise InputError(
-                f"{estimate.name or 'the estimate'} has no orientations, so no lever arm can be "
-                "applied to it"
+                f"{estimate.name or 'the estimate'} has no orientations, which a lever arm needs"
             )
         arm = lie.rotate(quaternions, self.lever_m / scale)
         velocities, notes = estimate.velocities, estimate.notes
         if velocities is not None and self.lever_m.any():
             velocities = None
-            notes = (*notes, "velocities are the body's, not the marker's, and are left out")
+            notes = (*notes, BODYS_VELOCITIES)
         covariances = estimate.covariances
         if covariances is not None:
             # p + R l under R <- Exp(dphi) R: dp - [R l]x dphi.

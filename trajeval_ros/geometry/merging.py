@@ -29,18 +29,18 @@ def merged(parts: Sequence[Trajectory]) -> Trajectory:
     first = parts[0]
     for part in parts:
         if not part.stamped:
-            raise InputError(f"{part.name} has no stamps, so it can't be merged with others")
+            raise InputError(f"{part.name} has no timestamps, which --merge needs")
         for word in ("frame", "child_frame"):
             one, other = getattr(first, word), getattr(part, word)
             if one and other and one != other:
                 raise InputError(
-                    f"{first.name} and {part.name} can't be merged: the {word} of one is {one}, "
-                    f"of the other {other}"
+                    f"{first.name} and {part.name} can't be merged: their {word} differs, {one} "
+                    f"and {other}"
                 )
         if part.up.name != first.up.name:
             raise InputError(
-                f"{first.name} and {part.name} can't be merged: {first.up} is up in one, and "
-                f"{part.up} in the other; turn one with --world-axes first"
+                f"{first.name} and {part.name} can't be merged: the vertical axis is {first.up} "
+                f"in one and {part.up} in the other; convert one with --world-axes first"
             )
     columns: dict[str, Any] = {}
     for name in _ROWS:
@@ -51,6 +51,7 @@ def merged(parts: Sequence[Trajectory]) -> Trajectory:
         stamps=np.concatenate([part.stamps for part in parts]),
         frames=None,
         matrices=None,
+        fixes=None,
         dropped=add_counts(*(part.dropped for part in parts)),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         damage=tuple(dict.fromkeys(line for part in parts for line in part.damage)),

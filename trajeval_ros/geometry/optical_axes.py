@@ -37,9 +37,9 @@ def with_world_axes(trajectory: Trajectory, axes: str) -> Trajectory:
     require_one_of(axes, AXES, "axes")
     up = trajectory.up
     if up.name == _UP[axes] and up.name != "z":
-        raise InputError(f"its fixed frame has {axes} axes already: {up} is up")
+        raise InputError(f"its fixed frame already has {axes} axes: the vertical axis is {up}")
     turned = Similarity(_turn_to(axes), np.zeros(3)).trajectory(trajectory)
-    return dataclasses.replace(turned, up=UpAxis(_UP[axes], f"turned to {axes} axes"))
+    return dataclasses.replace(turned, up=UpAxis(_UP[axes], f"converted to {axes} axes"))
 
 
 def with_body_axes(trajectory: Trajectory, axes: str) -> Trajectory:
@@ -55,7 +55,7 @@ def with_body_axes(trajectory: Trajectory, axes: str) -> Trajectory:
     """
     require_one_of(axes, AXES, "axes")
     if trajectory.quaternions is None:
-        raise InputError("it has no orientations, so its body has no axes to turn")
+        raise InputError("no orientations, which the conversion of body axes needs")
     # Poses of the new axes: T_W_B T_B_new, and of_body multiplies by the inverse.
     turn = HandEye(lie.from_matrix(_turn_to(axes)), np.zeros(3))
     return turn.of_body(trajectory)

@@ -47,7 +47,8 @@ class Similarity:
 
     def positions(self, points: Floats) -> Floats:
         """Return the points, (N, 3) or one (3,), transformed."""
-        moved: Floats = points @ self.linear.T + self.translation
+        moved: Floats = points @ self.linear.T
+        moved += self.translation
         return moved
 
     def quaternions(self, quaternions: Floats) -> Floats:
@@ -67,6 +68,7 @@ class Similarity:
             velocities=None if velocities is None else self.vectors(velocities),
             covariances=None,
             matrices=None,
+            fixes=None,
         )
 
     def vectors(self, vectors: Floats) -> Floats:

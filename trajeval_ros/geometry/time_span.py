@@ -55,7 +55,7 @@ class TimeSpan:
         if end.strip().startswith("+"):
             end_ns, absolute_end = end_ns + (start_ns or 0), absolute_start
         if start_ns is not None and absolute_start is absolute_end and end_ns < start_ns:
-            raise SettingsError(f"the end {end} is before the start {start}")
+            raise SettingsError(f"end {end} is before start {start}")
         return cls(start_ns, end_ns, absolute_start, absolute_end)
 
     def stamps(self, first_ns: int) -> tuple[int | None, int | None]:
@@ -83,7 +83,7 @@ class TimeSpan:
             InputError: It has no stamps, or no state within.
         """
         if not trajectory.stamped:
-            raise InputError("it has no stamps, so it can't be cut by time")
+            raise InputError("no timestamps, which a time span needs")
         start, end = self.stamps(first_ns)
         stamps = trajectory.stamps
         inside = stamps == stamps
@@ -93,8 +93,8 @@ class TimeSpan:
             inside &= stamps <= end - offset_ns
         if not inside.any():
             raise InputError(
-                "it has no pose in the time span: its stamps are from "
-                f"{_seconds(stamps.min())} to {_seconds(stamps.max())} s"
+                f"no pose in the time span: its timestamps are from {_seconds(stamps.min())} to "
+                f"{_seconds(stamps.max())} s"
             )
         return trajectory[inside]
 
@@ -108,9 +108,9 @@ def _time(text: str, what: str) -> tuple[int, bool]:
         seconds = Decimal("nan")
     if not (seconds.is_finite() and abs(seconds) < _LATEST_S) or (seconds < 0 and not absolute):
         raise SettingsError(
-            f"can't read the {what} {text!r}; write seconds after the first stamp as in 10.5, a "
-            "stamp in seconds as in @1403636580.5"
-            + (", or seconds after the start as in +30" if what == "end" else "")
+            f"{what} {text!r} is not valid; give seconds after the first timestamp, as in 10.5, "
+            "a timestamp in seconds, as in @1403636580.5"
+            + (", or seconds after the start, as in +30" if what == "end" else "")
         )
     return round(seconds * NANOSECONDS), absolute
 

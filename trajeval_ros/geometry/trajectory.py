@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
@@ -18,6 +19,8 @@ from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
+
+    from trajeval_ros.geometry.fixes import Fixes
 
 NANOSECONDS = 1_000_000_000
 # Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
@@ -27,7 +30,14 @@ _UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; ro
 # Of the squared length of a quaternion that was normalised: of its elements, and of the sum.
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 # Reasons for dropping what was no state of its own, and counts in no coverage.
-NO_STATE = ("duplicate_stamp", "not_finite", "undecodable", "zero_quaternion", "zero_stamp")
+NO_STATE = (
+    "duplicate_stamp",
+    "lone_stamp",
+    "not_finite",
+    "undecodable",
+    "zero_quaternion",
+    "zero_stamp",
+)
 # Shapes of a row of each column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
@@ -61,11 +71,15 @@ class Trajectory:
         frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
         matrices: (N, 3, 3), the left parts of KITTI's matrices as the file has them, which with
             few digits are only nearly the rotations of `quaternions`; None where there are none.
+        fixes: The N GNSS fixes that the positions are of, which also say in which frame they
+            are; None of anything else.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         up: Which axis of the frame points up, and what says so; z if nothing does (REP-103).
         name: What a table calls it.
         source: What it was read from, as a user names it; "" if from nothing.
+        unturned: Whether it had rotations that all are the identity and were left out, in a
+            topic, whose messages don't tell before the last one that they are no rotations.
         stamped: False if the file had no stamps; then they count the rows, one second apart.
         numbered: Whether the file gave the `frames`; else they count its rows.
         dropped: Number of rows that were dropped, by reason.
@@ -90,11 +104,13 @@ class Trajectory:
     covariances: Floats | None = None
     frames: NDArray[np.int64] | None = None
     matrices: Floats | None = None
+    fixes: Fixes | None = None
     frame: str = ""
     child_frame: str = ""
     up: UpAxis = Z_UP
     name: str = ""
     source: str = ""
+    unturned: bool = False
     stamped: bool = True
     numbered: bool = False
     dropped: Mapping[str, int] = field(default_factory=dict)
@@ -120,15 +136,20 @@ class Trajectory:
                 raise ValueError(
                     f"{name} has shape {column.shape}, expected {(count, *row_shape)}"
                 )
+        if self.fixes is not None and len(self.fixes) != count:
+            raise ValueError(
+                f"{counted(len(self.fixes), 'fix', 'fixes')} for {counted(count, 'timestamp')}; "
+                "give one fix per timestamp"
+            )
         if self.stamps.dtype != np.int64:
-            raise TypeError(f"stamps must be int64 nanoseconds, not {self.stamps.dtype}")
+            raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")
         if self.quaternions is not None:
             # A NaN, a zero and rows that were not normalised show in the mean, which is cheap:
             # trajectories are made often.
             excess = float(np.vdot(self.quaternions, self.quaternions)) - count
             if not abs(excess) <= _UNIT * count:
                 raise ValueError(
-                    "quaternions must have the length 1; Trajectory.from_columns normalises them"
+                    "quaternions must have length 1; use Trajectory.from_columns to normalise them"
                 )
 
     @classmethod
@@ -186,7 +207,7 @@ class Trajectory:
         ]
         if not bad:
             return self
-        note = f"the {' and '.join(bad).replace('_', ' ')} are not finite throughout and left out"
+        note = f"{' and '.join(bad).replace('_', ' ')} dropped: some values are not finite"
         columns: dict[str, Any] = dict.fromkeys(bad)
         return dataclasses.replace(self, **columns, notes=(*self.notes, note))
 
@@ -199,7 +220,7 @@ class Trajectory:
         count = len(self)
         parts = [
             self.name or "unnamed",
-            f"{count} pose{'' if count == 1 else 's'}",
+            f"{counted(count, 'pose')}",
             f"{self.duration_s:.1f} s",
             f"{self.path_length_m:.1f} m",
         ]
@@ -214,7 +235,9 @@ class Trajectory:
             if everything.all():
                 return self
         picked = {
-            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
+            name: column[rows]
+            for name in (*_COLUMNS, "fixes")
+            if (column := getattr(self, name)) is not None
         }
         return dataclasses.replace(self, **picked)
 
@@ -240,6 +263,13 @@ class Trajectory:
         return float(self.travelled[-1]) if len(self) else 0.0
 
     @property
+    def kind(self) -> str:
+        """What its source holds: `gnss` fixes, `points` without orientation, or `poses`."""
+        if self.fixes is not None:
+            return "gnss"
+        return "points" if self.quaternions is None and not self.unturned else "poses"
+
+    @property
     def rotations(self) -> Rotation | None:
         """The quaternions as scipy's `Rotation`, N in a batch; imports `scipy.spatial`."""
         if self.quaternions is None:
@@ -262,8 +292,8 @@ class Trajectory:
         notes = list(self.notes)
         if backwards:
             notes.append(
-                f"{self.name or 'the trajectory'} steps back in time at {backwards} "
-                f"place{'s' if backwards > 1 else ''}; its poses were sorted by stamp"
+                f"{self.name or 'the trajectory'} steps back in time at "
+                f"{counted(backwards, 'place')}; its poses were sorted by timestamp"
             )
         ordered = self[order[first]]
         return dataclasses.replace(
@@ -274,15 +304,14 @@ class Trajectory:
         )
 
     def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
-        """Say which repeated stamps contradict each other, if any do."""
+        """State which repeated stamps contradict each other, if any do."""
         if not conflicts.number:
             return []
         return [
-            f"{self.name or 'the trajectory'} has {conflicts.number} repeated "
-            f"stamp{'' if conflicts.number == 1 else 's'} (of {duplicates}) with positions that "
-            "are further apart than the motion there explains, by up to "
-            f"{conflicts.largest_m:.3g} m; the first pose of each stamp was used, which may be "
-            "the wrong one: remove the rows that are wrong"
+            f"{self.name or 'the trajectory'} has "
+            f"{counted(conflicts.number, 'repeated timestamp')} (of {duplicates}) with "
+            f"different positions, up to {conflicts.largest_m:.3g} m apart; the first pose of a "
+            "timestamp is used, remove the wrong rows"
         ]
 
     def require_usable(self) -> None:
@@ -294,10 +323,10 @@ class Trajectory:
         name = self.name or "the trajectory"
         if not len(self):
             why = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
-            raise InputError(f"{name} has no usable pose" + (f" (dropped: {why})" if why else ""))
+            raise InputError(f"no usable pose in {name}" + (f" (dropped: {why})" if why else ""))
         if not judge_poses(self.positions)[0].all():
             raise InputError(
-                f"{name} has positions that are not finite, or beyond {LARGEST:g} m; drop those "
+                f"{name} has positions that are not finite or beyond {LARGEST:g} m; remove these "
                 "states"
             )
 
@@ -307,8 +336,12 @@ def _at_length_one(quaternions: Floats) -> Floats:
 
     So what is written is read back to the bit.
     """
-    excess = np.abs(np.einsum("ni,ni->n", quaternions, quaternions) - 1.0)
-    return np.where((excess <= _ROUNDING)[:, None], quaternions, lie.normalized(quaternions))
+
+    def at(rows: Floats) -> tuple[Floats]:
+        excess = np.abs(np.einsum("ni,ni->n", rows, rows) - 1.0)
+        return (np.where((excess <= _ROUNDING)[:, None], rows, lie.normalized(rows)),)
+
+    return lie.by_blocks(at, quaternions)[0]
 
 
 def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
@@ -321,7 +354,11 @@ def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[B
         positions: (N, 3), metres.
         quaternions: (N, 4); None where there are none.
     """
-    finite = np.logical_and.reduce(np.abs(positions) <= LARGEST, axis=1)
+
+    def finite_at(rows: Floats) -> tuple[Booleans]:
+        return (np.logical_and.reduce(np.abs(rows) <= LARGEST, axis=1),)
+
+    finite: Booleans = lie.by_blocks(finite_at, positions)[0]
     if quaternions is None:
         return finite, np.ones(len(positions), dtype=bool)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -332,15 +369,41 @@ def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[B
 
 def travelled_distance(positions: Floats) -> Floats:
     """Return the distance travelled up to each of the positions (N, 3), (N,), metres."""
-    steps = np.diff(positions, axis=0)
-    lengths = np.sqrt(np.einsum("ni,ni->n", steps, steps))
-    return np.concatenate([[0.0], np.cumsum(lengths)])[: len(positions)]
+    travelled = np.zeros(len(positions))
+    np.cumsum(step_lengths(positions), out=travelled[1:])
+    return travelled
+
+
+def step_lengths(positions: Floats) -> Floats:
+    """Return the distances (N,) between consecutive positions (N + 1, 3), metres."""
+
+    def at(begins: Floats, ends: Floats) -> tuple[Floats]:
+        steps = ends - begins
+        return (np.sqrt(np.einsum("ni,ni->n", steps, steps)),)
+
+    return lie.by_blocks(at, positions[:-1], positions[1:])[0]
 
 
 def turned_angle(quaternions: Floats) -> Floats:
     """Return the angle turned up to each of the orientations (N, 4), xyzw, (N,), radians."""
-    steps = lie.angle(lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:]))
-    return np.concatenate([[0.0], np.cumsum(steps)])[: len(quaternions)]
+    turned = np.zeros(len(quaternions))
+    np.cumsum(step_angles(quaternions), out=turned[1:])
+    return turned
+
+
+def step_angles(quaternions: Floats) -> Floats:
+    """Return the angles (N,) between consecutive orientations (N + 1, 4), xyzw, radians."""
+
+    def at(begins: Floats, ends: Floats) -> tuple[Floats]:
+        return (lie.angle(lie.multiply(lie.conjugate(begins), ends)),)
+
+    return lie.by_blocks(at, quaternions[:-1], quaternions[1:])[0]
+
+
+def count_up(counts: dict[str, int], reason: str, count: int) -> None:
+    """Add to the number of a reason, which appears with its first one."""
+    if count:
+        counts[reason] = counts.get(reason, 0) + count
 
 
 def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
@@ -348,6 +411,5 @@ def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
     total: dict[str, int] = {}
     for each in counts:
         for reason, count in each.items():
-            if count:
-                total[reason] = total.get(reason, 0) + count
+            count_up(total, reason, count)
     return total

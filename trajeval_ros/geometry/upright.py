@@ -21,7 +21,10 @@ def upright(trajectory: Trajectory) -> Trajectory:
     quaternions, velocities = trajectory.quaternions, trajectory.velocities
     covariances, matrices = trajectory.covariances, trajectory.matrices
     axes = ", ".join("xyz"[each] for each in up.level)
-    note = f"{up.name} is up ({up.origin}): evaluated in a world with the axes {axes}, {up.name}"
+    note = (
+        f"vertical axis {up.name} ({up.origin}): evaluated in a frame with the axes {axes}, "
+        f"{up.name}"
+    )
     return dataclasses.replace(
         trajectory,
         positions=up.turned(trajectory.positions),
@@ -31,7 +34,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
         velocities=None if velocities is None else up.turned(velocities),
         covariances=None if covariances is None else both @ covariances @ both.T,
         matrices=None if matrices is None else turn @ matrices,
-        up=UpAxis("z", f"turned from {up.name}, {up.origin}"),
+        up=UpAxis("z", f"rotated from {up.name}, {up.origin}"),
         notes=(*trajectory.notes, note),
     )
 

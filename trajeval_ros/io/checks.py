@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
 _UNIT_TOLERANCE = 0.01  # of a quaternion's length; files with few decimals stay within
@@ -30,13 +31,11 @@ def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:
         InputError: All are zero, or all are the same.
     """
     if len(stamps) and not stamps.any():
-        raise InputError(
-            f"{where}: all stamps are zero; have the time of each measurement written with it"
-        )
+        raise InputError(f"{where}: all timestamps are zero; record the time of every measurement")
     if len(stamps) > 1 and (stamps == stamps[0]).all():
         raise InputError(
-            f"{where}: all {len(stamps)} stamps are the same, so there is no time to match poses "
-            "by; have the time of each measurement written with it"
+            f"{where}: all timestamps ({len(stamps)}) are equal; record the time of every "
+            "measurement"
         )
     return times(stamps)
 
@@ -53,14 +52,16 @@ def judge_rotations(
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Return the quaternions (N, 4), xyzw, if they say anything, and what to tell about them."""
     if quaternions is None:
-        return None, ("there are no rotations: rotation metrics are withheld",)
+        return None, ("no rotations: rotation metrics withheld",)
     if len(quaternions) > 1 and not quaternions[:, :3].any():
-        return None, ("all rotations are identity: rotation metrics are withheld",)
+        return None, ("all rotations are identity: rotation metrics withheld",)
     squares = np.einsum("ni,ni->n", quaternions, quaternions)
     odd = (np.abs(squares - 1.0) > 2.0 * _UNIT_TOLERANCE) & (squares > 1e-12)
     if not odd.any():
         return quaternions, ()
     lengths = np.sqrt(squares[odd])
     worst = float(lengths[np.abs(lengths - 1.0).argmax()])
-    note = f"{len(lengths)} quaternions were normalised; the worst had the length {worst:.3g}"
+    note = (
+        f"{counted(len(lengths), 'quaternion')} normalised, largest deviation: length {worst:.3g}"
+    )
     return quaternions, (note,)

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.fixes import quality_of
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 
 LONG_GAP_S = 0.5  # over which association doesn't interpolate
 _TRUTH = re.compile(
@@ -93,8 +95,15 @@ class Description:
     notes: tuple[str, ...] = ()
 
 
-def describe(source: str, *, advance: Advance | None = None) -> Description:
+def describe(
+    source: str, *, advance: Advance | None = None, hints: TextHints = NO_HINTS
+) -> Description:
     """Return what a SOURCE holds; of a bag without topic, all of its topics.
+
+    Args:
+        source: As for `read_trajectory`, or a bag without a topic.
+        advance: Called with what is done and with all there is, now and then.
+        hints: What is known of a text file beyond what is in it.
 
     Raises:
         InputError: It can't be read at all.
@@ -105,7 +114,7 @@ def describe(source: str, *, advance: Advance | None = None) -> Description:
             return _describe_bag(source, parts.path, advance)
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
-    trajectory = read_trajectory(source, advance=advance)
+    trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 
 
@@ -178,6 +187,7 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         "covariance": trajectory.covariances,
     }
     holds = tuple(name for name, column in columns.items() if column is not None)
+    about_fixes = () if ordered.fixes is None else (quality_of(ordered.fixes),)
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
     dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
     unstamped = not trajectory.stamped
@@ -200,12 +210,14 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         gaps=0 if unstamped else int(np.count_nonzero(steps > LONG_GAP_S)),
         longest_gap_s=0.0 if unstamped else float(steps.max(initial=0.0)),
         could_be=_could_be(source, trajectory),
-        notes=(*notes, *dropped),
+        notes=(*notes, *about_fixes, *dropped),
     )
 
 
 def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return a guess, by the name and by what an estimator alone knows."""
+    if trajectory.fixes is not None:
+        return "groundtruth"
     if _TRUTH.search(source.lower()) or _TRUTH.search(trajectory.frame.lower()):
         return "groundtruth"
     if trajectory.covariances is not None or (

@@ -29,7 +29,7 @@ def lock(file: int, *, wait: bool) -> bool:
         OSError: The system or the disk knows no locks.
     """
     if fcntl is None:
-        raise OSError("this system knows no locks of files")
+        raise OSError("this system does not support file locks")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:

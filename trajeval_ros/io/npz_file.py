@@ -53,9 +53,9 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:
     except (InputError, FileNotFoundError, PermissionError):
         raise
     except MemoryError:
-        raise InputError(f"{path} holds more than fits into memory") from None
+        raise InputError(f"{path} does not fit into memory") from None
     except Exception as error:  # of a dozen kinds: what damage raises is chance
-        raise InputError(f"{path} is no npz archive of plain arrays, or a damaged one") from error
+        raise InputError(f"{path} is not an npz archive of plain arrays, or is damaged") from error
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> NDArray[Any]:
@@ -68,11 +68,11 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> NDAr
         shape, _, kind = read_head(file)
         size, head = math.prod(shape) * kind.itemsize, file.tell()
     if kind.hasobject or head + size != member.file_size:
-        raise InputError(f"{what} is no plain array, or not as large as it says")
+        raise InputError(f"{what} is not a plain array, or its size is wrong")
     if member.file_size > most_of(member.compress_size, _LARGEST):
         raise InputError(
-            f"{what} becomes more than {LARGEST_RATIO} times its size, which no measurement does; "
-            "if you trust it, save it uncompressed, by numpy.savez"
+            f"{what} has a compression ratio above {LARGEST_RATIO}; if you trust the file, save "
+            "it uncompressed with numpy.savez"
         )
     with archive.open(member) as file:
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)

@@ -71,11 +71,11 @@ def save_trajectories(
     for each in trajectories if message == _TF else ():
         if each.quaternions is None:
             raise InputError(
-                f"{each.name} has no orientations, so it is no transform; save another message"
+                f"{each.name} has no orientations, which transforms need; use another --message"
             )
     for path in paths:
         if path.exists():
-            raise InputError(f"{path} exists already; remove it, or give another --output")
+            raise InputError(f"{path} exists; remove it, or choose another --output")
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
     if kind in _TEXT:

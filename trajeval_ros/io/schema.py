@@ -29,7 +29,7 @@ def require_schema(path: Path, found: object, known: str, what: str, mend: str) 
     family = known.rpartition("/")[0]
     if isinstance(found, str) and found.startswith(f"{family}/"):
         raise InputError(
-            f"{path} is of schema {found}, and this version of trajeval reads {known}; {mend}, or "
-            "use the version that wrote it"
+            f"{path} has schema {found}, and this version reads {known}; {mend}, or use the "
+            "version that wrote it"
         )
-    raise InputError(f"{path} is no {what} ({known}); {mend}")
+    raise InputError(f"{path} is not a {what} ({known}); {mend}")

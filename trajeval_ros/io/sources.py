@@ -1,4 +1,7 @@
-"""SOURCE -> Trajectory: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`, recognised by content."""
+"""SOURCE -> Trajectory: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`, recognised by content.
+
+A text may also come through a pipe, such as a shell's `<(COMMAND)`, or as `-` on stdin.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,21 @@ import dataclasses
 import difflib
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.byte_source import beginning_of
+from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
+from trajeval_ros.io.urls import require_no_password
 
 Advance = Callable[[int, int], None]
 
@@ -24,6 +33,8 @@ _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
+STDIN = "-"  # what names it among sources
+_STDIN_PATH = "/dev/stdin"
 _PARTS = 1000  # that each of several files counts in the progress
 
 
@@ -36,12 +47,14 @@ class Source:
         topic: Topic with its leading slash, "" if none was given.
         frames: (parent, child) of a transform, or None.
         is_bag: Whether the path holds a bag.
+        is_pipe: Whether it can be read only once, from its beginning to its end.
     """
 
     path: Path
     topic: str
     frames: tuple[str, str] | None
     is_bag: bool
+    is_pipe: bool = False
 
 
 def read_trajectory(
@@ -50,16 +63,18 @@ def read_trajectory(
     advance: Advance | None = None,
     covariances: bool = True,
     strict: bool = False,
+    hints: TextHints = NO_HINTS,
 ) -> Trajectory:
     r"""Read the trajectory that a SOURCE names.
 
     Args:
-        source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`, or
-            `BAG:/tf:PARENT.CHILD`.
+        source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`,
+            `BAG:/tf:PARENT.CHILD`, or `-` for text on stdin.
         advance: Called with what is done and with all there is (bytes of a text, messages of a
             bag), now and then.
         covariances: Whether to read those of a bag, too.
         strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
+        hints: What is known of a text file beyond what is in it.
 
     Raises:
         InputError: It can't be read; the message says what is wrong, where, and how to mend it.
@@ -73,7 +88,9 @@ def read_trajectory(
         ...     read_trajectory(path)
         <Trajectory run, 2 poses, 0.5 s, 2.0 m>
     """
-    (trajectory,) = read_many([source], advance=advance, covariances=covariances, strict=strict)
+    (trajectory,) = read_many(
+        [source], advance=advance, covariances=covariances, strict=strict, hints=hints
+    )
     return trajectory
 
 
@@ -83,6 +100,7 @@ def read_many(
     advance: Advance | None = None,
     covariances: bool | Sequence[bool] = True,
     strict: bool = False,
+    hints: TextHints | Sequence[TextHints] = NO_HINTS,
 ) -> list[Trajectory]:
     r"""Read the trajectories that several SOURCEs name; each bag once, however many are in it.
 
@@ -94,6 +112,7 @@ def read_many(
             one bag as for `read_trajectory`; otherwise each file or bag counts the same.
         covariances: Whether to read those of a bag, too; for all sources, or for each.
         strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
+        hints: What is known of text files beyond what is in them; of all, or of each.
 
     Returns:
         A trajectory for each source, in their order, which names it.
@@ -113,18 +132,31 @@ def read_many(
     """
     parsed = [parse_source(str(source)) for source in sources]
     flags = [covariances] * len(parsed) if isinstance(covariances, bool) else list(covariances)
-    if len(flags) != len(parsed):
-        raise ValueError(f"covariances: {len(flags)} values for {len(parsed)} sources")
-    files: dict[str, list[int]] = {}  # numbers of the sources of each file or bag
+    known = [hints] * len(parsed) if isinstance(hints, TextHints) else list(hints)
+    for what, values in (("covariances", flags), ("hints", known)):
+        if len(values) != len(parsed):
+            raise ValueError(
+                f"{what}: {counted(len(values), 'value')} for "
+                f"{counted(len(parsed), 'source')}; give one value per source"
+            )
+    files: dict[object, list[int]] = {}  # numbers of the sources of each file or bag
     for number, parts in enumerate(parsed):
-        name = _same_bag(parts.path) if parts.is_bag else str(parts.path)
+        # A pipe can be read once, whatever is known of it.
+        own_hints = NO_HINTS if parts.is_pipe else known[number]
+        name = _same_bag(parts.path) if parts.is_bag else (str(parts.path), own_hints)
         files.setdefault(name, []).append(number)
     read: dict[int, Trajectory] = {}
     for done, numbers in enumerate(files.values()):
         first, own = parsed[numbers[0]], _part_of(advance, done, len(files))
         with _naming(first.path):
+            if first.is_pipe:
+                if len(numbers) > 1:
+                    raise InputError("a pipe can be read only once; use it for one source")
+                with _copied(first.path) as copy:
+                    read |= {numbers[0]: read_text(copy, own, known[numbers[0]])}
+                continue
             if not first.is_bag:
-                read |= dict.fromkeys(numbers, read_text(first.path, own))
+                read |= dict.fromkeys(numbers, read_text(first.path, own, known[numbers[0]]))
                 continue
             from trajeval_ros.io.bags.topics import BagSource, read_bag
 
@@ -153,6 +185,25 @@ def each_topic(source: str) -> list[str]:
     with _naming(parts.path), Bag(parts.path, None) as bag:
         topics = [topic.name for topic in bag.topics if topic.holds_poses and topic.count]
     return [f"{source}:{topic}" for topic in topics] or [source]
+
+
+@contextlib.contextmanager
+def _copied(pipe: Path) -> Iterator[Path]:
+    """Yield a file with what comes through a pipe; errors about it name the pipe.
+
+    Raises:
+        InputError: A bag comes, which is read by its index.
+    """
+    with temporary_folder("pipe") as folder:
+        copy = folder / pipe.name
+        with pipe.open("rb") as reading, copy.open("wb") as writing:
+            shutil.copyfileobj(reading, writing)
+        if _begins_as_bag(copy):
+            raise InputError("a bag can't be read from a pipe; give the file")
+        try:
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), str(pipe))) from error
 
 
 def _same_bag(path: Any) -> str:
@@ -191,18 +242,21 @@ def parse_source(source: str) -> Source:
         InputError: There is no such file or directory, or the frames aren't `PARENT.CHILD`.
     """
     if not source:
-        raise InputError("a source has no name; give a file, or BAG:TOPIC")
+        raise InputError("a source is empty; give a file or BAG:TOPIC")
+    source = _STDIN_PATH if source == STDIN else source
     path, rest = _split_url(source) if _URL.match(source) else _split_path(source)
     try:
         if not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path} is a pipe or a device; write it to a file and name that")
+            if not path.is_fifo():
+                raise InputError(f"{path} is a device; give a file or a pipe")
+            return Source(path, rest, None, is_bag=False, is_pipe=True)
         is_bag = path.is_dir() or _begins_as_bag(path)
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror or error}") from error
     if not rest:
         return Source(path, "", None, is_bag)
     if not is_bag:
-        raise InputError(f"{path} is no bag, so it has no topic {rest}; name the file alone")
+        raise InputError(f"{path} is not a bag and has no topic {rest}; give only the file")
     topic, _, frames = rest.partition(":")
     topic = "/" + topic.lstrip("/")
     if not frames and topic not in ("/tf", "/tf_static"):
@@ -212,19 +266,15 @@ def parse_source(source: str) -> Source:
 
 def _split_url(source: str) -> tuple[Path, str]:
     """Return the existing object that a source begins with, and what follows its colon."""
+    require_no_password(source)
     try:
         from upath import UPath
     except ImportError as error:
-        raise InputError(
-            f"{source} is a URL, which needs pip install 'trajeval-ros[remote]'"
-        ) from error
+        raise InputError(f"URLs need an extra; install it: {extra_command('remote')}") from error
     pieces = source.split(":")
-    candidates = [(":".join(pieces[:count]), count) for count in range(len(pieces), 1, -1)]
-    secrets = source.split("/", 3)[2].count("@")  # USER:PASSWORD@HOST: USER is no host to ask
     try:
-        for url, count in candidates:
-            if url.count("@") < secrets:
-                break
+        for count in range(len(pieces), 1, -1):
+            url = ":".join(pieces[:count])
             path: Any = UPath(url)  # a Path in all that is asked of it
             if path.exists():
                 return path, ":".join(pieces[count:])
@@ -262,7 +312,7 @@ def _begins_as_bag(path: Path) -> bool:
     """Return whether a file is a bag of any kind, by its first bytes."""
     beginning = beginning_of(path, _HEAD)
     if not beginning and path.suffix in _BAG_ENDINGS:
-        raise InputError(f"{path} is empty; was the recording stopped before it was written?")
+        raise InputError(f"{path} is empty; check that the recording has data")
     return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))
 
 
@@ -272,8 +322,8 @@ def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
     parent, child = parent.strip("/"), child.strip("/")
     if not (parent and dot and child):
         raise InputError(
-            f"{topic} holds transforms between many frames; name two as in "
-            f"BAG:{topic}:PARENT.CHILD, for example {topic}:map.base_link; `trajeval info BAG` "
-            "lists them"
+            f"{topic} has transforms between many frames; give two as in "
+            f"BAG:{topic}:PARENT.CHILD, such as {topic}:map.base_link (list them with "
+            "`trajeval info BAG`)"
         )
     return parent, child

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.temporary import temporary_file
 
 
@@ -36,7 +36,7 @@ def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: boo
     """
     if follow_link or not path.is_symlink():
         if path.is_dir():
-            raise InputError(f"{path} can't be written: is a directory; name a file")
+            raise InputError(f"{path} can't be written: is a directory; give a file")
         if path.exists() and not path.is_file():
             with refused_by_disk(str(path)):
                 write(path)
@@ -50,7 +50,7 @@ def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: boo
 
 @contextlib.contextmanager
 def refused_by_disk(what: str) -> Iterator[None]:
-    """Say in one sentence that something can't be written in the block.
+    """State in one sentence that something can't be written in the block.
 
     Raises:
         InputError: It can't.
@@ -58,5 +58,4 @@ def refused_by_disk(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{what} can't be written: {reason}") from error
+        raise InputError(f"{what} can't be written: {reason_of(error)}") from error

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 
 _LARGEST, _LARGEST_GENERATED = 1_000_000, 1 << 24  # bytes
 _OPENCV_HEAD = "%YAML:1.0"  # EuRoC's files have it, too; the standard's directive has no colon
@@ -29,13 +29,12 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
 
     try:
         if path.stat().st_size > (_LARGEST_GENERATED if is_generated else _LARGEST):
-            raise InputError(f"{path} is far too large for {what}; is it the right file?")
+            raise InputError(f"{path} is too large for {what}; check the path")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path} can't be read: {reason}") from error
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no YAML: {error}") from error
+        raise InputError(f"{path} is not valid YAML: {error}") from error
     try:
         first = next(
             iter(
@@ -47,9 +46,9 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
         line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{path} is no YAML{where}: {line}") from error
+        raise InputError(f"{path} is not valid YAML{where}: {line}") from error
     if not isinstance(first, dict) or not all(isinstance(key, str) for key in first):
-        raise InputError(f"{path} holds no {what}: it must be a mapping of names to values")
+        raise InputError(f"{path} has no {what}; write a mapping of names to values")
     return first
 
 
@@ -63,5 +62,5 @@ def require_known(found: Mapping[str, Any], known: Iterable[str], where: str) ->
     for name in found:
         if name not in known:
             near = get_close_matches(str(name), known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"it knows {', '.join(known)}"
-            raise InputError(f"{where} has no {name!r}; {hint}")
+            hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"
+            raise InputError(f"{where} has an unknown key {name!r}; {hint}")

@@ -44,9 +44,7 @@ class Chart:
     def __post_init__(self) -> None:
         """Refuse a plane, which has no twists of six."""
         if self.gauge is Gauge.PLANAR:
-            raise SettingsError(
-                "likelihoods are of poses in space, and gauge planar leaves a plane; use yaw"
-            )
+            raise SettingsError("gauge planar is not supported for likelihoods; use yaw")
 
     @property
     def axes(self) -> Floats:

@@ -16,6 +16,7 @@ from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTraject
 from trajeval_ros.continuous_time.models import WITHOUT_UNCERTAINTY
 from trajeval_ros.continuous_time.samples import Belief, Noise
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, se3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
@@ -92,10 +93,12 @@ def assess(evaluation: Evaluation) -> Assessment:
     pairs, protocol = evaluation.association, evaluation.protocol
     continuous = pairs.continuous
     if continuous is None:
-        how = "row by row, for want of stamps" if pairs.rule.method == "index" else "otherwise"
-        raise InputError(f"likelihoods need association continuous, and poses were paired {how}")
+        how = "by row index, without timestamps" if pairs.rule.method == "index" else "otherwise"
+        raise InputError(
+            f"likelihoods need association continuous; these pairs are associated {how}"
+        )
     if len(pairs) < 2:
-        raise InputError("one pose alone is as likely as any other in the same gauge")
+        raise InputError("the likelihood of a single pose is constant in this gauge")
     stamps = pairs.groundtruth.stamps
     known = continuous.at(stamps)
     oriented = pairs.groundtruth.quaternions is not None and pairs.estimate.quaternions is not None
@@ -144,8 +147,7 @@ def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[As
     )
     if len(common) < _FEWEST_COMMON:
         why = (
-            f"the estimates have {len(common)} stamps in common, too few for a Bayes factor "
-            "between them"
+            f"no Bayes factor: the estimates have only {counted(len(common), 'common timestamp')}"
         )
         return [
             dataclasses.replace(each, statements=(*each.statements, why)) for each in assessments
@@ -208,24 +210,24 @@ def _statements(assessment: Assessment) -> tuple[str, ...]:
     statements = list(continuous.statements)
     if continuous.model in WITHOUT_UNCERTAINTY:
         statements.append(
-            f"model {continuous.model} takes the groundtruth between samples for as sure as at "
-            "them, so that its likelihoods blame the estimate for what it doesn't know"
+            f"model {continuous.model} ignores the uncertainty of the groundtruth between "
+            "samples, so its likelihoods are too low there"
         )
     if ate.supported_m is None:
         statements.append(
-            "nowhere is the groundtruth known well enough for errors as small as these: no ATE "
-            "of supported poses can be had"
+            "no ATE of supported poses: the uncertainty of the groundtruth is larger than the "
+            "errors everywhere"
         )
     elif ate.interval_m is None:
         statements.append(
-            "the ATE of supported poses has no interval: too few of them are a groundtruth step "
-            "apart, so the estimate's errors can't be told from the groundtruth's"
+            "no interval for the ATE of supported poses: too few of them are a groundtruth step "
+            "apart"
         )
     if ate.supported_m is not None and not ate.supported.all():
         statements.append(
-            f"at {100.0 * (1.0 - ate.supported_share):.1f} % of the poses the groundtruth is too "
-            "uncertain for errors as small as these; the plain ATE counts it there as the "
-            "estimate's error"
+            f"at {100.0 * (1.0 - ate.supported_share):.1f} % of the poses the uncertainty of the "
+            "groundtruth is larger than the errors; the ATE includes the error of the "
+            "groundtruth there"
         )
     times = continuous.samples.seconds(assessment.stamps)
     own = continuous.samples.times
@@ -233,8 +235,7 @@ def _statements(assessment: Assessment) -> tuple[str, ...]:
     per_sample = len(times) / max(int(samples), 1)
     if per_sample > _POSES_PER_SAMPLE:
         statements.append(
-            f"there are {per_sample:.1f} poses for each groundtruth sample, and neighbours share "
-            "its errors: taken as independent they overcount, so likelihoods rank estimates at "
-            "the same stamps but don't compare across rates"
+            f"{per_sample:.1f} poses per groundtruth sample share its error, but count as "
+            "independent; compare likelihoods only between estimates with the same timestamps"
         )
     return (*statements, *assessment.error.statements)

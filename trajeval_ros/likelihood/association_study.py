@@ -95,7 +95,7 @@ def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol
         found = evaluate(poor, estimate, protocol)
     except TrajevalError as error:
         return ReportedAte(name, None, 0.0, reason=str(error))
-    return ReportedAte(name, _position_ate(found), found.association.estimate_coverage)
+    return ReportedAte(name, _position_ate(found), _covered(found))
 
 
 def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[ReportedAte]:
@@ -106,8 +106,8 @@ def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> l
         ate = assess(found).ate
     except TrajevalError as error:
         return [ReportedAte(name, None, 0.0, reason=str(error)) for name in names]
-    covered = found.association.estimate_coverage
-    nowhere = "" if ate.supported_m is not None else "no groundtruth pose is known well enough"
+    covered = _covered(found)
+    nowhere = "" if ate.supported_m is not None else "the groundtruth is too uncertain everywhere"
     return [
         ReportedAte(names[0], _position_ate(found), covered),
         ReportedAte(names[1], ate.weighted_m, covered),
@@ -115,6 +115,12 @@ def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> l
             names[2], ate.supported_m, covered * ate.supported_share, ate.interval_m, nowhere
         ),
     ]
+
+
+def _covered(evaluation: Evaluation) -> float:
+    covered = evaluation.association.estimate_coverage
+    assert covered is not None  # pairs are at the estimate's stamps
+    return covered
 
 
 def _position_ate(evaluation: Evaluation) -> float:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -40,13 +41,13 @@ class Degradation:
     def __post_init__(self) -> None:
         """Refuse what can't be done."""
         if not 0.0 < self.rate_hz < 1e6:
-            raise SettingsError(f"the rate must be above 0 Hz, not {self.rate_hz:g}")
+            raise SettingsError(f"the rate must be greater than 0 Hz, not {self.rate_hz:g}")
         if self.dropouts < 0:
-            raise SettingsError(f"there can't be {self.dropouts} dropouts")
+            raise SettingsError(f"the number of dropouts must be at least 0, not {self.dropouts}")
         if not 0.0 < self.shortest_s <= self.longest_s:
             raise SettingsError(
-                "a dropout's shortest and longest duration must be above 0 and in order, not "
-                f"{self.shortest_s:g},{self.longest_s:g}"
+                "the shortest and longest duration of a dropout must be greater than 0 and in "
+                f"ascending order, not {self.shortest_s:g},{self.longest_s:g}"
             )
 
     def of(self, groundtruth: Trajectory) -> Trajectory:
@@ -86,8 +87,9 @@ class Degradation:
         room = end / self.dropouts - 2.0 * _MARGIN_S - self.longest_s
         if room < 0.0:
             raise InputError(
-                f"{self.dropouts} dropouts of up to {self.longest_s:g} s, {2 * _MARGIN_S:g} s "
-                f"apart, don't fit into {end:.1f} s of groundtruth; ask for fewer or shorter ones"
+                f"{counted(self.dropouts, 'dropout')} of up to {self.longest_s:g} s, "
+                f"{2 * _MARGIN_S:g} s apart, do not fit into {end:.1f} s of groundtruth; use "
+                "fewer or shorter dropouts"
             )
         for begin in np.arange(self.dropouts) * end / self.dropouts:
             start = begin + _MARGIN_S + random.uniform(0.0, room)

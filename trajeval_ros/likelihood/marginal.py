@@ -204,24 +204,24 @@ def _statements(error: AbsoluteErrorDensity, turn: float, share: float | None) -
     statements = []
     if turn > MOST_TURN_RAD:
         statements.append(
-            f"the alignment's rotation is known to {np.degrees(turn):.0f} deg only, so that the "
-            "likelihood is that of many alignments"
+            f"the rotation of the alignment has a standard deviation of {np.degrees(turn):.0f} "
+            "deg, so the likelihood averages over very different alignments"
         )
     if share is not None and share < 0.05:
         statements.append(
-            f"importance sampling of the alignment is down to {100.0 * share:.1f} % of its draws, "
-            "and the likelihood is not to be trusted"
+            "importance sampling of the alignment has an effective sample size of only "
+            f"{100.0 * share:.1f} %; the likelihood is unreliable"
         )
     if residuals.oriented:
         largest = np.linalg.norm(residuals.at(error.mode.element)[:, 3:], axis=1).max()
         if largest > _LARGE_RESIDUAL_RAD:
             statements.append(
-                f"a pose is turned by {np.degrees(largest):.0f} deg from its groundtruth, so that "
-                "other alignments may be as likely as the one that was found"
+                f"a pose differs by {np.degrees(largest):.0f} deg from its groundtruth; other "
+                "alignments can be equally likely"
             )
     if residuals.gauge is Gauge.SIM3 and residuals.oriented:
         statements.append(
-            "with a free scale, likelihoods depend on which point of the body positions are of: "
-            "they must be the camera's"
+            "with a free scale, likelihoods depend on the reference point of the body; use "
+            "positions of the camera"
         )
     return tuple(statements)

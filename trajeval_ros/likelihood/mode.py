@@ -78,9 +78,8 @@ def unit_diagonal(information: Floats) -> Floats:
         if np.linalg.eigvalsh(information * scale * scale[:, None])[0] > _UNSEEN:
             return scale
     raise DegenerateGeometryError(
-        "the poses leave a direction of the gauge open, over which no likelihood can be "
-        "integrated: a body at rest has no scale, and positions on a line no roll about it; "
-        "choose a gauge that leaves less open"
+        "the poses do not determine all directions of the gauge, such as the scale of a body at "
+        "rest, or the roll about a straight path; choose a gauge with fewer degrees of freedom"
     )
 
 

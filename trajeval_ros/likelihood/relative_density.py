@@ -92,8 +92,8 @@ def decomposed(belief: Belief, differences: Floats) -> RelativeErrorDensity:
         factor = Factor.of(*relative_covariance(transports(belief.poses), belief.covariances))
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometryError(
-            "the covariance of the groundtruth's relative poses is singular: give each pose "
-            "some noise in all six directions"
+            "the covariance of the groundtruth's relative poses is singular; set noise greater "
+            "than zero in all six directions"
         ) from error
     whitened = factor.whitened(differences)
     edges = -0.5 * np.sum(whitened**2, axis=1) - factor.log_diagonal.sum(axis=1)

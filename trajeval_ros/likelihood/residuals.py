@@ -83,8 +83,8 @@ class Residuals:
             return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariances)))
         except np.linalg.LinAlgError as error:
             raise DegenerateGeometryError(
-                "a groundtruth pose is exactly known in some direction, and any error there is "
-                "infinitely unlikely; give the groundtruth some noise in all directions"
+                "a groundtruth pose has zero variance in some direction; set groundtruth noise "
+                "greater than zero in all directions"
             ) from error
 
     @cached_property

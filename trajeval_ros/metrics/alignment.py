@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -224,9 +225,9 @@ def align(
     count = len(groundtruth)
     if count < gauge.minimum_states:
         raise DegenerateGeometryError(
-            f"gauge {gauge.value} needs at least {gauge.minimum_states} matched states to align, "
-            f"there {'is' if count == 1 else 'are'} {count}; align the first state alone "
-            "(align states 1), or choose a gauge that turns less"
+            f"gauge {gauge.value} needs at least {counted(gauge.minimum_states, 'pair')}, found "
+            f"{count}; align only the first state (align states 1), or use a gauge with fewer "
+            "degrees of freedom"
         )
     moments = Moments.of_pairs(groundtruth, estimate, weights)
     if gauge.minimum_states > 1:
@@ -241,9 +242,9 @@ def _require_motion(who: str, positions: Floats) -> None:
     extent = max(float(np.ptp(positions[:, axis])) for axis in range(3))
     if extent <= _ROUNDING * max(1.0, float(np.abs(positions[0]).max())):
         raise DegenerateGeometryError(
-            f"the {who} does not move in the {len(positions)} states to be aligned, so no "
-            "rotation can be found; use more states, the first alone (align states 1), or "
-            "gauge translation"
+            f"the {who} does not move in {counted(len(positions), 'aligned state')}, so the "
+            "rotation is undetermined; align more states, only the first state (align states "
+            "1), or use gauge translation"
         )
 
 
@@ -262,15 +263,15 @@ def align_first(
     """
     if gauge.has_scale:
         raise DegenerateGeometryError(
-            "one state has no scale, so gauge sim3 can't be aligned by the first state alone "
-            "(tutorial, Table I); use more states, or se3"
+            "one state does not determine a scale, so gauge sim3 can't be aligned by the first "
+            "state (tutorial, Table I); align more states, or use se3"
         )
     rotation = np.eye(3)
     if gauge.minimum_states > 1:
         if groundtruth_quaternion is None or estimate_quaternion is None:
             raise DegenerateGeometryError(
-                f"gauge {gauge.value} can't be aligned by the first state alone without "
-                "orientations on both sides; align by more states"
+                f"gauge {gauge.value} can't be aligned by the first state without orientations "
+                "on both sides; align more states"
             )
         between = lie.multiply(groundtruth_quaternion, lie.conjugate(estimate_quaternion))
         if gauge.turns_freely:
@@ -278,8 +279,8 @@ def align_first(
         else:
             if np.hypot(between[2], between[3]) < 1e-9:
                 raise DegenerateGeometryError(
-                    "the first state's rotations differ by half a turn about a level axis, which "
-                    "leaves the yaw open; are the up axes of both trajectories right (--up)?"
+                    "the first rotations differ by half a turn about a horizontal axis, so the "
+                    "yaw is undetermined; check the vertical axes of both trajectories (--up)"
                 )
             rotation = lie.about_gravity(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position

@@ -1,9 +1,11 @@
 """Association: which groundtruth belongs to which estimated state.
 
-`linear` interpolates the groundtruth at the estimate's stamps, never across a gap and never
-beyond its ends. `continuous` asks a model of the groundtruth's motion, also in gaps. `nearest`
-pairs one to one, closest first. The other methods reproduce a tool or a benchmark: `rpg` and
-`evo` by name, and `index` pairs by the number of the frame, or row by row.
+`linear` interpolates the groundtruth at the estimate's stamps, `groundtruth-stamps` the estimate
+at the groundtruth's: never across a gap and never beyond the ends. `auto` is the latter for points
+and GNSS fixes, which are sparse, and the former for poses. `continuous` asks a model of the
+groundtruth's motion, also in gaps. `nearest` pairs one to one, closest first. The other methods
+reproduce a tool or a benchmark: `rpg` and `evo` by name, and `index` pairs by the number of the
+frame, or row by row.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
+from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.evo_association import match
 from trajeval_ros.metrics.frame_association import match_rows
@@ -31,7 +34,10 @@ if TYPE_CHECKING:
 
 _ROUNDS = 8
 _LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
-METHODS = ("linear", "continuous", "nearest", "rpg", "evo", "index")
+AUTO, AT_GROUNDTRUTH = "auto", "groundtruth-stamps"
+# Which evaluate one side at the stamps of the other.
+INTERPOLATING = (AUTO, "linear", AT_GROUNDTRUTH, "continuous")
+METHODS = (AUTO, "linear", AT_GROUNDTRUTH, "continuous", "nearest", "rpg", "evo", "index")
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,8 @@ class AssociationRule:
     Attributes:
         method: One of `METHODS`.
         max_time_difference_s: Largest difference of stamps in a pair, for the nearest kinds.
-        max_gap_s: Longest step between two groundtruth states to interpolate across.
+        max_gap_s: Longest step between two states to interpolate across: of the groundtruth, for
+            `groundtruth-stamps` of the estimate.
         time_offset_s: Added to the estimate's stamps before pairing.
         model: For `continuous`: how the groundtruth moves between its samples.
         noise: For `continuous`: of the groundtruth's samples.
@@ -53,7 +60,7 @@ class AssociationRule:
         'nearest'
     """
 
-    method: str = "linear"
+    method: str = AUTO
     max_time_difference_s: float = 0.02
     max_gap_s: float = 0.5
     time_offset_s: float = 0.0
@@ -66,13 +73,23 @@ class AssociationRule:
         for name in ("max_time_difference_s", "max_gap_s"):
             if not 0.0 < getattr(self, name) <= _LONGEST_S:
                 raise SettingsError(
-                    f"{name} must be above 0 and at most {_LONGEST_S:g}, not {getattr(self, name)}"
+                    f"{name} must be greater than 0 and at most {_LONGEST_S:g}, not "
+                    f"{getattr(self, name)}"
                 )
         require_one_of(self.model, MODELS, "continuous model")
         if not abs(self.time_offset_s) <= LATEST_CLOCK_S:
             raise SettingsError(
                 f"the time offset must be within {LATEST_CLOCK_S:g} s, not {self.time_offset_s}"
             )
+
+    def for_kind(self, kind: str) -> AssociationRule:
+        """Return the rule for groundtruth of a kind (`Trajectory.kind`), which settles `auto`.
+
+        Rates would be no criterion: a live run doesn't know them when it begins.
+        """
+        if self.method != AUTO:
+            return self
+        return dataclasses.replace(self, method="linear" if kind == "poses" else AT_GROUNDTRUTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,23 +100,27 @@ class Association:
         rule: How they were made.
         groundtruth: N groundtruth states at the pairs' stamps.
         estimate: N estimated states, in their own frame.
-        estimate_coverage: Share of the estimate's usable states that are in a pair.
+        estimate_coverage: Share of the estimate's usable states that are in a pair; None of
+            `groundtruth-stamps`, which says nothing of it.
         coverage: How much of the groundtruth's time pairs cover; its gaps are left out, except
             of method `continuous`, which pairs in them too.
-        dropped: Number of estimated states that are in no pair, by reason.
+        dropped: Number of states that are in no pair, by reason: estimated ones, for
+            `groundtruth-stamps` those of the groundtruth.
         continuous: The groundtruth's model, of method `continuous`.
         groundtruth_rows: (N,) which groundtruth state is in each pair; None where it is none of
             the recorded ones, but one between them.
+        from_the_start: Whether the first pair has the first state that was estimated.
     """
 
     rule: AssociationRule
     groundtruth: Trajectory
     estimate: Trajectory
-    estimate_coverage: float
+    estimate_coverage: float | None
     coverage: Coverage
     dropped: dict[str, int]
     continuous: ContinuousTrajectory | None = None
     groundtruth_rows: Indices | None = None
+    from_the_start: bool = True
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -115,6 +136,11 @@ class Association:
         """Whether both sides have orientations."""
         return self.groundtruth.quaternions is not None and self.estimate.quaternions is not None
 
+    @property
+    def is_at_groundtruth(self) -> bool:
+        """Whether pairs are at the groundtruth's stamps; its coverage is then their share."""
+        return self.rule.method == AT_GROUNDTRUTH
+
 
 def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
     """Pair the states of two trajectories by their stamps.
@@ -123,6 +149,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         NoMatchError: Nothing pairs; says both time ranges and the likely cause.
         InputError: Pairing by frame or row, but see `match_rows`.
     """
+    rule = rule.for_kind(groundtruth.kind)
     groundtruth.require_usable()
     estimate.require_usable()
     offset = round(rule.time_offset_s * NANOSECONDS)
@@ -135,6 +162,8 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         truth = groundtruth[truth_rows]
     elif rule.method == "linear":
         truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
+    elif rule.method == AT_GROUNDTRUTH:
+        return _at_groundtruth(groundtruth, estimate, shifted, rule)
     elif rule.method == "continuous":
         from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
 
@@ -164,6 +193,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         dropped=add_counts(estimate.dropped, dropped),
         continuous=continuous,
         groundtruth_rows=truth_rows,
+        from_the_start=bool(pairs.stamps[0] == shifted.stamps[0]),
     )
 
 
@@ -186,6 +216,7 @@ def _modelled(
         covariances=None,
         frames=None,
         matrices=None,
+        fixes=None,
     )
     return truth, rows, _outside(groundtruth.stamps, estimate.stamps)
 
@@ -200,28 +231,65 @@ def _outside(times: Indices, stamps: Indices) -> dict[str, int]:
 def _interpolated(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
-    """Interpolate the groundtruth at the estimate's stamps, linearly and by slerp."""
+    """Interpolate the groundtruth at the estimate's stamps."""
     bracket = bracket_stamps(groundtruth.stamps, estimate.stamps, rule.max_gap_s)
     rows = np.flatnonzero(bracket.usable)
-    start, end, fraction = bracket.start[rows], bracket.end[rows], bracket.fraction[rows]
-    quaternions = groundtruth.quaternions
-    positions = mix(groundtruth.positions, start, end, fraction)
+    return between(groundtruth, estimate.stamps, bracket), rows, bracket.dropped("groundtruth")
+
+
+def _at_groundtruth(
+    groundtruth: Trajectory, estimate: Trajectory, shifted: Trajectory, rule: AssociationRule
+) -> Association:
+    """Interpolate the estimate at the groundtruth's stamps.
+
+    Coverage is completeness: the share of the groundtruth's states that are in a pair.
+    """
+    truth, states = groundtruth.in_order(), shifted.in_order()
+    bracket = bracket_stamps(states.stamps, truth.stamps, rule.max_gap_s)
+    rows = np.flatnonzero(bracket.usable)
+    dropped = bracket.dropped("estimate")
+    if not len(rows):
+        raise NoMatchError(explain_no_match(truth, states, rule, dropped))
+    return Association(
+        rule=rule,
+        groundtruth=truth[rows],
+        estimate=between(states, truth.stamps, bracket),
+        estimate_coverage=None,
+        coverage=completeness(truth, rows),
+        dropped=add_counts(estimate.dropped, dropped),
+        groundtruth_rows=rows,
+    )
+
+
+def between(trajectory: Trajectory, stamps: Indices, bracket: Bracket) -> Trajectory:
+    """Return the states between those of a trajectory, linearly and by slerp.
+
+    Args:
+        trajectory: In order.
+        stamps: (N,) of which those are taken that are usable.
+        bracket: Where they lie.
+    """
+    rows = np.flatnonzero(bracket.usable)
+    start, end, fraction = bracket.start, bracket.end, bracket.fraction
+    if len(rows) < len(stamps):
+        start, end, fraction = start[rows], end[rows], fraction[rows]
+        stamps = stamps[rows]
+    quaternions = trajectory.quaternions
+    positions = mix(trajectory.positions, start, end, fraction)
     assert positions is not None
-    truth = dataclasses.replace(
-        groundtruth,
-        stamps=estimate.stamps[rows],
+    return dataclasses.replace(
+        trajectory,
+        stamps=stamps,
         positions=positions,
-        quaternions=None
-        if quaternions is None
-        else lie.normalized(lie.slerp(quaternions[start], quaternions[end], fraction)),
-        velocities=mix(groundtruth.velocities, start, end, fraction),
-        gyroscope_biases=mix(groundtruth.gyroscope_biases, start, end, fraction),
-        accelerometer_biases=mix(groundtruth.accelerometer_biases, start, end, fraction),
+        quaternions=None if quaternions is None else _slerp(quaternions, start, end, fraction),
+        velocities=mix(trajectory.velocities, start, end, fraction),
+        gyroscope_biases=mix(trajectory.gyroscope_biases, start, end, fraction),
+        accelerometer_biases=mix(trajectory.accelerometer_biases, start, end, fraction),
         covariances=None,
         frames=None,
         matrices=None,
+        fixes=None,
     )
-    return truth, rows, bracket.dropped()
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,27 +318,42 @@ class Bracket:
         usable: Booleans = ~(self.early | self.late | self.gap)
         return usable
 
-    def dropped(self) -> dict[str, int]:
+    def until(self, count: int) -> Bracket:
+        """Return where the first stamps lie, so many of them."""
+        columns = (getattr(self, each.name) for each in dataclasses.fields(self))
+        return Bracket(*(each[:count] for each in columns))
+
+    @staticmethod
+    def reasons(side: str) -> tuple[str, str, str]:
+        """Return why stamps are not usable.
+
+        Args:
+            side: Whose states they were looked for among, `groundtruth` or `estimate`.
+        """
+        return f"before_{side}", f"after_{side}", f"in_{side}_gap"
+
+    def dropped(self, side: str) -> dict[str, int]:
         """Return how many stamps are not usable, by reason."""
-        return {
-            "before_groundtruth": int(np.count_nonzero(self.early)),
-            "after_groundtruth": int(np.count_nonzero(self.late)),
-            "in_groundtruth_gap": int(np.count_nonzero(self.gap)),
-        }
+        counts = (int(np.count_nonzero(each)) for each in (self.early, self.late, self.gap))
+        return dict(zip(self.reasons(side), counts, strict=True))
 
 
 def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket:
     """Find each of the stamps (N,) between the sorted, distinct times of states (M,), M > 0."""
-    end = np.minimum(times.searchsorted(stamps), len(times) - 1)
-    at_end = times[end]
-    # A stamp on a state's own takes that state alone, also at the first one.
-    start = np.where(at_end == stamps, end, np.maximum(end - 1, 0))
-    at_start = times[start]
-    step = at_end - at_start
-    early, late = stamps < times[0], stamps > times[-1]
-    gap = (step > round(max_gap_s * NANOSECONDS)) & ~late
-    fraction = np.where(early | late, 0.0, (stamps - at_start) / np.maximum(step, 1))
-    return Bracket(start, end, fraction, early, late, gap)
+
+    def at(stamps: Indices) -> tuple[NDArray[Any], ...]:
+        end = np.minimum(times.searchsorted(stamps), len(times) - 1)
+        at_end = times[end]
+        # A stamp on a state's own takes that state alone, also at the first one.
+        start = np.where(at_end == stamps, end, np.maximum(end - 1, 0))
+        at_start = times[start]
+        step = at_end - at_start
+        early, late = stamps < times[0], stamps > times[-1]
+        gap = (step > round(max_gap_s * NANOSECONDS)) & ~late
+        fraction = np.where(early | late, 0.0, (stamps - at_start) / np.maximum(step, 1))
+        return start, end, fraction, early, late, gap
+
+    return Bracket(*lie.by_blocks(at, stamps))
 
 
 def mix(
@@ -282,8 +365,22 @@ def mix(
     """Return a column (M, k) interpolated linearly between its rows, (N, k)."""
     if column is None:
         return None
-    mixed: Floats = column[start] + fraction[:, None] * (column[end] - column[start])
-    return mixed
+
+    def at(start: Indices, end: Indices, fraction: Floats) -> tuple[Floats]:
+        first = column.take(start, axis=0)
+        return (first + fraction[:, None] * (column.take(end, axis=0) - first),)
+
+    return lie.by_blocks(at, start, end, fraction)[0]
+
+
+def _slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -> Floats:
+    """Return quaternions (M, 4) interpolated between their rows, (N, 4)."""
+
+    def at(start: Indices, end: Indices, fraction: Floats) -> tuple[Floats]:
+        first, last = quaternions.take(start, axis=0), quaternions.take(end, axis=0)
+        return (lie.normalized(lie.slerp(first, last, fraction)),)
+
+    return lie.by_blocks(at, start, end, fraction)[0]
 
 
 def _one_to_one(

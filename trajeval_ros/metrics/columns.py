@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import install_command, pyarrow_command
 
 if TYPE_CHECKING:
     import pandas
@@ -23,13 +25,69 @@ def arrow_table(columns: Columns) -> pyarrow.Table:
     Raises:
         InputError: pyarrow is not installed.
     """
+    pyarrow = _load_pyarrow()
+    return pyarrow.table({name: _arrow_array(pyarrow, each) for name, each in columns.items()})
+
+
+def _arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
+    """Return a column, (N,), as an Arrow array.
+
+    `pyarrow.array` would import pandas where that is installed, which takes longer than a table.
+    """
+    values = np.ascontiguousarray(column)
+    if values.dtype.kind in "iuf":
+        buffers = [None, pyarrow.py_buffer(values)]
+        kind = pyarrow.from_numpy_dtype(values.dtype)
+        return pyarrow.Array.from_buffers(kind, len(values), buffers)
+    if values.dtype.kind == "U":
+        words = [each.encode() for each in values.tolist()]
+        offsets = np.cumsum([0, *map(len, words)], dtype=np.int32)
+        text = pyarrow.py_buffer(offsets), pyarrow.py_buffer(b"".join(words))
+        return pyarrow.StringArray.from_buffers(len(values), *text)
+    return pyarrow.array(values)
+
+
+def write_parquet(path: Path, tables: Sequence[Columns], metadata: Mapping[str, str]) -> None:
+    """Write tables one below the other to a Parquet file; null where one lacks a column.
+
+    Args:
+        path: The file.
+        tables: Each of columns of equal lengths.
+        metadata: What the file says of itself.
+
+    Raises:
+        InputError: pyarrow is not installed.
+        OSError: The file can't be written.
+    """
+    pyarrow = _load_pyarrow()
+    from pyarrow import parquet
+
+    table = pyarrow.concat_tables(map(arrow_table, tables), promote_options="default")
+    parquet.write_table(table.replace_schema_metadata(metadata), path)
+
+
+def have_pyarrow() -> bool:
+    """Return whether pyarrow can be used."""
+    try:
+        _load_pyarrow()
+    except InputError:
+        return False
+    return True
+
+
+def _load_pyarrow() -> Any:
     try:
         import pyarrow
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"an Arrow table needs pyarrow; install it: {pyarrow_command()}"
+        ) from error
     except ImportError as error:
         raise InputError(
-            "an Arrow table needs pyarrow, which is not installed: pip install pyarrow"
+            f"pyarrow is installed but can't be imported ({error}); install a version that "
+            f"works: {pyarrow_command()}"
         ) from error
-    return pyarrow.table({name: np.ascontiguousarray(each) for name, each in columns.items()})
+    return pyarrow
 
 
 def pandas_frame(columns: Columns) -> pandas.DataFrame:
@@ -42,6 +100,6 @@ def pandas_frame(columns: Columns) -> pandas.DataFrame:
         import pandas
     except ImportError as error:
         raise InputError(
-            "a data frame needs pandas, which is not installed: pip install pandas"
+            f"a data frame needs pandas; install it: {install_command('pandas')}"
         ) from error
     return pandas.DataFrame(dict(columns))

@@ -86,8 +86,7 @@ class Coverage:
         if self.longest_gap is None:
             return ""
         return (
-            f"{percent(self.span)} from the first to the last pair, "
-            f"the longest gap {self.longest_gap}"
+            f"{percent(self.span)} from the first to the last pair, longest gap {self.longest_gap}"
         )
 
 
@@ -99,7 +98,7 @@ class CoverageSums:
     """
 
     def __init__(self, max_gap_s: float) -> None:
-        """Begin without a step.
+        """Create it without a step.
 
         Args:
             max_gap_s: Longest step that is never a loss.

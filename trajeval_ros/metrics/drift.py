@@ -5,14 +5,13 @@ Positions in percent of the length, rotations in degrees per metre (tutorial, se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.errors import RelativeErrors
-from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.statistics import Statistics, statistics_in_place
 
 PERCENT = 100.0
 # Of each error, the name of its share of the length, and the share's units in an error per metre.
@@ -52,24 +51,34 @@ def statistics_per_length(
         length_m: That they grew over, metres; None where the length is a duration.
     """
     percent = per_metre = None
-    if length_m is not None and position is not None and rotation is not None:
-        percent, per_metre = position.scaled(PERCENT / length_m), rotation.scaled(1.0 / length_m)
+    if length_m is not None and position is not None:
+        percent = position.scaled(PERCENT / length_m)
+        per_metre = None if rotation is None else rotation.scaled(1.0 / length_m)
     return {"position_percent": percent, "rotation_deg_per_m": per_metre}
 
 
-def pooled_drift(
-    by_length: Sequence[tuple[RelativeErrors, float]],
-) -> dict[str, Statistics | None]:
-    """Return the statistics of drift over the sub-trajectories of all lengths, as KITTI ranks by.
+class PooledDrift:
+    """Drift over the sub-trajectories of several lengths, as KITTI ranks by."""
 
-    Args:
-        by_length: Relative errors, and the length in metres that they grew over.
-    """
-    if not by_length:
-        return {"position_percent": None, "rotation_deg_per_m": None}
-    percent = [position_percent(errors.position_m, length) for errors, length in by_length]
-    per_metre = [errors.rotation_deg / length for errors, length in by_length]
-    return {
-        "position_percent": statistics_of(np.concatenate(percent)),
-        "rotation_deg_per_m": statistics_of(np.concatenate(per_metre)),
-    }
+    def __init__(self, most: int) -> None:
+        """Create it empty, with room for so many sub-trajectories."""
+        self._shares = {name: np.empty(most) for name in PER_LENGTH}
+        self._counts = dict.fromkeys(PER_LENGTH, 0)
+
+    def add(self, errors: RelativeErrors, length_m: float) -> None:
+        """Add relative errors that grew over a length, metres."""
+        for name, (_, units) in PER_LENGTH.items():
+            column = getattr(errors, name)
+            if column is not None:
+                end = self._counts[name] + len(column)
+                np.multiply(
+                    column, units / length_m, out=self._shares[name][self._counts[name] : end]
+                )
+                self._counts[name] = end
+
+    def statistics(self) -> dict[str, Statistics | None]:
+        """Return the statistics by metric, None without errors, and let go of these."""
+        return {
+            share: statistics_in_place(self._shares.pop(name)[: self._counts[name]])
+            for name, (share, _) in PER_LENGTH.items()
+        }

@@ -76,14 +76,15 @@ class Editing:
             require_one_of(self.plane, PLANES, "plane")
         if self.right is not None and self.right.scale != 1.0:
             raise SettingsError(
-                "a scale on the right changes no position; leave it out, or transform on the left"
+                "a scale on the right has no effect on positions; remove it, or transform on "
+                "the left"
             )
         if self.motion is not None and not (min(self.motion) >= 0.0 and max(self.motion) > 0.0):
-            raise SettingsError("a motion filter needs a distance and an angle, one above zero")
+            raise SettingsError("a motion filter needs a distance or an angle greater than zero")
         if self.rate_hz is not None and not 0.0 < self.rate_hz < np.inf:
-            raise SettingsError(f"the rate must be above 0 Hz, not {self.rate_hz}")
+            raise SettingsError(f"the rate must be greater than 0 Hz, not {self.rate_hz}")
         if self.poses is not None and self.poses < 1:
-            raise SettingsError(f"the number of poses must be above 0, not {self.poses}")
+            raise SettingsError(f"the number of poses must be greater than 0, not {self.poses}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,9 @@ def edit(
         SettingsError: A reference is needed and missing.
     """
     if reference is None and (editing.align is not None or editing.synchronise is not None):
-        raise SettingsError("there is nothing to align or synchronise to; give --reference SOURCE")
+        raise SettingsError(
+            "alignment and synchronisation need a reference; give --reference SOURCE"
+        )
     if reference is not None:
         reference = reference.in_order()
     parts = []
@@ -163,7 +166,7 @@ def _in_wanted_frames(trajectory: Trajectory, editing: Editing) -> Trajectory:
         trajectory = with_body_axes(trajectory, editing.body_axes)
     if editing.right is not None:
         if trajectory.quaternions is None:
-            raise InputError("it has no orientations, so it can't be transformed on the right")
+            raise InputError("no orientations, which a transformation on the right needs")
         pose = HandEye(editing.right.rotation_xyzw, editing.right.translation)
         trajectory = pose.inverse().of_body(trajectory)
     if editing.left is not None:
@@ -207,7 +210,7 @@ def _kept(trajectory: Trajectory, editing: Editing) -> Indices:
         rows = by_motion(trajectory, *editing.motion)
     if editing.rate_hz is not None:
         if not trajectory.stamped:
-            raise InputError("it has no stamps, so it has no rate to be thinned to")
+            raise InputError("no timestamps, which a rate needs")
         rows = rows[at_rate(trajectory.stamps[rows], editing.rate_hz)]
     if editing.poses is not None:
         rows = rows[evenly(len(rows), editing.poses)]
@@ -216,7 +219,7 @@ def _kept(trajectory: Trajectory, editing: Editing) -> Indices:
 
 @contextlib.contextmanager
 def _named(trajectory: Trajectory) -> Iterator[None]:
-    """Say which trajectory an error is about."""
+    """State which trajectory an error is about."""
     try:
         yield
     except TrajevalError as error:

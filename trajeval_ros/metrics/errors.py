@@ -27,6 +27,8 @@ class AbsoluteErrors:
 
     Attributes:
         position_m: (N,), length of the position error.
+        horizontal_m: (N,), length of its level part, across the groundtruth's up axis.
+        vertical_m: (N,), length of its part along that axis.
         rotation_deg: (N,), angle of E.
         yaw_deg: (N,), absolute twist of E about gravity, the groundtruth's up axis.
         tilt_deg: (N,), angle between the up axis and its image under E: roll and pitch.
@@ -36,6 +38,8 @@ class AbsoluteErrors:
     """
 
     position_m: Floats
+    horizontal_m: Floats | None = None
+    vertical_m: Floats | None = None
     rotation_deg: Floats | None = None
     yaw_deg: Floats | None = None
     tilt_deg: Floats | None = None
@@ -55,22 +59,25 @@ def absolute_errors(
         form: `plain` or `tutorial`; the latter needs rotations on both sides.
         rotation: False withholds all that depends on an undetermined rotation.
     """
-    positions = aligned.positions
     velocities = aligned.velocities if rotation else None
     truth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
     angle = yaw = tilt = None
     if truth_q is not None and aligned_q is not None and rotation:
         angle, yaw, tilt = lie.by_blocks(
-            lambda true, other: _rotation_errors(_between(true, other), groundtruth.up),
+            lambda true, other: _sizes(rotation_errors(true, other), groundtruth.up),
             truth_q,
             aligned_q,
         )
-        if form == "tutorial":
-            between = _between(truth_q, aligned_q)
-            positions = lie.rotate(between, positions)
-            velocities = None if velocities is None else lie.rotate(between, velocities)
+        if form == "tutorial" and velocities is not None:
+            velocities = lie.rotate(rotation_errors(truth_q, aligned_q), velocities)
+    position, horizontal, vertical = lie.by_blocks(
+        lambda errors: _parts(errors, groundtruth.up),
+        position_errors(groundtruth, aligned, form),
+    )
     return AbsoluteErrors(
-        position_m=lengths(groundtruth.positions - positions),
+        position_m=position,
+        horizontal_m=horizontal,
+        vertical_m=vertical,
         rotation_deg=angle,
         yaw_deg=yaw,
         tilt_deg=tilt,
@@ -82,12 +89,34 @@ def absolute_errors(
     )
 
 
-def _between(truth_q: Floats, aligned_q: Floats) -> Floats:
+def _parts(errors: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
+    """Return the lengths of position errors (N, 3), of their level parts and of the rest."""
+    level = up.turned(errors)
+    return lengths(errors), np.hypot(level[:, 0], level[:, 1]), np.abs(level[:, 2])
+
+
+def position_errors(groundtruth: Trajectory, aligned: Trajectory, form: str) -> Floats:
+    """Return the position errors (N, 3) in the groundtruth's frame, metres.
+
+    Args:
+        groundtruth: N states.
+        aligned: N states, aligned.
+        form: `tutorial` for p - E p', which needs rotations on both sides; else it is p - p'.
+    """
+    if form != "tutorial":
+        return groundtruth.positions - aligned.positions
+    assert groundtruth.quaternions is not None
+    assert aligned.quaternions is not None
+    between = rotation_errors(groundtruth.quaternions, aligned.quaternions)
+    return groundtruth.positions - lie.rotate(between, aligned.positions)
+
+
+def rotation_errors(truth_q: Floats, aligned_q: Floats) -> Floats:
     """Return the rotation errors E = R R'^T of eq. (23), (N, 4)."""
     return lie.multiply(truth_q, lie.conjugate(aligned_q))
 
 
-def _rotation_errors(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
+def _sizes(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
     """Return angle, absolute yaw and tilt of E, degrees."""
     level = up.turned(between)
     return (
@@ -105,7 +134,7 @@ class RelativeErrors:
         starts: (K,) index of the pair of states that each begins with.
         ends: (K,) index of the pair that it ends with.
         position_m: (K,), length of the position error at the end.
-        rotation_deg: (K,), angle of E at the end.
+        rotation_deg: (K,), angle of E at the end; None without orientations on both sides.
         yaw_deg: (K,), absolute twist about gravity; None where it isn't known which way is up.
         tilt_deg: (K,), roll and pitch; likewise, and where a plane leaves none.
         velocity_mps: (K,), length of the velocity error at the end, or None.
@@ -114,7 +143,7 @@ class RelativeErrors:
     starts: Indices
     ends: Indices
     position_m: Floats
-    rotation_deg: Floats
+    rotation_deg: Floats | None
     yaw_deg: Floats | None
     tilt_deg: Floats | None
     velocity_mps: Floats | None = None
@@ -132,8 +161,8 @@ def relative_errors(
     """Return the errors at the ends of sub-trajectories that are aligned at their starts.
 
     Args:
-        groundtruth: N states with rotations.
-        estimate: N states with rotations, paired with the groundtruth's, in their own frame.
+        groundtruth: N states with rotations; for `fitted` they may have positions alone.
+        estimate: Likewise, paired with the groundtruth's, in their own frame.
         starts: (K,) indices of first states.
         ends: (K,) indices of last states.
         gauge: What each alignment by the first state may change, eq. (19) and (20).
@@ -150,6 +179,10 @@ def relative_errors(
     Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
     the first state's rotation would be an absolute one.
     """
+    if form == "fitted" and (groundtruth.quaternions is None or estimate.quaternions is None):
+        sides = groundtruth.positions, estimate.positions
+        errors = _fitted_differences(*sides, starts, ends)[0]
+        return RelativeErrors(starts, ends, lengths(errors), None, None, None)
     truth, other = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
 
     def at_ends(s: Indices, e: Indices) -> tuple[Floats, ...]:
@@ -160,7 +193,7 @@ def relative_errors(
             difference, between, first = differences_at_ends(
                 truth.at(rows), other.at(rows), gauge, scale, form
             )
-        angle, yaw, tilt = _rotation_errors(between, groundtruth.up)
+        angle, yaw, tilt = _sizes(between, groundtruth.up)
         if form == "euler":
             yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
         position = lengths(difference)
@@ -197,7 +230,8 @@ class PoseArrays(NamedTuple):
 
     def at(self, rows: Indices) -> PoseArrays:
         """Return the poses of these rows."""
-        return PoseArrays(self.positions[rows], self.quaternions[rows])
+        # Faster than by [rows].
+        return PoseArrays(self.positions.take(rows, axis=0), self.quaternions.take(rows, axis=0))
 
 
 def differences_at_ends(
@@ -215,7 +249,7 @@ def differences_at_ends(
     Returns:
         The position errors (K, 3), the rotation errors (K, 4), the alignments' rotations (K, 4).
     """
-    first, last = _between(truth.quaternions, other.quaternions)
+    first, last = rotation_errors(truth.quaternions, other.quaternions)
     # The alignment is eq. (19), for yaw with the rotation of eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
     alignment = lie.heading(first) if about_gravity else first
@@ -233,11 +267,23 @@ def _fitted(
     truth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories by all their states; return what `differences_at_ends` does."""
-    alignment, mean_p, mean_q = align_spans(truth.positions, other.positions, starts, ends)
-    aligned = mean_p + lie.rotate(alignment, other.positions[ends] - mean_q)
+    difference, alignment = _fitted_differences(truth.positions, other.positions, starts, ends)
     turned = lie.multiply(alignment, other.quaternions[ends])
     between = lie.multiply(truth.quaternions[ends], lie.conjugate(turned))
-    return truth.positions[ends] - aligned, between, alignment
+    return difference, between, alignment
+
+
+def _fitted_differences(
+    truth: Floats, other: Floats, starts: Indices, ends: Indices
+) -> tuple[Floats, Floats]:
+    """Align K sub-trajectories of positions (N, 3) by yaw and position over all their states.
+
+    Returns:
+        The position errors at their ends (K, 3), and the alignments' rotations (K, 4).
+    """
+    alignment, mean_p, mean_q = align_spans(truth, other, starts, ends)
+    aligned = mean_p + lie.rotate(alignment, other[ends] - mean_q)
+    return truth[ends] - aligned, alignment
 
 
 def _euler_in_estimate_world(

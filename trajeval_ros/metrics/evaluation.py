@@ -4,35 +4,37 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.formatting.numbers import percent
+from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.formatting.text_tables import html_table
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.flattening import flattened
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import Alignment, align, align_first
-from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associate
 from trajeval_ros.metrics.columns import arrow_table, pandas_frame
-from trajeval_ros.metrics.drift import Drift, pooled_drift
+from trajeval_ros.metrics.drift import Drift
 from trajeval_ros.metrics.errors import AbsoluteErrors, RelativeErrors, absolute_errors
 from trajeval_ros.metrics.pose_relations import pose_errors
-from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.relative_evaluation import (
     SubTrajectoryErrors,
     relative_evaluation,
     rmse_text,
 )
-from trajeval_ros.metrics.score import Score
+from trajeval_ros.metrics.score import Recall, Score
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.metrics.weighted_alignment import align_weighted
+from trajeval_ros.metrics.weighted_alignment import align_by_groundtruth, align_weighted
 
 if TYPE_CHECKING:
     import pandas
@@ -52,7 +54,6 @@ class Evaluation:
         estimate: All estimated states, cleaned, in their own frame.
         association: The pairs, the estimate's in its own frame.
         alignment: From the estimate's frame to the groundtruth's.
-        aligned: The paired estimated states, aligned.
         absolute: Errors pair by pair.
         ate: Their statistics by metric; None where a metric can't be had.
         segments: Relative errors by length; None where they can't be had at all.
@@ -61,6 +62,7 @@ class Evaluation:
         warnings: What a reader of the numbers must know, one sentence each; the pipeline adds
             them.
         score: By the protocol's points; None if it has none.
+        recall: Of the groundtruth's points; None unless the protocol asks for it.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -77,13 +79,18 @@ class Evaluation:
     estimate: Trajectory
     association: Association
     alignment: Alignment
-    aligned: Trajectory
     absolute: AbsoluteErrors
     ate: dict[str, Statistics | None]
     segments: tuple[SubTrajectoryErrors, ...] | None
     pooled: dict[str, Statistics | None]
     warnings: tuple[str, ...]
     score: Score | None = None
+    recall: Recall | None = None
+
+    @cached_property
+    def aligned(self) -> Trajectory:
+        """The paired estimated states, aligned; made when they are first asked for."""
+        return self.alignment.similarity.trajectory(self.association.estimate)
 
     @property
     def withheld(self) -> str:
@@ -122,7 +129,7 @@ class Evaluation:
             if each.length == wanted:
                 return _columns_of(each.errors)
         known = ", ".join(str(each.length) for each in self.segments or ()) or "none"
-        raise SettingsError(f"there are no relative errors of {wanted}; there are: {known}")
+        raise SettingsError(f"no relative errors of {wanted}; available: {known}")
 
     def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
         """Return `to_columns` as an Arrow table.
@@ -145,7 +152,7 @@ class Evaluation:
         pairs, segments = self.association, self.segments or ()
         lines = [
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
-            f"{self.protocol.gauge.value}, {len(pairs)} pairs, "
+            f"{self.protocol.gauge.value}, {counted(len(pairs), 'pair')}, "
             f"{percent(pairs.groundtruth_coverage)} of groundtruth",
             f"  ATE: {rmse_text(self.ate)}",
             *(f"  RE {each.length}: {rmse_text(each.statistics)}" for each in segments),
@@ -167,7 +174,7 @@ class Evaluation:
         ]
         caption = (
             f"{self.estimate.name or 'unnamed'}: gauge {self.protocol.gauge.value}, "
-            f"{len(self.association)} pairs"
+            f"{counted(len(self.association), 'pair')}"
         )
         return html_table(caption, ("", "error", *names), rows)
 
@@ -195,13 +202,40 @@ def evaluate(
     if protocol.lever_m is not None:
         # Surveyed points have no orientation, whatever their file says.
         groundtruth = dataclasses.replace(groundtruth, quaternions=None)
-        estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
     if protocol.gauge is Gauge.PLANAR:
-        # After the lever arm, which a tilting body swings to the side.
-        groundtruth, estimate = _on_plane(groundtruth), _on_plane(estimate)
-
-    pairs = associate(groundtruth, estimate, protocol.association)
+        groundtruth = _on_plane(groundtruth)
+    rule = protocol.association.for_kind(groundtruth.kind)
+    if rule.method == AT_GROUNDTRUTH:
+        # The lever arm swings with the orientation at the groundtruth's stamp.
+        pairs = associate(groundtruth, estimate, rule)
+        same_point = _of_same_point(pairs.estimate, protocol)
+        pairs = dataclasses.replace(pairs, estimate=same_point)
+        estimate = _of_same_point(estimate, protocol)
+    else:
+        estimate = _of_same_point(estimate, protocol)
+        pairs = associate(groundtruth, estimate, rule)
     return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+
+
+def _of_same_point(estimate: Trajectory, protocol: Protocol) -> Trajectory:
+    """Return the estimate of the point that the groundtruth is of, in the plane if that is asked.
+
+    The lever arm comes first, which a tilting body swings to the side.
+    """
+    if protocol.lever_m is not None:
+        estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
+    return _on_plane(estimate) if protocol.gauge is Gauge.PLANAR else estimate
+
+
+def _for_positions(protocol: Protocol) -> Protocol:
+    """Return a protocol whose relative errors need no orientation.
+
+    Ends are chosen along the estimate: noise makes the path through sparse fixes longer.
+    """
+    if protocol.re_form != "gauge" or not protocol.gauge.turns_about_gravity_only:
+        return protocol
+    selection = dataclasses.replace(protocol.selection, path="estimate")
+    return dataclasses.replace(protocol, re_form="fitted", selection=selection)
 
 
 def evaluate_pairs(
@@ -219,45 +253,76 @@ def evaluate_pairs(
         InputError: The pairs lack what the protocol needs.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
     """
+    if not pairs.have_rotations:
+        protocol = _for_positions(protocol)
     alignment = align_pairs(pairs, protocol)
-    aligned = alignment.similarity.trajectory(pairs.estimate)
-
     withheld = alignment.why_withheld(protocol)
     if protocol.ate_form == "tutorial" and (withheld or not pairs.have_rotations):
-        why = withheld or "one side has positions only"
+        why = withheld or "one side has no orientations"
         raise InputError(
-            f"the tutorial's form of the ATE, eq. (23), needs rotation errors, but {why}; "
-            "use ATE form plain"
+            f"ATE form tutorial, eq. (23), needs rotation errors, but {why}; use ATE form plain"
         )
-    absolute = absolute_errors(
-        pairs.groundtruth, aligned, protocol.ate_form, rotation=not withheld
-    )
+    absolute = _absolute_errors(pairs, alignment, protocol)
     if protocol.gauge is Gauge.PLANAR:
-        absolute = dataclasses.replace(absolute, tilt_deg=None)
+        absolute = dataclasses.replace(absolute, tilt_deg=None, vertical_m=None)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
     if protocol.ate_form == "evo":
         ate |= pose_errors(absolute.position_m, absolute.rotation_deg)
-    segments = relative_evaluation(pairs, groundtruth, alignment, protocol)
+    segments, pooled = relative_evaluation(pairs, groundtruth, alignment, protocol)
     return Evaluation(
         protocol=protocol,
         groundtruth=groundtruth,
         estimate=estimate,
         association=pairs,
         alignment=alignment,
-        aligned=aligned,
         absolute=absolute,
         ate=ate,
         segments=segments,
-        pooled=pooled_drift(
-            [(each.errors, each.length_m) for each in segments or () if each.length_m]
-        ),
+        pooled=pooled,
         warnings=(),
         score=None
         if protocol.score is None
         else protocol.score.score(
-            absolute.position_m[_nearest_of_each_point(pairs, groundtruth)], len(groundtruth)
+            _point_errors(pairs, groundtruth, absolute, protocol.score.dimensions),
+            len(groundtruth),
+        ),
+        recall=None
+        if protocol.recall is None
+        else protocol.recall.recall(
+            _point_errors(pairs, groundtruth, absolute, protocol.recall.dimensions),
+            len(groundtruth),
         ),
     )
+
+
+def _absolute_errors(
+    pairs: Association, alignment: Alignment, protocol: Protocol
+) -> AbsoluteErrors:
+    """Align and measure block by block: all aligned states at once are seldom needed."""
+    rotation = not alignment.why_withheld(protocol)
+    names: list[str] = []
+
+    def at(rows: Indices) -> tuple[NDArray[Any], ...]:
+        part = slice(int(rows[0]), int(rows[-1]) + 1)
+        aligned = alignment.similarity.trajectory(pairs.estimate[part])
+        errors = absolute_errors(
+            pairs.groundtruth[part], aligned, protocol.ate_form, rotation=rotation
+        )
+        columns = _columns_of(errors)
+        names[:] = columns
+        return tuple(columns.values())
+
+    columns = lie.by_blocks(at, np.arange(len(pairs)))
+    return AbsoluteErrors(**dict(zip(names, columns, strict=True)))
+
+
+def _point_errors(
+    pairs: Association, groundtruth: Trajectory, absolute: AbsoluteErrors, dimensions: int
+) -> Floats:
+    """Return the error of each groundtruth state that is in a pair, metres."""
+    errors = absolute.horizontal_m if dimensions == 2 else absolute.position_m
+    assert errors is not None
+    return errors[_nearest_of_each_point(pairs, groundtruth)]
 
 
 def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
@@ -299,24 +364,28 @@ def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:
         orientations = truth.quaternions[first], estimate.quaternions[first]
     elif way == "poses":
         raise InputError(
-            "align with poses needs orientations on both sides, and one has positions only; "
+            "align with poses needs orientations on both sides, and one side has none; use "
             "align with positions"
         )
     if protocol.align_weights == "covariance":
-        covariances = _known_covariances(estimate)[first]
+        covariances = _known_covariances(estimate, "the estimate")[first]
         return align_weighted(protocol.gauge, p, q, covariances, orientations, way)
+    if protocol.align_weights == GROUNDTRUTH_WEIGHTS:
+        axes = slice(2 if protocol.gauge is Gauge.PLANAR else 3)
+        covariances = _known_covariances(truth, "the groundtruth")[first, axes, axes]
+        return align_by_groundtruth(protocol.gauge, p, q, covariances, orientations, way)
     return align(protocol.gauge, p, q, orientations=orientations, align_with=way)
 
 
-def _known_covariances(estimate: Trajectory) -> Floats:
-    covariances = estimate.covariances
+def _known_covariances(side: Trajectory, who: str) -> Floats:
+    covariances = side.covariances
     if covariances is not None:
         variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
         if (np.isfinite(variances) & (variances > 0.0)).all():
             return covariances
     raise InputError(
-        f"{estimate.name or 'the estimate'} has no position covariance for every state, so the "
-        "alignment can't be weighted by it; use alignment weighting none"
+        f"{side.name or who} has pairs without a position covariance, which the weighting of the "
+        "alignment needs; use alignment weighting none"
     )
 
 

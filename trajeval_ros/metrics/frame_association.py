@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -28,10 +29,10 @@ def match_rows(
             rows = np.arange(len(estimate))
             return rows, rows, {}
         raise InputError(
-            f"{groundtruth.name or 'the groundtruth'} has {len(groundtruth)} poses and "
-            f"{estimate.name or 'the estimate'} {len(estimate)}, and nothing tells which belong "
-            "together; give files of equal length, or with stamps, or KITTI files with the number "
-            "of the frame as the first of 13 columns"
+            f"{groundtruth.name or 'the groundtruth'} has {counted(len(groundtruth), 'pose')}, "
+            f"{estimate.name or 'the estimate'} has {len(estimate)}, without timestamps; give "
+            "files of equal length, with timestamps, or KITTI files with the frame number as "
+            "the first of 13 columns"
         )
     for side in (groundtruth, estimate):
         _require_order(side)
@@ -50,6 +51,6 @@ def _require_order(side: Trajectory) -> None:
     if len(wrong):
         before, after = side.frames[wrong[0] : wrong[0] + 2]
         raise InputError(
-            f"{side.name or 'a trajectory'} has frame {after} after frame {before}; sort its rows "
-            "by frame, and keep one of each"
+            f"{side.name or 'a trajectory'} has frame {after} after frame {before}; sort the "
+            "rows by frame and remove duplicates"
         )

@@ -3,12 +3,46 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from trajeval_ros.geometry.fixes import Fixes
+from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
+
+
+@dataclass(frozen=True)
+class FixSummary:
+    """Which GNSS fixes were used.
+
+    Attributes:
+        datum: The origin of their east-north-up frame.
+        accepted: Their number.
+        dropped: How many messages were not used, by reason.
+        sigma_level_m: Median of their standard deviations along the worst level axis; None if
+            unknown.
+        sigma_up_m: Likewise of the heights.
+    """
+
+    datum: Datum
+    accepted: int
+    dropped: dict[str, int]
+    sigma_level_m: float | None
+    sigma_up_m: float | None
+
+    @classmethod
+    def of(cls, fixes: Fixes, dropped: Mapping[str, int]) -> FixSummary:
+        """Summarise fixes that are in a frame."""
+        assert fixes.datum is not None
+        known = fixes.known
+        level, up = (
+            float(np.median(each[known])) if known.any() else None
+            for each in (fixes.sigma_level_m, fixes.sigma_up_m)
+        )
+        return cls(fixes.datum, len(fixes), dict(dropped), level, up)
 
 
 @dataclass(frozen=True)
@@ -24,6 +58,8 @@ class InputSummary:
         frame: The frame that poses are in.
         child_frame: The body that they are of.
         up: Which axis of the frame points up.
+        kind: What it holds: `gnss` fixes, `points` without orientation, or `poses`.
+        fixes: Of GNSS fixes which were used; else None.
         notes: What the reader recognised or repaired.
         fingerprint: sha256 of the pose columns.
     """
@@ -36,6 +72,8 @@ class InputSummary:
     frame: str
     child_frame: str
     up: UpAxis
+    kind: str
+    fixes: FixSummary | None
     notes: tuple[str, ...]
     fingerprint: str
 
@@ -51,6 +89,8 @@ class InputSummary:
             frame=read.frame,
             child_frame=read.child_frame,
             up=read.up,
+            kind=read.kind,
+            fixes=None if read.fixes is None else FixSummary.of(read.fixes, read.dropped),
             notes=used.notes,
             fingerprint=fingerprint(read),
         )

@@ -20,7 +20,7 @@ class LogHistogram:
     """Counts values in bins; the same counts whatever the order and the batches they come in."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create it empty."""
         self._counts = np.zeros((_HIGHEST - _LOWEST) * _PER_OCTAVE + 1, dtype=np.int64)
 
     def add(self, values: Floats) -> None:

@@ -102,7 +102,7 @@ class Moments:
 
     def _combined(self, other: Moments, sign: float) -> Moments:
         if self.anchor is not other.anchor:
-            raise ValueError("moments combine only if their residuals have the same anchor")
+            raise ValueError("moments with different anchors can't be combined")
         weight = self.weight + sign * other.weight
         if weight <= 0.0:
             return Moments.empty(self.anchor)

@@ -30,28 +30,34 @@ def explain_no_match(
         return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
 
     truth, other = span(groundtruth), span(estimate)
-    text = (
-        "no pose of the estimate has a groundtruth: the groundtruth covers "
-        f"{_clock(*truth)}, the estimate {_clock(*other)}"
-    )
+    text = f"no pairs: the groundtruth covers {_clock(*truth)}, the estimate {_clock(*other)}"
     if dropped.get("in_groundtruth_gap"):
-        return f"{text}; all within fall into gaps longer than {rule.max_gap_s:g} s (max gap)"
+        return (
+            f"{text}; all common timestamps are in groundtruth gaps longer than "
+            f"{rule.max_gap_s:g} s; increase the max gap"
+        )
+    if dropped.get("in_estimate_gap"):
+        return (
+            f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
+            "s; use association linear, or increase the max gap"
+        )
     if truth[0] <= other[1] and other[0] <= truth[1]:
         return (
-            f"{text}; they overlap, but no stamps are within {rule.max_time_difference_s:g} s: "
-            "use association linear, or a larger max time difference"
+            f"{text}; they overlap, but all time differences exceed "
+            f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
+            "time difference"
         )
     thousands = math.log10(max(truth[1], 1e-9) / max(other[1], 1e-9)) / 3.0
     as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
     if as_other_unit or max(truth[1], other[1]) > LATEST_CLOCK_S:
-        return f"{text}; the units of the stamps seem to differ (seconds, milliseconds, ...?)"
+        return f"{text}; the units of the timestamps probably differ (seconds, milliseconds)"
     if min(truth[1], other[1]) < 1e7 and max(truth[1], other[1]) > 1e8:
-        return f"{text}; one counts from zero (simulated time?), the other is a clock's time"
+        return f"{text}; one counts from zero (simulated time), the other is a system clock"
     apart = max(truth[0] - other[1], other[0] - truth[1])
     shift = truth[0] - other[0]
     return (
-        f"{text}, {apart:.6g} s apart; if the clocks differ by a constant, give it as the time "
-        f"offset (starting together would be {shift:.6f} s)"
+        f"{text}, {apart:.6g} s apart; for a constant clock difference, set the time offset (for "
+        f"a common start: {shift:.6f} s)"
     )
 
 

@@ -80,7 +80,7 @@ class StepMeter:
     """Measures steps as pairs and groundtruth come, in order, in batches of any size."""
 
     def __init__(self, max_gap_ns: int) -> None:
-        """Begin before the first pair.
+        """Create it before the first pair.
 
         Args:
             max_gap_ns: A longer step of the groundtruth is a gap.
@@ -105,14 +105,16 @@ class StepMeter:
         # Step k ends at pair k; what is beyond the last pair is of a step that hasn't ended.
         count = len(pairs.stamps)
         begin = pairs.poses[:1] if self._begin is None else self._begin
-        begins = np.concatenate([begin, pairs.poses])
+        known = pairs.poses if count else begin
         ends_at = pairs.stamps.searchsorted(truth.stamps)
         reach, turn = np.zeros(count + 1), np.zeros(count + 1)
         reach[0], turn[0] = self._reach_m, self._turn_rad
         is_long = np.append(np.diff(pairs.stamps, prepend=self._stamp) > _CELL_NS, True)
         for poses, ends in ((pairs.poses, np.arange(count)), (truth.poses, ends_at)):
             rows = np.flatnonzero(is_long[ends])
-            distance, angle = _apart(begins[ends[rows]], poses[rows])
+            before = ends[rows] - 1
+            begins = np.where(before[:, None] < 0, begin, known[before])
+            distance, angle = _apart(begins, poses[rows])
             np.maximum.at(reach, ends[rows], distance)
             with np.errstate(invalid="ignore"):  # unknown angles
                 np.maximum.at(turn, ends[rows], angle)
@@ -122,7 +124,7 @@ class StepMeter:
         time_ns = np.diff(times, prepend=self._begin_ns)[first:]
         if count:
             self._begin_ns, self._stamp = int(times[-1]), int(pairs.stamps[-1])
-        self._begin = begins[-1:]
+        self._begin = known[-1:].copy()
         self._reach_m, self._turn_rad = float(reach[-1]), float(turn[-1])
         return PairSteps(time_ns, reach[first:-1], turn[first:-1])
 

@@ -9,17 +9,19 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import Gauge, gauge_for
-from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, AssociationRule
+from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
 
 ATE_FORMS = ("plain", "tutorial", "evo")
 RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices", "evo")
 NEES_FORMS = ("gauge", "as_published")
-ALIGN_WEIGHTS = ("none", "covariance")
+GROUNDTRUTH_WEIGHTS = "groundtruth-covariance"
+ALIGN_WEIGHTS = ("none", "covariance", GROUNDTRUTH_WEIGHTS)
 ALIGN_WITH = ("positions", "poses")
 APPLY = ("all", "scale")
 # Protocols that give what a program prints, whatever we think of it.
+_BETWEEN = (AUTO, "linear", "continuous")  # may take poses between the groundtruth's
 _OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
 
@@ -35,7 +37,7 @@ def _lengths(lengths: Iterable[Length | float | str] | str) -> tuple[Length, ...
     if isinstance(lengths, str):
         return parse_lengths(lengths)
     if not isinstance(lengths, Iterable):
-        raise SettingsError(f"lengths must be several, as in (8, 16), not {lengths!r}")
+        raise SettingsError(f"lengths must be a sequence, as in (8, 16), not {lengths!r}")
     return tuple(Length.of(each) for each in lengths)
 
 
@@ -43,7 +45,9 @@ def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
     try:
         x, y, z = (float(each) for each in lever_m)
     except (TypeError, ValueError):
-        raise SettingsError(f"a lever arm is three numbers, metres, not {lever_m!r}") from None
+        raise SettingsError(
+            f"a lever arm must be three numbers in metres, not {lever_m!r}"
+        ) from None
     return x, y, z
 
 
@@ -64,7 +68,8 @@ class Protocol:
             `alignment.solve`.
         apply: What of the alignment is applied: `all`, or the `scale` of `sim3` alone, about
             the origin, as evo_ape -s does.
-        align_weights: `none`, or `covariance` to weigh states by their own position covariances.
+        align_weights: `none`, `covariance` to weigh states by the estimate's position
+            covariances, or `groundtruth-covariance` by the groundtruth's.
         association: How pairs are made: a rule, or the name of a method.
         in_order: Sort states by stamp and drop repeated stamps first.
         ate_form: `plain`; `tutorial` for eq. (23) to the letter; `evo` for plain errors with
@@ -77,6 +82,7 @@ class Protocol:
         lever_m: Where in the estimate's body the point is whose position the groundtruth has;
             None for poses of the body itself.
         score: Points for positions that are right; None for no score.
+        recall: Up to which errors the groundtruth's points count as found; None for no recall.
 
     Raises:
         SettingsError: A name that there is none of, a gauge that contradicts the modality, or
@@ -106,7 +112,8 @@ class Protocol:
     lengths: tuple[Length, ...]
     selection: Selection
     lever_m: tuple[float, float, float] | None
-    score: PointTable | None
+    score: PointTable | KnotTable | None
+    recall: RecallRule | None
 
     def __init__(
         self,
@@ -117,7 +124,7 @@ class Protocol:
         align_with: str = "positions",
         apply: str = "all",
         align_weights: str = "none",
-        association: AssociationRule | str = "linear",
+        association: AssociationRule | str = AUTO,
         in_order: bool = True,
         ate_form: str = "plain",
         re_form: str = "gauge",
@@ -125,7 +132,8 @@ class Protocol:
         lengths: Iterable[Length | float | str] | str = DEFAULT_LENGTHS,
         selection: Selection | str = "nearest",
         lever_m: Sequence[float] | None = None,
-        score: PointTable | None = None,
+        score: PointTable | KnotTable | None = None,
+        recall: RecallRule | None = None,
     ) -> None:
         for value, known, what in (
             (ate_form, ATE_FORMS, "ATE form"),
@@ -155,6 +163,7 @@ class Protocol:
             "selection": Selection(selection) if isinstance(selection, str) else selection,
             "lever_m": None if lever_m is None else _vector(lever_m),
             "score": score,
+            "recall": recall,
         }
         for attribute, setting in values.items():
             object.__setattr__(self, attribute, setting)
@@ -180,41 +189,43 @@ class Protocol:
             raise SettingsError(f"align states must be all (None) or at least 1, not {states!r}")
         if self.align_with == "poses" and (states == 1 or self.gauge.minimum_states == 1):
             why = (
-                "the first state is aligned by its pose anyway"
+                "the first state is always aligned by its pose"
                 if states == 1
-                else f"gauge {self.gauge.value} has no rotation for them to decide"
+                else f"gauge {self.gauge.value} has no rotation"
             )
-            raise SettingsError(f"align with poses weighs orientations, but {why}; leave it out")
+            raise SettingsError(f"align with poses has no effect: {why}; remove it")
         if self.apply == "scale" and not self.gauge.has_scale:
-            raise SettingsError(
-                f"gauge {self.gauge.value} has no scale that could be applied alone; use sim3"
-            )
+            raise SettingsError(f"gauge {self.gauge.value} has no scale to apply; use sim3")
         for length in self.lengths:
             if length.turns and self.selection.compares_rotations and length.radians > np.pi:
                 raise SettingsError(
-                    f"two orientations are never {length} apart; use a length of at most half a "
+                    f"two orientations never differ by {length}; use a length of at most half a "
                     "turn, or consecutive pairs"
                 )
         if self.re_form == "fitted" and not self.gauge.turns_about_gravity_only:
             raise SettingsError(
-                "RE form fitted aligns by yaw and position, and gauge "
-                f"{self.gauge.value} doesn't: use gauge yaw, or RE form gauge"
+                f"RE form fitted needs gauge yaw, not {self.gauge.value}; use gauge yaw, or RE "
+                "form gauge"
             )
         if self.association.method == "continuous" and self.gauge is Gauge.PLANAR:
             raise SettingsError(
-                "association continuous is of poses in space, and gauge planar leaves a plane; "
-                "use gauge yaw, or association linear"
+                "gauge planar is not supported with association continuous; use gauge yaw, or "
+                "association linear"
             )
-        if self.score is not None and self.association.method in ("linear", "continuous"):
+        by_points = self.score is not None or self.recall is not None
+        if by_points and self.association.method in _BETWEEN:
             raise SettingsError(
-                "a score is by the groundtruth's own points, and association "
-                f"{self.association.method} takes poses between them; use nearest or evo"
+                "a score or recall needs pairs at the groundtruth's own points, not association "
+                f"{self.association.method}; use groundtruth-stamps, nearest or evo"
             )
         if self.lever_m is not None and self.gauge.has_scale:
             raise SettingsError(
-                "the protocol's lever arm is in metres and gauge sim3 has none; use se3 or yaw"
+                "the lever arm of the protocol is in metres, and gauge sim3 has a free scale; "
+                "use se3 or yaw"
             )
 
+
+_HILTI_TIP_M = (0.059, -0.00855, 0.1964)
 
 PROTOCOLS: dict[str, Protocol] = {
     "default": Protocol(),
@@ -263,6 +274,15 @@ PROTOCOLS: dict[str, Protocol] = {
         re_form="fitted",
         lengths=metres(40, 60, 80, 100, 120),
     ),
+    # Hilti SLAM challenge 2022: surveyed points under the tip of the handheld's pole.
+    "hilti-2022": Protocol(
+        name="hilti-2022",
+        association=AssociationRule("evo", max_time_difference_s=2.0),
+        in_order=False,
+        lengths=(),
+        lever_m=_HILTI_TIP_M,
+        score=PointTable((0.01, 0.03, 0.06, 0.1), (10.0, 6.0, 3.0, 1.0)),
+    ),
     # Hilti-Research/hilti-slam-challenge-2023 at 9af5e39, evaluation-2023: surveyed points under
     # the tip of the handheld's pole. Those of site 3 count twice: best 200.
     "hilti-2023": Protocol(
@@ -270,8 +290,22 @@ PROTOCOLS: dict[str, Protocol] = {
         association=AssociationRule("evo", max_time_difference_s=2.0),
         in_order=False,
         lengths=(),
-        lever_m=(0.059, -0.00855, 0.1964),
+        lever_m=_HILTI_TIP_M,
         score=PointTable((0.005, 0.01, 0.03, 0.06, 0.1, 0.4), (20.0, 10.0, 6.0, 5.0, 3.0, 1.0)),
+    ),
+    # LaMAria's control points, level errors. Its own evaluation refines the alignment with the
+    # reprojection errors of the tags that mark them; this is the part of the positions.
+    "lamaria": Protocol(
+        name="lamaria",
+        gauge=Gauge.SIM3,
+        association=AT_GROUNDTRUTH,
+        lengths=(),
+        score=KnotTable(
+            (0.0, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
+            (20.0, 20.0, 18.0, 15.0, 12.0, 8.0, 4.0, 0.0),
+            dimensions=2,
+        ),
+        recall=RecallRule((1.0, 5.0), dimensions=2),
     ),
 }
 """Named settings that reproduce published numbers (docs/definitions.md).

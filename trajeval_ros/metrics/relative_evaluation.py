@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory, turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.drift import statistics_per_length
+from trajeval_ros.metrics.drift import PooledDrift, statistics_per_length
 from trajeval_ros.metrics.errors import RelativeErrors, relative_errors
 from trajeval_ros.metrics.pose_relations import distance_errors, pose_errors
 from trajeval_ros.metrics.protocol import Protocol
@@ -27,6 +29,8 @@ from trajeval_ros.metrics.sub_trajectories import (
     select_turns,
 )
 
+_MOST_HELD = 100_000  # sub-trajectories of one length, 5 MB
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SubTrajectoryErrors:
@@ -36,15 +40,34 @@ class SubTrajectoryErrors:
         length: As asked for.
         length_m: Its value in metres; None where the length isn't a distance.
         mean_length_m: Mean true length of the sub-trajectories; None where there is none.
-        errors: Sub-trajectory by sub-trajectory.
+        count: K, the number of sub-trajectories.
+        measure: Returns their errors.
+        held: The errors; None of a long run, of which they take more memory than all else and
+            are seldom asked for.
         statistics: By metric; None where there is nothing to tell.
     """
 
     length: Length
     length_m: float | None
     mean_length_m: float | None
-    errors: RelativeErrors
+    count: int
+    measure: Callable[[], RelativeErrors]
+    held: RelativeErrors | None
     statistics: dict[str, Statistics | None]
+
+    @cached_property
+    def errors(self) -> RelativeErrors:
+        """Sub-trajectory by sub-trajectory; of a long run measured again."""
+        return self.held or self.measure()
+
+    def without(self, *metrics: str) -> SubTrajectoryErrors:
+        """Return the same with some metrics withheld."""
+        return dataclasses.replace(
+            self,
+            measure=partial(_measure_without, self.measure, metrics),
+            held=None if self.held is None else _without(self.held, metrics),
+            statistics={**self.statistics, **dict.fromkeys(metrics)},
+        )
 
     @property
     def duration_s(self) -> float | None:
@@ -77,7 +100,7 @@ def rmse_text(statistics: dict[str, Statistics | None]) -> str:
 
 def relative_evaluation(
     pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
-) -> tuple[SubTrajectoryErrors, ...] | None:
+) -> tuple[tuple[SubTrajectoryErrors, ...] | None, dict[str, Statistics | None]]:
     """Measure the errors (27) of all sub-trajectories of all lengths.
 
     Args:
@@ -87,24 +110,27 @@ def relative_evaluation(
         protocol: Lengths, selection and form.
 
     Returns:
-        One for each length; None without lengths, or without rotations on both sides.
+        One for each length; None without lengths, or without rotations on both sides where the
+        form needs them. And statistics of drift over all lengths in metres.
 
     Raises:
         InputError: A length can't be measured along these pairs.
     """
-    if not protocol.lengths or not pairs.have_rotations:
-        return None
+    if not protocol.lengths or not (pairs.have_rotations or protocol.re_form == "fitted"):
+        return None, PooledDrift(0).statistics()
     scale = alignment.similarity.scale
-    measure = _Measure(pairs, groundtruth, protocol, scale)
-    travelled = measure.travelled_by_pairs
+    along = _Measure(pairs, groundtruth, protocol, scale)
+    travelled = along.travelled_by_pairs
+    in_metres = sum(length.in_metres for length in protocol.lengths)
+    pooled = PooledDrift(in_metres * len(pairs))
     segments = []
     for length in protocol.lengths:
-        starts, ends = measure.select(length)
-        sides = pairs.groundtruth, pairs.estimate
-        errors = relative_errors(*sides, starts, ends, protocol.gauge, scale, protocol.re_form)
-        if protocol.gauge is Gauge.PLANAR:
-            errors = dataclasses.replace(errors, tilt_deg=None)
-        length_m = measure.metres(length) if length.in_metres else None
+        measure = partial(_errors, pairs, protocol, along, length, scale)
+        errors = measure()
+        starts, ends = errors.starts, errors.ends
+        length_m = along.metres(length) if length.in_metres else None
+        if length_m:
+            pooled.add(errors, length_m)
         statistics = _statistics(errors, length_m)
         if protocol.re_form == "evo":
             positions = pairs.groundtruth.positions, pairs.estimate.positions
@@ -117,11 +143,35 @@ def relative_evaluation(
                 mean_length_m=float(np.mean(travelled[ends] - travelled[starts]))
                 if len(ends)
                 else None,
-                errors=errors,
+                count=len(ends),
+                measure=measure,
+                held=errors if len(ends) <= _MOST_HELD else None,
                 statistics=statistics,
             )
         )
-    return tuple(segments)
+        del errors, starts, ends  # before those of the next length are there
+    return tuple(segments), pooled.statistics()
+
+
+def _errors(
+    pairs: Association, protocol: Protocol, along: _Measure, length: Length, scale: float
+) -> RelativeErrors:
+    """Return the errors of all sub-trajectories of a length."""
+    sides = pairs.groundtruth, pairs.estimate
+    chosen = along.select(length)
+    errors = relative_errors(*sides, *chosen, protocol.gauge, scale, protocol.re_form)
+    return _without(errors, ("tilt_deg",)) if protocol.gauge is Gauge.PLANAR else errors
+
+
+def _without(errors: RelativeErrors, metrics: tuple[str, ...]) -> RelativeErrors:
+    columns: dict[str, Any] = dict.fromkeys(metrics)
+    return dataclasses.replace(errors, **columns)
+
+
+def _measure_without(
+    measure: Callable[[], RelativeErrors], metrics: tuple[str, ...]
+) -> RelativeErrors:
+    return _without(measure(), metrics)
 
 
 class _Measure:
@@ -201,8 +251,8 @@ class _Measure:
             time = states.seconds if self._by_frame else self._pairs.groundtruth.seconds
             if (np.diff(time) < 0.0).any():
                 raise InputError(
-                    "the pairs step back in time, so no sub-trajectory can be chosen by its "
-                    "duration; use protocol default, which sorts, or lengths in metres"
+                    "the pairs are not in order of time, which lengths in seconds need; use "
+                    "protocol default, which sorts them, or lengths in metres"
                 )
             return time
         if length.turns:

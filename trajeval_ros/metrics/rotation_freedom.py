@@ -90,17 +90,17 @@ class RotationFreedom:
             return ""
         how = f"its standard deviation is {self.std_deg:.0f} deg"
         if self.std_deg == math.inf:
-            how = "nothing resists a turn"
+            how = "the positions do not constrain it"
         sentence = (
-            f"the positions don't determine the alignment's rotation about {self._axis}: {how} "
-            "(a straight line, no motion, or an estimate unlike the groundtruth)"
+            f"the positions do not determine the alignment's rotation about {self._axis}: {how} "
+            "(straight path, no motion, or unrelated trajectories)"
         )
         seen = self.orientations
         if seen is None:
             return sentence
         return (
-            f"{sentence}; an alignment by orientations alone differs by {seen.turn_deg:.3g} deg "
-            f"and leaves a rotation error of {seen.least_deg:.2g} deg"
+            f"{sentence}; an alignment by orientations differs by {seen.turn_deg:.3g} deg and "
+            f"has a rotation error of {seen.least_deg:.2g} deg"
         )
 
     @property
@@ -109,15 +109,15 @@ class RotationFreedom:
         seen = self.orientations
         if seen is None or not self.is_misleading:
             return ""
-        alone = f"aligned by orientations alone, the rotation error is {seen.least_deg:.2g} deg"
+        alone = f"aligned by orientations, the rotation error is {seen.least_deg:.2g} deg"
         if self.disagrees:
             return (
-                "positions and orientations disagree by one constant turn of "
+                "positions and orientations disagree by a constant rotation of "
                 f"{seen.turn_deg:.3g} deg (more than {_DRIFT:.0f} standard deviations); {alone}"
             )
         return (
-            f"of the rotation error of {seen.error_deg:.3g} deg, {seen.turn_deg:.3g} deg are one "
-            "constant turn of the alignment, which the positions hardly determine (standard "
+            f"of the rotation error of {seen.error_deg:.3g} deg, {seen.turn_deg:.3g} deg are a "
+            "constant rotation of the alignment, which positions determine poorly (standard "
             f"deviation {self.std_deg:.2g} deg about {self._axis}); {alone}"
         )
 

@@ -9,10 +9,9 @@ from typing import Any
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import gauge_for
+from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
 from trajeval_ros.metrics.sub_trajectories import parse_lengths
-
-_INTERPOLATING = ("linear", "continuous")
 
 
 def protocol_named(name: str) -> Protocol:
@@ -33,6 +32,8 @@ def protocol_from(
     align_states: str | None = None,
     align_with: str | None = None,
     apply: str | None = None,
+    align_weights: str | None = None,
+    lever_m: tuple[float, float, float] | None = None,
     association: str | None = None,
     max_time_difference: float | None = None,
     max_gap: float | None = None,
@@ -53,6 +54,8 @@ def protocol_from(
         align_states: `all`, or a number.
         align_with: `positions` or `poses`.
         apply: `all` of the alignment, or its `scale` alone.
+        align_weights: See `Protocol`.
+        lever_m: Where in the estimate's body the groundtruth's point is.
         association: How poses are paired.
         max_time_difference: Seconds.
         max_gap: Seconds.
@@ -69,16 +72,14 @@ def protocol_from(
     """
     base = protocol_named(base) if isinstance(base, str) else base
     method = association or base.association.method
-    if max_time_difference is not None and method in _INTERPOLATING:
+    if max_time_difference is not None and method in INTERPOLATING:
         raise SettingsError(
-            f"association {method} knows no max time difference, it evaluates groundtruth at the "
-            "estimate's stamps; use association nearest with it, or a max gap"
+            f"association {method} interpolates and has no max time difference; use association "
+            "nearest, or set a max gap"
         )
     if method != "continuous":
         if continuous_model is not None:
-            raise SettingsError(
-                f"--continuous-model is for --association continuous, not {method}"
-            )
+            raise SettingsError(f"--continuous-model needs --association continuous, not {method}")
         groundtruth_noise = None
     rule = _replaced(
         base.association,
@@ -109,6 +110,8 @@ def protocol_from(
         align_states=protocol.align_states if align_states is None else parse_states(align_states),
         align_with=align_with or protocol.align_with,
         apply=apply or protocol.apply,
+        align_weights=align_weights or protocol.align_weights,
+        lever_m=protocol.lever_m if lever_m is None else lever_m,
     )
 
 

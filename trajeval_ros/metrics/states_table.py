@@ -45,7 +45,8 @@ class FirstStates:
             share = math.nan
         if not 0.0 < share < 1.0:
             raise SettingsError(
-                f"a share of the states is above 0 % and below 100 %, not {text!r}; all is all"
+                f"a share of the states must be between 0 % and 100 %, not {text!r}; use all for "
+                "all states"
             )
         return cls(share=share)
 
@@ -70,7 +71,7 @@ def parse_first_states(text: str) -> tuple[FirstStates, ...]:
     """
     chosen = tuple(FirstStates.parse(part) for part in text.split(","))
     if len(set(chosen)) < len(chosen):
-        raise SettingsError(f"a number of states is given twice in {text!r}")
+        raise SettingsError(f"the number of states is given twice in {text!r}; remove one")
     return chosen
 
 

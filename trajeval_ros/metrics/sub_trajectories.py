@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 
 RULES = ("nearest", "toolbox", "first-past", "evo")
@@ -44,11 +45,13 @@ class Length:
     def __post_init__(self) -> None:
         """Refuse lengths that no sub-trajectory can have."""
         if self.unit not in UNITS:
-            raise SettingsError(f"a length is in {', '.join(UNITS)}, not {self.unit!r}")
+            raise SettingsError(
+                f"the unit of a length must be one of {', '.join(UNITS)}, not {self.unit!r}"
+            )
         if not (np.isfinite(self.value) and self.value > 0.0):
             raise SettingsError(f"a length must be positive, not {self.value:g}{self.unit}")
         if self.unit == "f" and self.value != round(self.value):
-            raise SettingsError(f"a length in frames is a whole number, not {self.value:g}f")
+            raise SettingsError(f"a length in frames must be a whole number, not {self.value:g}f")
 
     @property
     def in_metres(self) -> bool:
@@ -71,11 +74,11 @@ class Length:
         pattern = rf"\s*([0-9.]+(?:e-?[0-9]+)?)\s*({'|'.join(UNITS)})?\s*"
         match = re.fullmatch(pattern, text)
         if match is None:
-            raise SettingsError(f"{text!r} is no length; write {_EXAMPLES} (of the path)")
+            raise SettingsError(f"{text!r} is not a length; give {_EXAMPLES} (of the path)")
         try:
             return cls(float(match[1]), match[2] or "m")
         except ValueError:
-            raise SettingsError(f"{text!r} is no length") from None
+            raise SettingsError(f"{text!r} is not a length") from None
 
     @classmethod
     def of(cls, length: Length | float | str) -> Length:
@@ -90,7 +93,8 @@ class Length:
             return cls.parse(length)
         if isinstance(length, bool) or not isinstance(length, (int, float, np.number)):
             raise SettingsError(
-                f"{length!r} is no length; write metres as a number, or as a text {_EXAMPLES}"
+                f"{length!r} is not a length; give metres as a number, or a text such as "
+                f"{_EXAMPLES}"
             )
         return cls(float(length), "m")
 
@@ -105,7 +109,7 @@ def parse_lengths(text: str) -> tuple[Length, ...]:
         return ()
     lengths = tuple(Length.parse(part) for part in text.split(","))
     if len(set(lengths)) < len(lengths):
-        raise SettingsError(f"a length is given twice in {text!r}")
+        raise SettingsError(f"a length is given twice in {text!r}; remove one")
     return lengths
 
 
@@ -143,15 +147,15 @@ class Selection:
         require_one_of(self.pairs, PAIRS, "selection of pairs")
         require_one_of(self.path, PATHS, "path")
         if self.every < 1:
-            raise SettingsError(f"every n-th state is a start from n = 1 on, not {self.every}")
+            raise SettingsError(f"the step of start states must be at least 1, not {self.every}")
         if self.every > 1 and self.is_consecutive:
             raise SettingsError(
-                "of consecutive pairs each begins where the one before ends, so they can't begin "
-                f"at every {self.every}th state; use pairs all, or every 1"
+                "consecutive sub-trajectories start at the end of the previous one, so every "
+                f"must be 1, not {self.every}; use pairs all, or every 1"
             )
         if not 0.0 < self.tolerance < 1.0:
             raise SettingsError(
-                f"the tolerance is a share of the length, above 0 and below 1, not "
+                "the tolerance must be a fraction of the length between 0 and 1, not "
                 f"{self.tolerance:g}"
             )
 
@@ -195,6 +199,10 @@ def select(along: Floats, length: float, selection: Selection) -> tuple[Indices,
         accepted = ends < len(along)
     else:
         ends, accepted = nearest_ends(along, starts, length, selection.rule, selection.tolerance)
+    count = int(np.count_nonzero(accepted))
+    if accepted[:count].all():
+        # All but the last ones, as is usual: no copies.
+        return _used(starts[:count], ends[:count], selection)
     return _used(starts[accepted], ends[accepted], selection)
 
 
@@ -281,24 +289,40 @@ def nearest_ends(
         rule: `nearest`, `toolbox` or `evo`.
         share: Of the length by which an end may miss it: rule `evo`.
     """
-    target = along[starts] + length
-    within = np.minimum(along.searchsorted(target), len(along) - 1)
-    reached, missed = along[within], along[np.maximum(within - 1, starts)]
-    # Of states at the same place (a robot at rest) the first one ends the sub-trajectory.
-    before = np.maximum(along.searchsorted(missed), starts)
-    too_long, too_short = np.abs(reached - target), np.abs(missed - target)
-    ends = np.where(too_long < too_short, within, before)
-    deviation = np.minimum(too_long, too_short)
-    if rule == "toolbox":
-        accepted = deviation < LARGEST_DEVIATION * length
-    elif rule == "evo":
-        accepted = (deviation <= share * length) & (ends > starts)
-    else:
-        spacing = reached - missed
-        tolerance = np.minimum(
-            np.maximum(TOLERANCE * length, spacing / 2.0), LARGEST_DEVIATION * length
-        )
-        # The comparison must not depend on rounding in the running sum of the distance.
-        accepted = deviation <= tolerance * (1.0 + 1e-9)
-        accepted &= ends > starts
+
+    def at(starts: Indices, length: Floats) -> tuple[Indices, Booleans]:
+        target = along[starts] + length
+        within = np.minimum(_search(along, target), len(along) - 1)
+        before = np.maximum(within - 1, starts)
+        reached, missed = along[within], along[before]
+        # Of states at the same place (a robot at rest) the first one ends the sub-trajectory.
+        rests = np.flatnonzero(along[np.maximum(before - 1, 0)] == missed)
+        before[rests] = np.maximum(along.searchsorted(missed[rests]), starts[rests])
+        too_long, too_short = np.abs(reached - target), np.abs(missed - target)
+        ends = np.where(too_long < too_short, within, before)
+        deviation = np.minimum(too_long, too_short)
+        if rule == "toolbox":
+            accepted = deviation < LARGEST_DEVIATION * length
+        elif rule == "evo":
+            accepted = (deviation <= share * length) & (ends > starts)
+        else:
+            spacing = reached - missed
+            tolerance = np.minimum(
+                np.maximum(TOLERANCE * length, spacing / 2.0), LARGEST_DEVIATION * length
+            )
+            # The comparison must not depend on rounding in the running sum of the distance.
+            accepted = deviation <= tolerance * (1.0 + 1e-9)
+            accepted &= ends > starts
+        return ends, accepted
+
+    ends, accepted = lie.by_blocks(at, starts, np.broadcast_to(length, starts.shape))
     return ends, accepted
+
+
+def _search(along: Floats, target: Floats) -> Indices:
+    """Return `along.searchsorted(target)`, looking no further than the least and the greatest."""
+    if not len(target):
+        return np.empty(0, dtype=np.intp)
+    low, high = along.searchsorted([target.min(), target.max()])
+    found: Indices = low + along[low:high].searchsorted(target)
+    return found

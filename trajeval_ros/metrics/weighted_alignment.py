@@ -16,6 +16,7 @@ from trajeval_ros.metrics.alignment import Alignment, align
 _ROUNDS = 2
 _MOST_ROUNDS = 20
 _SETTLED = 1e-3
+_AT_REST = 1e-12
 
 
 def position_weights(covariances: Floats, error_m: float) -> Floats:
@@ -25,7 +26,8 @@ def position_weights(covariances: Floats, error_m: float) -> Floats:
     themselves as a floor, so that an over-confident state doesn't rule the alignment.
 
     Args:
-        covariances: (N, 3, 3) of positions, or (N, 6, 6) of poses, position first; m^2.
+        covariances: (N, 3, 3) of positions, or (N, 6, 6) of poses, position first; m^2. Those
+            of positions in a plane are (N, 2, 2).
         error_m: Root mean square of the position errors, metres.
     """
     variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
@@ -65,6 +67,44 @@ def align_weighted(
         alignment = align(
             gauge, groundtruth, estimate, weights, orientations, align_with=align_with
         )
+    return alignment
+
+
+def align_by_groundtruth(
+    gauge: Gauge,
+    groundtruth: Floats,
+    estimate: Floats,
+    covariances: Floats,
+    orientations: tuple[Floats, Floats] | None,
+    align_with: str,
+) -> Alignment:
+    """Align by the groundtruth's covariances, to rest.
+
+    The size e of the estimate's own errors is what its residuals have beyond these covariances:
+    e^2 = max(0, mean |r|^2 - mean tr Sigma).
+
+    Args:
+        gauge: What the alignment may change.
+        groundtruth: (N, 3), metres.
+        estimate: (N, 3), in units of its own.
+        covariances: (N, k, k) of the groundtruth's positions along k axes, m^2.
+        orientations: As for `align`.
+        align_with: As for `align`.
+
+    Raises:
+        DegenerateGeometryError: As for `align`.
+    """
+    traces = np.trace(covariances, axis1=1, axis2=2)
+    weights, before = None, np.inf
+    for _ in range(_MOST_ROUNDS):
+        alignment = align(
+            gauge, groundtruth, estimate, weights, orientations, align_with=align_with
+        )
+        errors = groundtruth - alignment.similarity.positions(estimate)
+        square = max(0.0, float(np.mean(np.square(errors).sum(axis=1) - traces)))
+        if abs(square - before) <= _AT_REST * max(1.0, square):
+            break
+        before, weights = square, position_weights(covariances, float(np.sqrt(square)))
     return alignment
 
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.online.notices import ERROR, WARN, Notice
 from trajeval_ros.online.reports import Snapshot, Update
 
@@ -17,7 +18,7 @@ class LimitedQuantity(NamedTuple):
     Attributes:
         name: The limits are called `warn_NAME` and `error_NAME`.
         words: What it is.
-        unit: Of the quantity and its limits.
+        unit: Of the quantity and its limits; empty for a plain number.
     """
 
     name: str
@@ -31,6 +32,7 @@ LIMITED_QUANTITIES = (
     LimitedQuantity("yaw_error_deg", "yaw error", "deg"),
     LimitedQuantity("ate_position_m", "position ATE of the window", "m"),
     LimitedQuantity("drift_percent", "drift over a sub-trajectory", "%"),
+    LimitedQuantity("nees", "mean NEES of the window per degree of freedom", ""),
     LimitedQuantity("latency_s", "time from arrival to publication", "s"),
     LimitedQuantity("staleness_s", "time without a message", "s"),
 )
@@ -52,7 +54,7 @@ class Peaks:
     """The largest values of limited quantities, so that no excursion passes between two looks."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Create it without any."""
         self._peaks: dict[str, Peak] = {}
 
     def see(self, name: str, value: float | None, stamp: int | None = None) -> None:
@@ -83,6 +85,7 @@ class Peaks:
     def see_snapshot(self, snapshot: Snapshot) -> None:
         """Take the errors of the window."""
         self.see("ate_position_m", snapshot.window_position_rmse_m)
+        self.see("nees", None if snapshot.nees is None else snapshot.nees.mean)
 
     def take(self) -> dict[str, Peak]:
         """Return the largest values since the last call, by name of the quantity."""
@@ -104,7 +107,8 @@ def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]
         value, stamp = peaks[name]
         for level, limit in ((ERROR, limits[f"error_{name}"]), (WARN, limits[f"warn_{name}"])):
             if 0.0 < limit < value:
-                text = f"{words} {value:.4g} {unit} is over {limit:g} {unit}"
+                number, bound = (with_unit(each, unit) for each in (value, limit))
+                text = f"{words} {number} is over {bound}"
                 values: dict[str, float | int | str] = {
                     "value": value,
                     "limit": limit,

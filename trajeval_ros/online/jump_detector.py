@@ -36,11 +36,12 @@ class JumpDetector:
     """
 
     def __init__(self) -> None:
-        """Begin; a usual step is not known yet."""
+        """Create it; a usual step is not known yet."""
         self.count = 0
         self._newest: Pairs | None = None
         self._typical_m = self._typical_deg = 0.0
         self._weight = 0.0
+        self._were_jumps = np.zeros(2, dtype=bool)  # the newest steps
 
     def update(self, pairs: Pairs, scale: float) -> list[Jump]:
         """Return the jumps among new pairs, sorted by stamp; late ones are passed over."""
@@ -54,7 +55,7 @@ class JumpDetector:
             )
         if not len(pairs.stamps):
             return []
-        self._newest = Pairs(pairs.stamps[-1:], pairs.groundtruth[-1:], pairs.estimate[-1:])
+        self._newest = pairs.picked(slice(-1, None))
         truth, estimate = pairs.groundtruth, pairs.estimate
         turned = not np.isnan(truth[0, 3] + estimate[0, 3])
         steps = Steps.between(
@@ -64,7 +65,7 @@ class JumpDetector:
             estimate[:, QUATERNION] if turned else None,
             scale,
         )
-        found = steps.jumps(self._typical_m, self._typical_deg)
+        found = self._alone(steps.jumps(self._typical_m, self._typical_deg), len(steps.true_m))
         self._learn(steps, found)
         self.count += len(found)
         return [
@@ -75,6 +76,17 @@ class JumpDetector:
             )
             for row in found.tolist()
         ]
+
+    def _alone(self, jumps: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Return which jumps among so many new steps don't follow two others.
+
+        The third in a row is how the estimate moves, such as one in millimetres.
+        """
+        are_jumps = np.concatenate([self._were_jumps, np.zeros(count, dtype=bool)])
+        are_jumps[jumps + 2] = True
+        self._were_jumps = are_jumps[count:]
+        alone: NDArray[np.int64] = jumps[~(are_jumps[jumps] & are_jumps[jumps + 1])]
+        return alone
 
     def _learn(self, steps: Steps, jumps: NDArray[np.int64]) -> None:
         """Take the other steps into running means."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.calibrate import calibrate
+from trajeval_ros.calibration.calibrate import Calibration, calibrate
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.online.state_buffer import StateBuffer
-from trajeval_ros.online.state_rows import POSITION, QUATERNION
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, WIDTH
 
 # Shorter, and rotation and lever arm can't be fitted beside the offset.
 FIRST_S = 35.0
@@ -43,7 +44,7 @@ class ClockReport:
     sigma_s: float | None = None
     half_width_95_s: float | None = None
     status: str = "waiting"
-    reason: str = f"needs {FIRST_S:g} s of both"
+    reason: str = f"needs {FIRST_S:g} s of both trajectories"
 
     @property
     def is_significant(self) -> bool:
@@ -59,15 +60,21 @@ class OnlineClock:
 
     Attributes:
         report: What is known by now.
+        calibration: All that was estimated with it; None before.
     """
 
-    def __init__(self, gauge: Gauge) -> None:
-        """Begin empty.
+    def __init__(self, gauge: Gauge, worker: Executor | None = None) -> None:
+        """Create it empty.
 
         Args:
             gauge: See `calibrate`.
+            worker: Does the estimating, which takes longer than messages may wait; None to do it
+                at once.
         """
+        self._worker = worker
+        self._asked: Future[tuple[ClockReport, Calibration | None]] | None = None
         self.report = ClockReport()
+        self.calibration: Calibration | None = None
         self._gauge = gauge
         self._truth, self._estimate = StateBuffer(), StateBuffer()
         self._first: int | None = None
@@ -88,45 +95,63 @@ class OnlineClock:
         """Time from the first estimated state to the newest one, seconds."""
         return 0.0 if self._first is None else (self._estimate.newest - self._first) / NANOSECONDS
 
-    def update(self, *, at_end: bool = False) -> bool:
-        """Estimate anew if it is time to; returns whether it was.
+    def update(self, *, at_end: bool = False, waits: bool = False) -> bool:
+        """Estimate anew if it is time to; returns whether there is a new report.
 
         Args:
             at_end: Nothing more will come.
+            waits: Wait until it is estimated, as at the end.
         """
+        waits |= at_end
+        is_new = self._asked is not None
+        if self._asked is not None:
+            if not waits and not self._asked.done():
+                return False
+            self._take(*self._asked.result())
+            self._asked = None
+            if not waits:
+                return True
         span_s = self.span_s
         due = span_s >= self._next_s or (at_end and span_s > self.report.span_s)
         if not due or not len(self._truth):
-            return False
+            return is_new
         self._next_s = span_s + max(_PAUSE_S, _PAUSE_SHARE * span_s)
-        self.report = self._estimated(span_s)
+        known = span_s, _trajectory(self._truth), _trajectory(self._estimate), self._gauge
+        if self._worker is not None and not waits:
+            self._asked = self._worker.submit(_estimated, *known)
+            return False
+        self._take(*_estimated(*known))
         return True
 
-    def _estimated(self, span_s: float) -> ClockReport:
-        try:
-            # A wild estimate may overflow, which is no reason to end the run.
-            with np.errstate(over="ignore", invalid="ignore"):
-                found = calibrate(
-                    _trajectory(self._truth),
-                    _trajectory(self._estimate),
-                    self._gauge,
-                    most_increments=_INCREMENTS,
-                ).offset
-        except TrajevalError as error:
-            return ClockReport(span_s, status="unobservable", reason=str(error))
-        except np.linalg.LinAlgError as error:
-            reason = f"can't be estimated: {error}"
-            return ClockReport(span_s, status="unobservable", reason=reason)
-        if found.value is None or found.sigma is None or found.half_width_95 is None:
-            return ClockReport(span_s, status=found.status, reason=found.reason)
-        return ClockReport(
-            span_s,
-            float(found.value[0]),
-            float(found.sigma[0]),
-            float(found.half_width_95[0]),
-            found.status,
-            found.reason,
-        )
+    def _take(self, report: ClockReport, calibration: Calibration | None) -> None:
+        self.report, self.calibration = report, calibration or self.calibration
+
+
+def _estimated(
+    span_s: float, groundtruth: Trajectory, estimate: Trajectory, gauge: Gauge
+) -> tuple[ClockReport, Calibration | None]:
+    """Return what the newest states tell of the clocks, and all that was estimated with it."""
+    try:
+        # A wild estimate may overflow, which is no reason to end the run.
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = calibrate(groundtruth, estimate, gauge, most_increments=_INCREMENTS)
+    except TrajevalError as error:
+        return ClockReport(span_s, status="unobservable", reason=str(error)), None
+    except np.linalg.LinAlgError as error:
+        reason = f"estimation not possible: {error}"
+        return ClockReport(span_s, status="unobservable", reason=reason), None
+    offset = found.offset
+    if offset.value is None or offset.sigma is None or offset.half_width_95 is None:
+        return ClockReport(span_s, status=offset.status, reason=offset.reason), found
+    report = ClockReport(
+        span_s,
+        float(offset.value[0]),
+        float(offset.sigma[0]),
+        float(offset.half_width_95[0]),
+        offset.status,
+        offset.reason,
+    )
+    return report, found
 
 
 def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> None:
@@ -135,7 +160,7 @@ def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> Non
     if len(stream):
         new &= stamps // step_ns > stream.newest // step_ns
     new &= np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isinf(rows[:, QUATERNION.start])
-    stamps, rows = stamps[new], rows[new]
+    stamps, rows = stamps[new], rows[new, :WIDTH]
     kept = np.unique(stamps // step_ns, return_index=True)[1]
     if not len(kept):
         return

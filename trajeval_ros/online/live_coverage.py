@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.completeness import CompletenessSums
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums
 from trajeval_ros.metrics.pair_steps import POSE, StampedPoses, StepMeter
-from trajeval_ros.online.pairing import PairingBuffer
-from trajeval_ros.online.state_rows import Pairs
+from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.online.state_rows import POSITION, Pairs
 
 
 class LiveCoverage:
     """Adds up the steps between pairs at a constant cost, equal to the offline coverage."""
 
-    def __init__(
-        self, buffer: PairingBuffer, record: Callable[[StampedPoses], object] | None
-    ) -> None:
-        """Begin without a pair.
+    def __init__(self, buffer: Pairing, record: Callable[[StampedPoses], object] | None) -> None:
+        """Create it without a pair.
 
         Args:
             buffer: What makes the pairs, and holds their groundtruth.
@@ -57,3 +58,32 @@ class LiveCoverage:
             return None
         self._measure()
         return self._sums.coverage(self._buffer.groundtruth_time, self._buffer.groundtruth_count)
+
+
+class LiveCompleteness:
+    """Tells how many of the groundtruth's own states are in pairs, equal to the offline share."""
+
+    def __init__(self, buffer: Pairing, record: Callable[[StampedPoses], object] | None) -> None:
+        """Create it without a state.
+
+        Args:
+            buffer: What makes the pairs, and knows what is in none.
+            record: Is given the groundtruth's states that are in none.
+        """
+        self._buffer, self._record = buffer, record
+        self._sums = CompletenessSums()
+
+    def add(self, pairs: Pairs, *, at_end: bool) -> None:
+        """Take new pairs (N,), in order, and the groundtruth's states between them."""
+        del at_end  # nothing waits
+        missing = self._buffer.take_waypoints()
+        if self._record is not None and len(missing.stamps):
+            self._record(missing)
+        stamps = np.concatenate([pairs.stamps, missing.stamps])
+        positions = np.concatenate([pairs.groundtruth[:, POSITION], missing.poses[:, POSITION]])
+        order = np.argsort(stamps, kind="stable")
+        self._sums.add(stamps[order], positions[order], order < len(pairs.stamps))
+
+    def coverage(self) -> Coverage | None:
+        """Return the completeness of the whole run; None while there is no pair."""
+        return self._sums.coverage()

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.online.pairing import Limits
+from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.online.intake import Limits
 from trajeval_ros.online.window import Window
+
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.integrity import IntegrityRequest
 
 
 @dataclass(frozen=True, init=False)
@@ -22,6 +30,9 @@ class OnlineSettings:
             "50m" or "500" (pairs).
         freeze: Keep the first alignment that the states determine well.
         limits: Of the memory for states that wait for their groundtruth.
+        covariances: Whether and how to judge the covariances of the estimate's messages; of those
+            in a file nothing is known live.
+        integrity: Alert limits and risk to compare protection levels with; None for none.
         up: The axes that point up in the frames of groundtruth and estimate; None for those that
             the names of the frames tell, or z.
 
@@ -39,6 +50,8 @@ class OnlineSettings:
     window: Window
     freeze: bool
     limits: Limits
+    covariances: CovarianceRequest
+    integrity: IntegrityRequest | None
     up: tuple[str, str] | None
 
     def __init__(
@@ -47,45 +60,66 @@ class OnlineSettings:
         window: Window | str = "0",
         freeze: bool = False,
         limits: Limits | None = None,
+        covariances: CovarianceRequest | None = None,
         up: tuple[str, str] | None = None,
+        integrity: IntegrityRequest | None = None,
     ) -> None:
         values = {
             "protocol": protocol or Protocol(),
             "window": Window.parse(window) if isinstance(window, str) else window,
             "freeze": freeze,
             "limits": limits or Limits(),
+            "covariances": covariances or CovarianceRequest(),
             "up": up,
+            "integrity": integrity,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._require_possible()
+
+    def with_gauge(self, gauge: Gauge) -> OnlineSettings:
+        """Return the settings with another gauge."""
+        return replace(self, protocol=replace(self.protocol, gauge=gauge))
 
     def _require_possible(self) -> None:
         """Refuse what can't be done live."""
         for axis in self.up or ():
             UpAxis(axis)
         method = self.protocol.association.method
-        if method != "linear":
+        if method not in (AUTO, "linear", AT_GROUNDTRUTH):
             raise SettingsError(
-                f"association {method} can't be live: which pairs are closest shows at the end "
-                "of a recording; use linear"
+                f"association {method} is not supported live; use linear or {AT_GROUNDTRUTH}"
             )
-        if self.protocol.re_form == "fitted" or self.protocol.lever_m:
+        if self.protocol.re_form == "fitted" or self.protocol.align_weights != "none":
             raise SettingsError(
-                "RE form fitted and a protocol's lever arm need the whole recording; evaluate the "
-                "recorded run"
+                "RE form fitted and weights of the alignment are not supported live; "
+                "evaluate the recorded run"
             )
+        if self.protocol.score is not None or self.protocol.recall is not None:
+            raise SettingsError("a score is not supported live; evaluate the recorded run")
         if self.protocol.apply == "scale":
             raise SettingsError(
-                "the scale of an alignment can't be applied alone live; apply all of it, or "
-                "evaluate the recorded run"
+                "apply scale is not supported live; use apply all, or evaluate the recorded run"
             )
         if self.protocol.selection.is_consecutive or any(
             length.turns for length in self.protocol.lengths
         ):
             raise SettingsError(
-                "consecutive pairs and lengths in degrees or radians can't be live; use pairs all "
-                "and metres, seconds or frames, or evaluate the recorded run"
+                "consecutive pairs and lengths in degrees or radians are not supported live; "
+                "use pairs all and metres, seconds or frames, or evaluate the recorded run"
+            )
+        if self.integrity is not None and self.covariances.source == "none":
+            raise SettingsError("an alert limit needs covariances; use covariance message")
+        if self.covariances.source == "joint":
+            raise SettingsError(
+                "a joint covariance is not supported live; use covariance message, or evaluate "
+                "the recorded run"
+            )
+        selection = replace(self.protocol.selection, tolerance=Selection.tolerance)
+        if self.protocol.lengths and selection != Selection():
+            raise SettingsError(
+                f"sub-trajectory selection {selection} is not supported live; use lengths "
+                "none, or evaluate the recorded run"
             )
         if self.freeze and self.protocol.align_states is not None:
-            raise SettingsError("align states is either a number or frozen, not both")
+            raise SettingsError("align states must be either a number or frozen, not both")

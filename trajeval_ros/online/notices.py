@@ -37,7 +37,7 @@ class Standing:
     """The notices that stand, to tell each once when it begins, gets graver, or ends."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Create it without any."""
         self._notices: dict[tuple[str, str], Notice] = {}
 
     def renew(self, notices: Iterable[Notice]) -> list[Notice]:

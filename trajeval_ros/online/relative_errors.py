@@ -65,7 +65,7 @@ class RelativeTracker:
     """Finds the ends of sub-trajectories of several lengths, each pair once."""
 
     def __init__(self, protocol: Protocol) -> None:
-        """Begin, for the protocol's lengths in metres, seconds and frames."""
+        """Create it for the protocol's lengths in metres, seconds and frames."""
         self._protocol = protocol
         # An entry for each length, by their units.
         chosen: list[Length] = []

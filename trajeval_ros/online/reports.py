@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.relative_errors import RelativeEnd, RunningErrors
+
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.integrity import Integrity
+    from trajeval_ros.consistency.result import Consistency, PerPose
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +74,10 @@ class Snapshot:
             there is no pair.
         dropped: Estimated states in no pair, by reason.
         waiting: Estimated states that wait for groundtruth.
+        consistency: Whether the covariances of the window's pairs, taken for a run of its own, fit
+            its errors; None if nobody asked, or if it can't be told.
+        why_not_consistency: Why it can't be told; empty if it can, or nobody asked.
+        integrity: Whether the window's errors keep to their protection levels; likewise None.
     """
 
     pairs: int
@@ -83,3 +92,11 @@ class Snapshot:
     coverage: Coverage | None
     dropped: dict[str, int]
     waiting: int
+    consistency: Consistency | None = None
+    why_not_consistency: str = ""
+    integrity: Integrity | None = None
+
+    @property
+    def nees(self) -> PerPose | None:
+        """The window's NEES of single poses; None where it can't be had."""
+        return None if self.consistency is None else self.consistency.per_pose

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.metrics.alignment import align
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, WIDTH, Pairs, on_plane
+from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs, on_plane
 
 
 class RevisedPath:
-    """Compares the newest version of a path with the groundtruth of its poses.
+    """Keeps the newest version of a path, and the groundtruth of its poses.
 
     What was published first is what the robot steered by: the causal error. A loop closure moves
     poses afterwards: the revised error. It needs all poses, as the path itself does.
@@ -22,18 +20,21 @@ class RevisedPath:
     Attributes:
         stamps: (M,) of the newest path's poses, nanoseconds, by the estimator's clock.
         states: (M, 10) of these, as the gauge compares them.
+        version: Number of changes so far, of the path or of its groundtruth.
     """
 
     def __init__(self, gauge: Gauge, up: UpAxis = Z_UP) -> None:
-        """Begin without a path, for one whose frame has this axis up."""
+        """Create it without a path, for one whose frame has this axis up."""
         self.stamps: Stamps = np.empty(0, dtype=np.int64)
         self.states: Floats = np.empty((0, WIDTH))
+        self.version = 0
         self._gauge, self._up = gauge, up
         self._known: Stamps = np.empty(0, dtype=np.int64)
         self._truth: list[tuple[Stamps, Floats]] = []
 
     def renew(self, stamps: Stamps, states: Floats) -> NDArray[np.int64]:
         """Take a path (M,), (M, 10); returns the rows of poses that it is the first to have."""
+        self.version += 1
         poses = np.isfinite(states[:, : QUATERNION.stop]).all(axis=1)
         self.stamps, self.states = stamps[poses], states[poses]
         if self._gauge is Gauge.PLANAR:
@@ -48,22 +49,15 @@ class RevisedPath:
 
     def record(self, pairs: Pairs) -> None:
         """Take the groundtruth of poses, with stamps by the estimator's clock."""
-        self._truth.append((pairs.stamps, pairs.groundtruth[:, POSITION]))
+        self.version += 1
+        self._truth.append((pairs.stamps, pairs.groundtruth))
 
-    def position_rmse_m(self, groundtruth_up: UpAxis = Z_UP) -> float | None:
-        """Return the position ATE of the newest path; None where it can't be aligned."""
+    def pairs(self) -> Pairs:
+        """Return the poses of the newest path that have groundtruth, in order of their stamps."""
         if not self._truth:
-            return None
+            return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
         stamps = np.concatenate([each[0] for each in self._truth])
         truth = np.concatenate([each[1] for each in self._truth])
         self._truth = [(stamps, truth)]
-        _, rows, places = np.intersect1d(stamps, self.stamps, return_indices=True)
-        truth, positions = truth[rows], self.states[places, POSITION]
-        if self._gauge.turns_about_gravity_only:
-            truth, positions = groundtruth_up.turned(truth), self._up.turned(positions)
-        try:
-            alignment = align(self._gauge, truth, positions)
-        except DegenerateGeometryError:
-            return None
-        errors = truth - alignment.similarity.positions(positions)
-        return float(np.sqrt(np.square(errors).sum(axis=1).mean()))
+        common, rows, places = np.intersect1d(stamps, self.stamps, return_indices=True)
+        return Pairs(common, truth[rows], self.states[places])

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.online.state_rows import WIDTH
+from trajeval_ros.online.state_rows import WIDTH, as_wide
 
 NEVER = int(np.iinfo(np.int64).min)
 
 
 class StateBuffer:
-    """States sorted by stamp, each stamp once, within limits."""
+    """States sorted by stamp, each stamp once, as wide as the widest that has come."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create it empty."""
         self.stamps: Stamps = np.empty(256, dtype=np.int64)
         self.rows: Floats = np.empty((256, WIDTH))
         self.begin = self.end = 0
@@ -25,7 +25,7 @@ class StateBuffer:
 
     @property
     def held(self) -> tuple[Stamps, Floats]:
-        """The states held: views of stamps (N,) and rows (N, 10)."""
+        """The states held: views of stamps (N,) and rows (N, 10) or (N, 46)."""
         return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
 
     @property
@@ -35,14 +35,16 @@ class StateBuffer:
 
     def append(self, stamps: Stamps, rows: Floats) -> None:
         """Add states that are sorted and newer than all held."""
-        self._make_room(len(stamps))
+        self._make_room(len(stamps), rows.shape[1])
         self.stamps[self.end : self.end + len(stamps)] = stamps
-        self.rows[self.end : self.end + len(stamps)] = rows
+        self.rows[self.end : self.end + len(stamps)] = as_wide(rows, self.rows.shape[1])
         self.end += len(stamps)
 
     def merge(self, stamps: Stamps, rows: Floats) -> int:
         """Add states in any order; returns how many stamps were there already, or twice."""
+        self._make_room(0, rows.shape[1])
         held_stamps, held_rows = self.held
+        rows = as_wide(rows, held_rows.shape[1])
         # Held states come first, so that of equal stamps the one that arrived first stays.
         all_stamps = np.concatenate([held_stamps, stamps])
         unique, first = np.unique(all_stamps, return_index=True)
@@ -55,11 +57,12 @@ class StateBuffer:
         """Forget the oldest states."""
         self.begin += count
 
-    def _make_room(self, count: int) -> None:
-        if self.end + count <= len(self.stamps):
+    def _make_room(self, count: int, width: int) -> None:
+        if self.end + count <= len(self.stamps) and width <= self.rows.shape[1]:
             return
         stamps, rows = self.held
         size = max(len(self.stamps), 2 * (len(stamps) + count))
-        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, WIDTH))
+        width = max(width, self.rows.shape[1])
+        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, width))
         self.begin, self.end = 0, len(stamps)
-        self.stamps[: self.end], self.rows[: self.end] = stamps, rows
+        self.stamps[: self.end], self.rows[: self.end] = stamps, as_wide(rows, width)

@@ -1,10 +1,11 @@
-"""States of a stream as rows of ten columns."""
+"""States of a stream as rows of ten columns, or more with covariances."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
@@ -14,6 +15,10 @@ from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 # Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
 WIDTH = 10
+# Behind them, of an estimate whose messages have one: the covariance, row by row; zeros are no
+# answer.
+COVARIANCE = slice(WIDTH, WIDTH + 36)
+WIDTH_WITH_COVARIANCE = COVARIANCE.stop
 
 
 class Pairs(NamedTuple):
@@ -22,12 +27,16 @@ class Pairs(NamedTuple):
     Attributes:
         stamps: (N,) nanoseconds.
         groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN where there is none.
-        estimate: (N, 10), in the estimate's own frame.
+        estimate: (N, 10), or (N, 46) with covariances, in the estimate's own frame.
     """
 
     stamps: Stamps
     groundtruth: Floats
     estimate: Floats
+
+    def picked(self, rows: NDArray[Any] | slice) -> Pairs:
+        """Return some of the pairs: a mask, their places, or a slice."""
+        return Pairs(self.stamps[rows], self.groundtruth[rows], self.estimate[rows])
 
 
 def states(
@@ -35,7 +44,7 @@ def states(
 ) -> Floats:
     """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3).
 
-    What is no pose for the readers is dropped by `PairingBuffer`: rows that aren't finite have no
+    What is no pose for the readers is dropped by `Intake`: rows that aren't finite have no
     position here (NaN), and infinity stands for quaternions of no length.
     """
     finite, turned = judge_poses(positions, quaternions)
@@ -51,14 +60,54 @@ def states(
 
 
 def upright_rows(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) in a world whose z axis is up, as `geometry.upright` has them."""
+    """Return states (N, 10) or (N, 46) in a world with z up, as `geometry.upright` has them."""
     if up.name == "z":
         return rows
     turned: Floats = rows.copy()
     turned[:, POSITION] = up.turned(rows[:, POSITION])
     turned[:, VELOCITY] = up.turned(rows[:, VELOCITY])
     turned[:, QUATERNION] = lie.multiply(lie.from_matrices(up.matrix[None]), rows[:, QUATERNION])
+    if rows.shape[1] > WIDTH:
+        both = np.kron(np.eye(2), up.matrix)
+        covariances = both @ rows[:, COVARIANCE].reshape(-1, 6, 6) @ both.T
+        turned[:, COVARIANCE] = covariances.reshape(-1, 36)
     return turned
+
+
+def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
+    """Return states with rotation covariances about the world's axes instead of the body's.
+
+    Args:
+        rows: (N, 46); states (N, 10) have no covariances, and stay as they are.
+        to_body: The other way round.
+    """
+    if rows.shape[1] == WIDTH:
+        return rows
+    from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+
+    turned: Floats = rows.copy()
+    oriented = np.isfinite(rows[:, QUATERNION]).all(axis=1)
+    covariances = rows[oriented, COVARIANCE].reshape(-1, 6, 6)
+    rotations = lie.to_matrix(lie.normalized(rows[oriented, QUATERNION]))
+    if to_body:
+        rotations = rotations.swapaxes(1, 2)
+    covariances = world_from_body_rotations(covariances, rotations)
+    turned[oriented, COVARIANCE] = covariances.reshape(-1, 36)
+    return turned
+
+
+def without_orientations(rows: Floats) -> Floats:
+    """Return the positions of states (N, 10) alone."""
+    places: Floats = rows.copy()
+    places[:, POSITION.stop :] = np.nan
+    return places
+
+
+def as_wide(rows: Floats, width: int) -> Floats:
+    """Return states with so many columns: without covariances, or with unknown ones."""
+    if rows.shape[1] >= width:
+        return rows[:, :width]
+    return np.pad(rows, ((0, 0), (0, width - rows.shape[1])))
 
 
 def on_plane(rows: Floats, up: UpAxis) -> Floats:
@@ -75,8 +124,9 @@ def on_plane(rows: Floats, up: UpAxis) -> Floats:
 
 
 def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 10) as a trajectory, without the columns that are not measured."""
+    """Return rows (N, 10) or (N, 46) as a trajectory, without what is not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
+    covariances = rows[:, COVARIANCE]
     measured = len(rows) and not np.isnan(quaternions[0, 0])
     moving = len(rows) and not np.isnan(velocities).any()
     return Trajectory(
@@ -84,5 +134,6 @@ def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
         positions=np.array(rows[:, POSITION]),
         quaternions=lie.normalized(quaternions) if measured else None,
         velocities=np.array(velocities) if moving else None,
+        covariances=covariances.reshape(-1, 6, 6).copy() if covariances.any() else None,
         up=up,
     )

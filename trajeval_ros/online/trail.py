@@ -17,7 +17,7 @@ class Trail:
     """
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create it empty."""
         self._every = 1
         self._seen = self._count = 0
         self._stamps: Stamps = np.empty(MOST_POSES, dtype=np.int64)
@@ -34,7 +34,7 @@ class Trail:
             return
         first = -self._seen % self._every
         self._seen += len(pairs.stamps)
-        self._newest = Pairs(pairs.stamps[-1:], pairs.groundtruth[-1:], pairs.estimate[-1:])
+        self._newest = pairs.picked(slice(-1, None))
         picked = slice(first, None, self._every)
         stamps = pairs.stamps[picked]
         rows = np.hstack([pairs.groundtruth[picked], pairs.estimate[picked]])

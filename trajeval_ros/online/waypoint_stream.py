@@ -12,7 +12,7 @@ class WaypointStream:
     """Picks the waypoints among states in order of their stamps, each once."""
 
     def __init__(self, max_gap_ns: int) -> None:
-        """Begin before the first state.
+        """Create it before the first state.
 
         Args:
             max_gap_ns: A longer step of the groundtruth is a gap.

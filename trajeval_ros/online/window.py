@@ -11,7 +11,13 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.errors import lengths
-from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
+from trajeval_ros.online.state_rows import (
+    POSITION,
+    WIDTH,
+    WIDTH_WITH_COVARIANCE,
+    Pairs,
+    as_wide,
+)
 
 _LARGEST = 1e9  # s, m or pairs; in nanoseconds it still fits stamps
 
@@ -38,13 +44,13 @@ class Window:
         match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(s|m)?\s*", text)
         if match is None:
             raise SettingsError(
-                f"{text!r} is no window; write 0 (whole run), 30s, 50m or 500 (pairs)"
+                f"the window {text!r} is not valid; give 0 (whole run), 30s, 50m or 500 (pairs)"
             )
         size = float(match[1])
         if size > _LARGEST:
             raise SettingsError(
-                f"a window can't be longer than {_LARGEST:g}, as {text.strip()} is; write 0 for "
-                "the whole run"
+                f"the window {text.strip()} is above the limit of {_LARGEST:g}; use 0 for the "
+                "whole run"
             )
         return cls(size, match[2] or "pairs")
 
@@ -66,14 +72,20 @@ class PairStore:
     twice what the pairs take, resident what they take, and while they move the double of it.
     """
 
-    BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)
+    BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)  # and 288 with covariances
 
-    def __init__(self) -> None:
-        """Begin empty."""
+    def __init__(self, *, covariances: bool = False) -> None:
+        """Create it empty.
+
+        Args:
+            covariances: Keep those of the estimate, too.
+        """
         self.begin = self.end = 0
         self._offset = 0  # number of the pair in row 0
+        # Groundtruth, estimate, and the path behind them.
+        self._own_width = WIDTH_WITH_COVARIANCE if covariances else WIDTH
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
-        self._rows: Floats = np.empty((1024, 2 * WIDTH + 1))
+        self._rows: Floats = np.empty((1024, WIDTH + self._own_width + 1))
 
     def __len__(self) -> int:
         """Return the number of pairs held."""
@@ -87,7 +99,7 @@ class PairStore:
         rows = self._rows[first : first + count]
         self._stamps[first : first + count] = pairs.stamps
         rows[:, :WIDTH] = pairs.groundtruth
-        rows[:, WIDTH:-1] = pairs.estimate
+        rows[:, WIDTH:-1] = as_wide(pairs.estimate, self._own_width)
         if not first:
             self._rows[0, -1] = 0.0
         path = self._rows[max(first - 1, 0) : first + count]
@@ -112,7 +124,7 @@ class PairStore:
         return self._rows[self._view(begin), :WIDTH]
 
     def estimate(self, begin: int | None = None) -> Floats:
-        """Estimated states of the pairs from a number on, (N, 10)."""
+        """Estimated states of the pairs from a number on, (N, 10), or (N, 46) with covariances."""
         return self._rows[self._view(begin), WIDTH:-1]
 
     def along(self, begin: int | None = None) -> Floats:
@@ -141,5 +153,5 @@ class PairStore:
         rows = rows[: len(stamps)]
         size = max(1024, 2 * (len(stamps) + count))
         self._offset += keep
-        self._stamps, self._rows = np.empty(size, np.int64), np.empty((size, 2 * WIDTH + 1))
+        self._stamps, self._rows = np.empty(size, np.int64), np.empty((size, self._rows.shape[1]))
         self._stamps[: len(stamps)], self._rows[: len(stamps)] = stamps, rows

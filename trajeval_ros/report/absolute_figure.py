@@ -12,42 +12,95 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import absolute_form_of, alignment_of, why_no_rotation
+from trajeval_ros.report.error_rows import POSITION, ROTATION, ErrorRow, error_rows
+from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH_IN, _PANEL_IN = 6.2, 1.8
+_PANEL_IN = 1.6
+_BELOW_IN = 0.5
 _DISTANCE = "distance travelled [m]"
-_YAW_COLOUR, _TILT_COLOUR = "#E69F00", "#009E73"
+_YAW_PLACE, _TILT_PLACE = 4, 2  # whose colours yaw and tilt have
 
 
 def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw position and rotation error of each estimate, with its rmse."""
+    """Draw position and rotation error of each estimate, with its rmse.
+
+    Of fixes and points, which have no orientation, level and vertical errors as well.
+    """
     withheld = all(each.absolute.rotation_deg is None for each in evaluations)
-    figure = canvas.new_figure(_WIDTH_IN, _PANEL_IN)
-    upper = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
-        coverage = whole_percent(evaluation.association.groundtruth_coverage)
-        _draw(upper, evaluation, "position_m", place, f"{name}, {coverage} covered, ", "m")
-    upper.set_ylabel("position error [m]")
-    upper.set_ylim(bottom=0.0)
-    canvas.head(upper, _WIDTH_IN, f"{absolute_form_of(evaluations)}\n{alignment_of(evaluations)}")
-    longest = max(each.association.groundtruth.path_length_m for each in evaluations)
-    upper.set_xlim(0.0, max(longest, 1e-9))
+    parts = _parts_apart(evaluations) if withheld else []
+    if canvas.is_crowded(len(evaluations)):
+        return _row_each(evaluations, names, parts)
+    panels = 2 + len(parts)
+    figure = canvas.new_figure(panels * _PANEL_IN + _BELOW_IN, _title(evaluations))
+    upper, *middle, lower = figure.subplots(panels, 1)
+    rows = 0
+    for axes, part in zip((upper, *middle), ("position", *parts), strict=True):
+        for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
+            coverage = whole_percent(evaluation.association.groundtruth_coverage)
+            label = f"{name}, {coverage} covered, " if axes is upper else f"{name}, "
+            _draw(axes, evaluation, f"{part}_m", place, label, "m")
+        axes.set_ylabel(f"{part} error [m]")
+        axes.set_ylim(bottom=0.0)
+        rows += canvas.legend_above(axes)
     if withheld:
-        upper.set_xlabel(_DISTANCE)
-        lower = figure.add_axes((0.0, -0.55, 1.0, 0.15))
         reasons = dict.fromkeys(why_no_rotation(each) for each in evaluations)
         canvas.say_instead(lower, f"Rotation error withheld: {'; '.join(reasons)}.")
-        return figure
-    lower = figure.add_axes((0.0, -1.0, 1.0, 1.0), sharex=upper)
-    upper.tick_params(labelbottom=False)
-    lower.set_xlabel(_DISTANCE)
-    rows = _draw_rotation(lower, evaluations, names)
-    # The legend of the lower panel goes between the two.
-    lower.set_position((0.0, -1.0 - (0.2 + canvas.LEGEND_ROW_IN * rows) / _PANEL_IN, 1.0, 1.0))
+    else:
+        rows += _draw_rotation(lower, evaluations, names)
+    drawn = [upper, *middle] if withheld else [upper, *middle, lower]
+    for axes in drawn[1:]:
+        axes.sharex(upper)
+    for axes in drawn[:-1]:
+        axes.tick_params(labelbottom=False)
+    upper.set_xlim(0.0, _longest(evaluations))
+    drawn[-1].set_xlabel(_DISTANCE)
+    canvas.grow(figure, rows)
     return figure
+
+
+def _parts_apart(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return the parts of position errors to draw: fixes and points aren't of one quality."""
+    if all(each.groundtruth.kind == "poses" for each in evaluations):
+        return []
+    parts = ("horizontal", "vertical")
+    return [part for part in parts if any(each.ate[f"{part}_m"] for each in evaluations)]
+
+
+def _row_each(
+    evaluations: Sequence[Evaluation], names: Sequence[str], parts: Sequence[str]
+) -> Figure:
+    """Draw a row for each estimate: position and rotation, or the parts of the position."""
+    metrics = [f"{part}_m" for part in parts] or ["position_m", "rotation_deg"]
+    rows = []
+    for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
+        coverage = whole_percent(evaluation.association.groundtruth_coverage)
+        first, *others = (_rmse(evaluation, metric) for metric in metrics)
+        rows.append(
+            ErrorRow(
+                place,
+                (f"{name}\n{first}, {coverage} covered", *others),
+                tuple(_line(evaluation, metric) for metric in metrics),
+            )
+        )
+    labels = [f"{part} [m]" for part in parts] or [POSITION, ROTATION]
+    return error_rows(rows, _title(evaluations), _DISTANCE, labels)
+
+
+def _rmse(evaluation: Evaluation, metric: str) -> str:
+    statistics, unit = evaluation.ate[metric], metric.rpartition("_")[2]
+    return "withheld" if statistics is None else f"RMSE {statistics.rmse:.3g} {unit}"
+
+
+def _title(evaluations: Sequence[Evaluation]) -> str:
+    return f"{absolute_form_of(evaluations)}\n{alignment_of(evaluations)}"
+
+
+def _longest(evaluations: Sequence[Evaluation]) -> float:
+    return max(1e-9, *(each.association.groundtruth.path_length_m for each in evaluations))
 
 
 def _draw_rotation(axes: Axes, evaluations: Sequence[Evaluation], names: Sequence[str]) -> int:
@@ -57,14 +110,14 @@ def _draw_rotation(axes: Axes, evaluations: Sequence[Evaluation], names: Sequenc
             colour, dashes = canvas.line_style(place)
             axes.plot([], [], color=colour, linestyle=dashes, label=f"{name}, withheld")
         elif len(evaluations) == 1:
-            _draw(axes, evaluation, "yaw_deg", place, "yaw, ", "deg", _YAW_COLOUR)
-            _draw(axes, evaluation, "tilt_deg", place, "tilt, ", "deg", _TILT_COLOUR)
+            _draw(axes, evaluation, "yaw_deg", _YAW_PLACE, "yaw, ", "deg", is_part=True)
+            _draw(axes, evaluation, "tilt_deg", _TILT_PLACE, "tilt, ", "deg", is_part=True)
             _draw(axes, evaluation, "rotation_deg", place, "rotation, ", "deg")
         else:
             _draw(axes, evaluation, "rotation_deg", place, f"{name}, ", "deg")
     axes.set_ylabel("rotation error [deg]")
     axes.set_ylim(bottom=0.0)
-    return canvas.head(axes, _WIDTH_IN)
+    return canvas.legend_above(axes)
 
 
 def _draw(
@@ -74,24 +127,31 @@ def _draw(
     place: int,
     label: str,
     unit: str,
-    part_colour: str | None = None,
+    *,
+    is_part: bool = False,
 ) -> None:
     """Draw one metric, lightly where it is a part of another one, and its rmse across."""
-    errors: Floats | None = getattr(evaluation.absolute, metric)
-    statistics = evaluation.ate[metric]
-    if errors is None or statistics is None:
+    statistics, line = evaluation.ate[metric], _line(evaluation, metric)
+    if statistics is None or line is None:
         return
     colour, dashes = canvas.line_style(place)
+    axes.plot(
+        *line.T,
+        color=colour,
+        linestyle=dashes,
+        linewidth=0.7 if is_part else 1.0,
+        alpha=0.75 if is_part else 1.0,
+        label=f"{label}RMSE {statistics.rmse:.3g} {unit}",
+    )
+    if not is_part:
+        axes.axhline(statistics.rmse, color=colour, linewidth=0.8, linestyle=(0, (5, 4)))
+
+
+def _line(evaluation: Evaluation, metric: str) -> Floats | None:
+    """Return the metric over the distance, (M, 2), thinned; None where it is withheld."""
+    errors: Floats | None = getattr(evaluation.absolute, metric)
+    if errors is None:
+        return None
     truth = evaluation.association.groundtruth
     columns = np.stack([truth.travelled, errors], axis=1)
-    rows = canvas.thinned(columns, truth.stamps, evaluation.protocol.association.max_gap_s)
-    axes.plot(
-        *rows.T,
-        color=part_colour or colour,
-        linestyle=dashes,
-        linewidth=0.7 if part_colour else 1.0,
-        alpha=0.75 if part_colour else 1.0,
-        label=f"{label}rmse {statistics.rmse:.3g} {unit}",
-    )
-    if part_colour is None:
-        axes.axhline(statistics.rmse, color=colour, linewidth=0.8, linestyle=(0, (5, 4)))
+    return thinned(columns, truth.stamps, evaluation.protocol.association.max_gap_s)

@@ -19,9 +19,9 @@ def association_table(comparison: AssociationComparison) -> Table:
     table = new_table(
         f"{comparison.name}: position ATE by association",
         ["association"],
-        ["ATE [m]", "by the true one", "of poses", "approx. 95 % [m]"],
+        ["ATE [m]", "by the accurate groundtruth", "of poses", "approx. 95 % [m]"],
     )
-    rows = [["all groundtruth (the truth)", four_digits(true), "1", "", ""]]
+    rows = [["all groundtruth (accurate)", four_digits(true), "1", "", ""]]
     for each in comparison.reported:
         ratio = interval = NOTHING
         if each.ate_m is not None and true > 0.0:

@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import counted
+
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Ate, Calibrated
     from trajeval_ros.calibration.significance import Parameter
 
+_STATUSES = {"insignificant": "not significant", "weak": "inconclusive"}
 # By how much the position ATE must grow before its cause is said: it is printed to four digits.
 _GROWN = 1.001
 
@@ -22,7 +25,7 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         offset = calibration.offset
         text = _quantity(offset, 1e3, "ms", "{:+.1f}")
         rows = [
-            f"{kind}s alone {1e3 * calibration.rows[kind][0]:+.1f} ms"
+            f"from {kind}s {1e3 * calibration.rows[kind][0]:+.1f} ms"
             for kind in ("rotation", "position")
             if kind in calibration.rows
         ]
@@ -39,7 +42,7 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         lines.append(_line("lever arm", text, lever, calibrated.lever_applied))
     if wanted.known is not None:
         arm = " ".join(f"{each:.4g}" for each in wanted.known.lever_m)
-        lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied as given")
+        lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied")
     lines.append("  " + _ate(calibrated))
     return lines + _growth(calibrated)
 
@@ -47,14 +50,15 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
 def _source(name: str, calibrated: Calibrated) -> str:
     if calibrated.calibration is None or calibrated.estimated_from == name:
         return ""
-    return f" of {calibrated.estimated_from}, for all alike"
+    return f" from {calibrated.estimated_from}, applied to all estimates"
 
 
 def _line(label: str, text: str, found: Parameter, applied: bool) -> str:
     verdict = "applied" if applied else "not applied"
     if found.value is None:
         return f"  {label:<14} {verdict}: {found.reason}"
-    return f"  {label:<14} {text}: {found.status}, {verdict}; {found.reason}"
+    status = _STATUSES.get(found.status, found.status)
+    return f"  {label:<14} {text}: {status}, {verdict}; {found.reason}"
 
 
 def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
@@ -73,16 +77,19 @@ def _ate(calibrated: Calibrated) -> str:
     before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
     of_whom = "marker" if calibrated.of_marker else "body"
     text = f"ATE of the {of_whom}: {_both(after)}"
-    if before is None:
-        text += "; before, no stamps matched, or too few to be aligned"
+    if calibrated.was_live:
+        text += f", transformed with {calibrated.wanted.source} during the run"
+    elif before is None:
+        text += "; before, too few pairs for an alignment"
     elif calibrated.offset_applied or calibrated.hand_eye is not None:
-        text += f"; before, {_both(before)}"
+        text += f"; before {_both(before)}"
     if anyway is not None:
-        text += f"; with all of it applied it would be {_both(anyway)}"
+        text += f"; with all parameters applied {_both(anyway)}"
     if calibrated.calibration is not None:
         text += (
-            f"; {calibrated.parameters_applied} of {calibrated.calibration.fitted} fitted "
-            f"parameters are in it, on {calibrated.calibration.blocks} blocks"
+            f"; {calibrated.parameters_applied} of {calibrated.calibration.fitted} parameters "
+            "applied; standard deviations from "
+            f"{counted(calibrated.calibration.blocks, 'time block')}"
         )
     return text
 
@@ -96,15 +103,13 @@ def _growth(calibrated: Calibrated) -> list[str]:
         return []
     grown = 100.0 * (after.position_m / before.position_m - 1.0)
     text = (
-        f"  the position ATE grows by {grown:.2g} %: "
-        "the calibration is fitted to motions over about a second and not to the ATE, and errors "
-        "of clock, lever arm and drift can have cancelled in part before"
+        f"  the position ATE increases by {grown:.2g} %: the calibration minimises motion errors "
+        "over about 1 s, not the ATE, and errors of clock, lever arm and drift can cancel "
+        "without it"
     )
     missing = calibrated.wanted.hand_eye and not calibrated.lever_applied
     if missing and anyway is not None and anyway.position_m < before.position_m:
-        text += (
-            f"; with the lever arm, which is not applied, it would be {anyway.position_m:.4g} m"
-        )
+        text += f"; with the lever arm, which is not applied, it is {anyway.position_m:.4g} m"
     return [text]
 
 

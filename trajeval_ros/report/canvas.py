@@ -1,139 +1,182 @@
-"""What all figures share: colours, type sizes, thinned lines, and how they are saved."""
+"""What all figures are made with: paper, titles, legends, lines, boxes, and files."""
 
 from __future__ import annotations
 
-import functools
+import shutil
 import textwrap
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.escaping import latex_text, one_line
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.report.figure_style import TEX_SYSTEMS, FigureStyle, house_style
+from trajeval_ros.report.ticks import common_offset, coordinate_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+Drawing = Callable[[], "Figure"]
 Dashes = Literal["-", "--", "-.", ":"]
 
-GROUNDTRUTH_COLOUR = "0.2"
-# Okabe and Ito's palette, which the colour-blind can tell apart, without the too light yellow.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _LINE_STYLES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
-
-# Fonts with Chinese, Japanese and Korean letters, on Linux, macOS and Windows.
-_MORE_LETTERS = (
-    "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Droid Sans Fallback",
-    "PingFang SC", "Hiragino Sans", "Microsoft YaHei", "Malgun Gothic",
-)  # fmt: skip
-
-MOST_POINTS = 20_000
 _LONGEST_NAME = 48
 # Mean widths of a letter of 8 and of 9 points, and of a legend's handle and space in letters.
-_LETTER_IN, _TITLE_LETTER_IN = 0.058, 0.065
+_LETTER_IN, _TITLE_LETTER_IN = 0.06, 0.068
 _HANDLE_LETTERS = 7
-LEGEND_ROW_IN = 0.165
-_DOTS_PER_INCH = 200
-_STYLE: dict[Any, Any] = {
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.labelsize": 9,
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": 9,
-    "figure.titlesize": 9,
-    "font.size": 9,
-    "grid.color": "0.88",
-    "grid.linewidth": 0.5,
-    "legend.borderaxespad": 0.2,
-    "legend.columnspacing": 1.4,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "lines.linewidth": 1.1,
-    "text.parse_math": False,
-    "xtick.labelsize": 8,
-    "xtick.major.width": 0.6,
-    "ytick.labelsize": 8,
-    "ytick.major.width": 0.6,
-}
+_ROW_IN = 0.165  # of text
+_LABELS_IN = 0.65  # beside axes: their label and its ticks'
+# More lines than these in one panel can't be told apart; more panels than these are too small.
+_MOST_LINES, _MOST_PANELS = 3, 12
+_INSIDE = 0.35  # share of its edge's colour in a box
 
 
-@contextmanager
-def house_style() -> Iterator[None]:
-    """Draw in our style, whatever the user's own matplotlib settings are.
+def width_in() -> float:
+    """Return the width that figures are to be printed at, inches."""
+    import matplotlib
 
-    Raises:
-        InputError: matplotlib is not installed.
-    """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise InputError(
-            "figures need matplotlib, which is not installed: pip install 'trajeval-ros[plot]'"
-        ) from error
-    with matplotlib.rc_context(), warnings.catch_warnings():
-        # A name in letters that no font here has is drawn as boxes; nobody can mend that now.
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        matplotlib.rcParams["font.family"] = _fonts()
-        yield
+    return float(matplotlib.rcParams["figure.figsize"][0])
 
 
-@functools.lru_cache(maxsize=1)
-def _fonts() -> list[str]:
-    """Return matplotlib's own font, and those that have more letters where they are installed."""
-    from matplotlib import font_manager
+def new_figure(height_in: float, title: str = "") -> Figure:
+    """Return an empty figure of the style's width, which no pyplot knows of.
 
-    installed = set(font_manager.get_font_names())
-    return ["DejaVu Sans", *(name for name in _MORE_LETTERS if name in installed)]
-
-
-def new_figure(width_in: float, height_in: float, layout: str | None = None) -> Figure:
-    """Return an empty figure of that size in inches, which no pyplot knows of.
-
-    What stands out of it (titles, legends, labels) is saved nonetheless.
+    Args:
+        height_in: Inches, without a title and a legend.
+        title: Of some lines.
     """
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout=layout)  # type: ignore[arg-type]
+    figure = Figure(figsize=(width_in(), height_in), layout="constrained")
+    if title:
+        add_title(figure, title)
+    return figure
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG of all that was drawn; the same figure gives the same bytes."""
-    figure.savefig(
-        path,
-        format="png",
-        dpi=_DOTS_PER_INCH,
-        metadata={"Software": None},
-        bbox_inches="tight",
-        pad_inches=0.06,
-    )
-    return path
+def add_title(figure: Figure, title: str) -> None:
+    """Give a figure a title, and the room for it."""
+    letters = int(width_in() / _TITLE_LETTER_IN)
+    lines = [part for line in title.splitlines() for part in textwrap.wrap(line, letters)]
+    figure.suptitle("\n".join(lines))
+    grow(figure, len(lines))
+
+
+def titled(draw: Drawing, title: str) -> Figure:
+    """Draw a figure and give it a title."""
+    figure = draw()
+    add_title(figure, title)
+    return figure
+
+
+def grow(figure: Figure, rows: int) -> None:
+    """Make room in a figure for so many more lines of text, as of legends."""
+    figure.set_figheight(figure.get_figheight() + _ROW_IN * rows)
+
+
+def is_crowded(count: int) -> bool:
+    """Return whether so many lines need a panel each to be told apart."""
+    return _MOST_LINES < count <= _MOST_PANELS
+
+
+def columns_of_panels(count: int, narrowest_in: float) -> int:
+    """Return how many of so many panels stand beside each other, each at least so wide.
+
+    Rows are filled evenly: five panels are three and two, not four and one.
+    """
+    return _evenly(count, max(1, int(width_in() / narrowest_in)))
+
+
+def _evenly(count: int, most: int) -> int:
+    """Return the fewest columns, `most` at most, that take no more rows than `most` columns."""
+    rows = -(-count // most)
+    return -(-count // rows)
 
 
 def line_style(place: int) -> tuple[str, Dashes]:
     """Return the colour and the dashes of the estimate at that place in the list."""
-    dashes = _LINE_STYLES[place // len(COLOURS) % len(_LINE_STYLES)]
-    return COLOURS[place % len(COLOURS)], dashes
+    from matplotlib.colors import to_hex
+
+    colours = [to_hex(each) for each in _setting("axes.prop_cycle").by_key()["color"]]
+    dashes = _LINE_STYLES[place // len(colours) % len(_LINE_STYLES)]
+    return colours[place % len(colours)], dashes
 
 
-def tint(colour: str) -> str:
-    """Return the colour as light as a box's inside should be, opaque."""
-    from matplotlib.colors import to_hex, to_rgb
+def is_too_wide(labels: Sequence[str]) -> bool:
+    """Return whether tick labels side by side would run into each other."""
+    return _LETTER_IN * sum(len(each) + 2 for each in labels) > width_in() - _LABELS_IN
 
-    red, green, blue = (1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
-    return to_hex((red, green, blue))
+
+def truth_colour() -> Any:
+    """Return the colour of the groundtruth."""
+    return _setting("lines.color")
+
+
+def ink() -> Any:
+    """Return the colour of what is written and marked."""
+    return _setting("text.color")
+
+
+def soft_ink() -> Any:
+    """Return the colour of remarks, and of what is behind."""
+    return _setting("axes.edgecolor")
+
+
+def grid_colour() -> Any:
+    """Return the colour of grid lines."""
+    return _setting("grid.color")
+
+
+def paper() -> Any:
+    """Return the colour of the ground."""
+    return _setting("figure.facecolor")
+
+
+def tint(colour: str) -> Any:
+    """Return the colour as light as a box's inside should be, opaque if the paper is."""
+    from matplotlib.colors import to_hex, to_rgb, to_rgba
+
+    if to_rgba(paper())[3] == 0.0:
+        return colour, _INSIDE
+    share = np.array([[_INSIDE], [1.0 - _INSIDE]])
+    return to_hex((share * [to_rgb(colour), to_rgb(paper())]).sum(axis=0).tolist())
+
+
+def _setting(name: Any) -> Any:
+    import matplotlib
+
+    return matplotlib.rcParams[name]
+
+
+def mark_ends(axes: Axes, path: Floats, *, with_labels: bool = True) -> None:
+    """Mark where a path (N, 2 or 3) starts, by a circle, and where it ends, by a square."""
+    for row, marker, label in ((0, "o", "start"), (-1, "s", "end")):
+        axes.plot(
+            *path[row][:, None],
+            linestyle="none",
+            marker=marker,
+            markersize=5,
+            markerfacecolor=paper(),
+            markeredgecolor=ink(),
+            zorder=5,
+            label=label if with_labels else "_",
+        )
+
+
+def label_coordinates(axis: Axis, name: str) -> None:
+    """Name an axis of metres; what all its large coordinates have in common is subtracted."""
+    from matplotlib.ticker import FuncFormatter
+
+    offset = common_offset(*sorted(axis.get_view_interval()))
+    if offset != 0.0:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{round(value - offset, 6):g}"))
+    axis.set_label_text(coordinate_label(name, offset))
 
 
 def draw_boxes(
@@ -141,9 +184,8 @@ def draw_boxes(
     boxes: Sequence[tuple[float, Sequence[float]]],
     width: float,
     *,
-    edge: tuple[str, Dashes, float],
-    inside: str | tuple[str, float],
-    median: tuple[str, float],
+    colour: str,
+    dashes: Dashes = "-",
 ) -> None:
     """Draw distributions as boxes with whiskers.
 
@@ -152,12 +194,10 @@ def draw_boxes(
         boxes: Of each its place on the x axis, and five numbers: where the lower whisker ends,
             first quartile, median, third quartile, and where the upper whisker ends.
         width: Of a box.
-        edge: Colour, dashes and width of its lines; whiskers are never dashed.
-        inside: Its colour.
-        median: Colour and width of the median's line.
+        colour: Of its lines.
+        dashes: Of its edge; whiskers are never dashed.
     """
-    colour, dashes, line_width = edge
-    line = {"color": colour, "linewidth": line_width}
+    line = {"color": colour, "linewidth": 0.8}
     names = ("whislo", "q1", "med", "q3", "whishi")
     axes.bxp(
         [dict(zip(names, numbers, strict=True)) for _, numbers in boxes],
@@ -167,14 +207,14 @@ def draw_boxes(
         patch_artist=True,
         manage_ticks=False,
         boxprops={
-            "facecolor": inside,
+            "facecolor": tint(colour),
             "edgecolor": colour,
-            "linewidth": line_width,
+            "linewidth": 0.8,
             "linestyle": dashes,
         },
         whiskerprops=line,
         capprops=line,
-        medianprops={"color": median[0], "linewidth": median[1]},
+        medianprops={"color": ink(), "linewidth": 1.1},
     )
 
 
@@ -185,41 +225,63 @@ def short_names(names: Sequence[str]) -> list[str]:
         text = one_line(name) or f"estimate {place + 1}"
         if len(text) > _LONGEST_NAME:
             text = f"…{text[1 - _LONGEST_NAME :]}"
-        # matplotlib leaves labels that begin with an underscore out of legends.
+        # matplotlib leaves labels that start with an underscore out of legends.
         short.append(f" {text}" if text.startswith("_") else text)
     return short
 
 
-def head(axes: Axes, width_in: float, title: str = "") -> int:
-    """Put the legend above the axes, never over data, and the title above the legend.
+def legend_above(axes: Axes) -> int:
+    """Put the legend of axes as wide as the figure above them, never over data.
 
     Returns:
-        The number of the legend's rows, each `LEGEND_ROW_IN` high.
+        The number of the legend's rows.
     """
     handles, labels = axes.get_legend_handles_labels()
-    count = len(labels)
-    columns = legend_columns(labels, width_in)
-    rows = -(-count // columns)
-    if count:
-        axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns)
-    if title:
-        # The axis labels at the left widen the figure, so the title may be wider than the axes.
-        letters = int((width_in + 0.6) / _TITLE_LETTER_IN)
-        lines = [textwrap.fill(line, letters) for line in title.splitlines()]
-        axes.set_title("\n".join(lines), pad=72.0 * LEGEND_ROW_IN * rows + 9.0)
-    return rows
+    if not labels:
+        return 0
+    room_in = width_in() - _LABELS_IN
+    labels = [wrapped(label, room_in) for label in labels]
+    columns = legend_columns(labels, room_in)
+    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns)
+    return _legend_rows(labels, columns)
 
 
-def legend_columns(labels: Sequence[str], width_in: float) -> int:
+def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
+    """Put one legend for all axes below them, and make room for it."""
+    labels = [wrapped(label, width_in()) for label in labels]
+    columns = legend_columns(labels, width_in())
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
+    grow(figure, _legend_rows(labels, columns))
+
+
+def legend_columns(labels: Sequence[str], room_in: float) -> int:
     """Return in how many columns a legend of that width can be laid out."""
     most = range(len(labels), 1, -1)
-    return next((columns for columns in most if _fits(labels, columns, width_in)), 1)
+    fitting = next((columns for columns in most if _fits(labels, columns, room_in)), 1)
+    even = _evenly(len(labels), fitting)
+    return even if _fits(labels, even, room_in) else fitting
 
 
-def _fits(labels: Sequence[str], columns: int, width_in: float) -> bool:
+def _fits(labels: Sequence[str], columns: int, room_in: float) -> bool:
     """Whether a legend of so many columns, which fill one after the other, is narrow enough."""
-    widest = [max(map(len, column)) for column in np.array_split(np.array(labels), columns)]
-    return _LETTER_IN * sum(letters + _HANDLE_LETTERS for letters in widest) < width_in
+    widest = [
+        max(len(line) for label in column for line in str(label).splitlines() or [""])
+        for column in np.array_split(np.array(labels), columns)
+    ]
+    return _LETTER_IN * sum(letters + _HANDLE_LETTERS for letters in widest) < room_in
+
+
+def _legend_rows(labels: Sequence[str], columns: int) -> int:
+    """Return how many lines of text are above each other in the highest column."""
+    lines = [label.count("\n") + 1 for label in labels]
+    return max(int(sum(column)) for column in np.array_split(np.array(lines), columns))
+
+
+def wrapped(label: str, room_in: float) -> str:
+    """Return a label in lines that fit into so many inches, a legend's handle beside them."""
+    letters = int(room_in / _LETTER_IN) - _HANDLE_LETTERS
+    # Spaces at the start keep a name in the legend.
+    return label if len(label) <= letters else textwrap.fill(label, letters, drop_whitespace=False)
 
 
 def say_instead(axes: Axes, sentence: str) -> None:
@@ -229,39 +291,114 @@ def say_instead(axes: Axes, sentence: str) -> None:
     axes.set_yticks([])
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
-    axes.text(
-        0.5, 0.5, sentence, transform=axes.transAxes, ha="center", va="center", wrap=True,
-        color="0.35", fontsize=9,
+    letters = int((width_in() - 0.4) / _LETTER_IN)
+    text = axes.text(
+        0.5, 0.5, textwrap.fill(sentence, letters), transform=axes.transAxes, ha="center",
+        va="center", color=soft_ink(),
     )  # fmt: skip
+    text.set_in_layout(False)
 
 
-def thinned(
-    columns: Floats, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
-) -> Floats:
-    """Return rows (M, K) to draw as a line instead of N rows: few, with nothing lost to the eye.
-
-    Of each of many equal runs of rows, those with the least and largest value of each column are
-    kept, so that no peak is lost. A row of NaN breaks the line where time jumps by more than
-    the gap and more than five usual steps (keyframes are far apart without being a gap).
+def save(figure: Figure, path: Path, file_format: str) -> Path:
+    """Write a figure; the same figure gives the same bytes.
 
     Args:
-        columns: (N, K).
-        stamps: (N,), nanoseconds, in order.
-        max_gap_s: Seconds.
-        most: About how many rows are few.
+        figure: What to write.
+        path: The file.
+        file_format: `png`, `pdf`, `svg` or `pgf`.
+
+    Raises:
+        InputError: LaTeX is needed for it, and can't do it.
     """
-    count, width = columns.shape
-    rows = np.arange(count)
-    if count > most:
-        runs = most // (2 * width)
-        size = -(-count // runs)
-        padded = np.pad(columns, ((0, size * runs - count), (0, 0)), mode="edge")
-        by_run = padded.reshape(runs, size, width)
-        extremes = np.stack([by_run.argmin(axis=1), by_run.argmax(axis=1)], axis=2)
-        in_all = extremes + (size * np.arange(runs))[:, None, None]
-        rows = np.concatenate([[0], in_all.ravel(), [count - 1]])
-    steps = np.diff(stamps)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    before = np.flatnonzero(steps > max(max_gap_s * NANOSECONDS, 5.0 * usual))
-    rows = np.unique(np.minimum(np.concatenate([rows, before, before + 1]), count - 1))
-    return np.insert(columns[rows], np.searchsorted(rows, before + 1), np.nan, axis=0)
+    import matplotlib
+
+    title = " ".join(figure.get_suptitle().split())
+    metadata: dict[str, dict[str, Any]] = {
+        "png": {"Software": None, "Title": title},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": title},
+        "svg": {"Date": None, "Creator": None, "Title": title},
+    }
+    by_latex = file_format == "pgf" or matplotlib.rcParams["text.usetex"]
+    with matplotlib.rc_context():
+        if by_latex:
+            _prepare_for_latex(figure)
+        try:
+            if file_format == "pgf":
+                figure.savefig(path, format=file_format)
+            else:
+                figure.savefig(path, format=file_format, metadata=metadata[file_format])
+        except (RuntimeError, FileNotFoundError, ValueError) as error:
+            if not by_latex:
+                raise
+            said = " ".join(str(error).split())[:200]
+            raise InputError(
+                f"LaTeX can't typeset a figure: {said}; use format pdf, which needs no LaTeX"
+            ) from error
+    return path
+
+
+def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -> list[Path]:
+    """Draw figures in a style, one after the other, and write each in all of its formats.
+
+    Args:
+        figures: What draws each, by the name of its file without a suffix.
+        folder: Existing; files of the same names are replaced.
+        style: How.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: They can't be written, or matplotlib is not installed.
+    """
+    written = []
+    with (
+        house_style(style),
+        refused_by_disk(f"figures in {folder}"),
+        temporary_folder("figures", folder) as made,
+    ):
+        for name, draw in figures.items():
+            for each in style.formats:
+                figure = draw()
+                if not style.has_titles:
+                    _hide_title(figure)
+                save(figure, made / f"{name}.{each}", each)
+                written.append(folder / f"{name}.{each}")
+        # Beside PGF are the images in it.
+        for file in sorted(made.iterdir()):
+            file.replace(folder / file.name)
+    return written
+
+
+def _hide_title(figure: Figure) -> None:
+    for text in figure.texts:
+        if text.get_text() == figure.get_suptitle():
+            grow(figure, -1 - text.get_text().count("\n"))
+            text.set_visible(False)
+            text.set_in_layout(False)
+
+
+def _prepare_for_latex(figure: Figure) -> None:
+    """Make all text what LaTeX prints as it is."""
+    import matplotlib
+    from matplotlib.text import Text
+    from matplotlib.ticker import FuncFormatter
+
+    systems = [each for each in TEX_SYSTEMS if shutil.which(each)]
+    chosen = matplotlib.rcParams["pgf.texsystem"]
+    if systems and shutil.which(chosen) is None:
+        matplotlib.rcParams["pgf.texsystem"] = systems[0]
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text("\n".join(map(latex_text, text.get_text().split("\n"))))
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            named = axis.get_major_formatter()
+            if isinstance(named, FuncFormatter):
+                axis.set_major_formatter(_escaped(named))
+
+
+def _escaped(named: Any) -> Any:
+    from matplotlib.ticker import FuncFormatter
+
+    return FuncFormatter(lambda value, place: latex_text(named(value, place)))

@@ -68,7 +68,7 @@ def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
 def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting a word or a number, if need be wider than the terminal."""
     width = terminal.width
-    terminal.width = max(width, Console(width=_UNWRAPPED, markup=False).measure(table).minimum)
+    terminal.width = max(width, width_of(table))
     if terminal.is_terminal:
         terminal.print(table)
     else:  # who reads the table by program wants no blanks at the ends of lines
@@ -77,6 +77,15 @@ def show(terminal: Console, table: Table) -> None:
         lines = captured.get().splitlines()
         terminal.print("\n".join(map(str.rstrip, lines)), soft_wrap=True)
     terminal.width = width
+
+
+def width_of(table: Table) -> int:
+    """Return the number of letters that a table needs in a line; only its numbers may wrap."""
+    for column in table.columns:
+        if column.no_wrap:  # which rich would rather cut, as if its words could wrap
+            cells = (column.header, *column.cells)
+            column.min_width = max(Text(str(each)).cell_len for each in cells)
+    return Console(width=_UNWRAPPED, markup=False).measure(table).minimum
 
 
 def _cell(cell: str | MarkedText) -> Text:

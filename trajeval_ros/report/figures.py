@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
+from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle, house_style
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import side_view, top_view
 
@@ -37,7 +39,7 @@ def draw(
         evaluations: One, or several with the same groundtruth and protocol.
         kind: `top` or `side`: aligned estimates and groundtruth from above or from the side;
             `absolute`: errors over the distance travelled; `relative`: errors by length.
-        path: Where to write it as PNG, too; None to write nothing.
+        path: Where to write it, too, as PNG, PDF, SVG or PGF by its suffix; None to write nothing.
 
     Returns:
         The figure, which no pyplot knows of.
@@ -55,42 +57,53 @@ def draw(
     """
     require_one_of(kind, _DRAWINGS, "figure")
     given = [evaluations] if isinstance(evaluations, Evaluation) else list(evaluations)
-    with canvas.house_style():
+    with house_style():
         figure = _DRAWINGS[kind](given, canvas.short_names([each.estimate.name for each in given]))
         if path is not None:
-            write_whole(
-                Path(path), lambda temporary: canvas.save(figure, temporary), follow_link=True
-            )
+            write_figure(figure, Path(path))
     return figure
 
 
-def write_figures(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
-    """Write PNG figures of estimates that were evaluated against one groundtruth.
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write one figure that was drawn in the house style, in the format that its name ends with.
 
-    `trajectory_top.png` and, but for planar evaluations, `trajectory_side.png`: aligned
-    estimates, groundtruth and correspondences. `absolute_error.png`: over the distance
-    travelled. `relative_error.png`: by length, unless the protocol has no lengths.
+    Raises:
+        SettingsError: There is no such format.
+        InputError: It can't be written.
+    """
+    suffix = path.suffix.removeprefix(".")
+    require_one_of(suffix, FORMATS, "figure format")
+    write_whole(path, lambda temporary: canvas.save(figure, temporary, suffix), follow_link=True)
+
+
+def write_figures(
+    evaluations: Sequence[Evaluation], folder: Path, style: FigureStyle = PLAIN
+) -> list[Path]:
+    """Write figures of estimates that were evaluated against one groundtruth.
+
+    `trajectory_top` and, but for planar evaluations, `trajectory_side`: aligned estimates,
+    groundtruth and correspondences. `absolute_error`: over the distance travelled.
+    `relative_error`: by length, unless the protocol has no lengths.
 
     Args:
         evaluations: One per estimate, with the same groundtruth and protocol.
         folder: Existing folder; figures of the same names are replaced.
+        style: Formats and look.
 
     Returns:
         The files that were written.
 
     Raises:
-        InputError: matplotlib is not installed.
+        InputError: matplotlib is not installed, or a format needs LaTeX.
     """
     legend = canvas.short_names([each.estimate.name for each in evaluations])
     protocol = evaluations[0].protocol
-    figures = {"trajectory_top.png": top_view}
+    drawings: dict[str, canvas.Drawing] = {
+        "trajectory_top": partial(top_view, evaluations, legend)
+    }
     if protocol.gauge is not Gauge.PLANAR:
-        figures["trajectory_side.png"] = side_view
-    figures["absolute_error.png"] = absolute_error
+        drawings["trajectory_side"] = partial(side_view, evaluations, legend)
+    drawings["absolute_error"] = partial(absolute_error, evaluations, legend)
     if protocol.lengths:
-        figures["relative_error.png"] = relative_error
-    with canvas.house_style():
-        return [
-            canvas.save(figure_of(evaluations, legend), folder / name)
-            for name, figure_of in figures.items()
-        ]
+        drawings["relative_error"] = partial(relative_error, evaluations, legend)
+    return canvas.save_all(drawings, folder, style)

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_WIDTH_IN = 6.4
-_HANDLING_COLOURS = dict(zip(GaugeHandling, canvas.COLOURS, strict=False))
 _FLOOR = 1e-7  # the paper's epsilon: what it draws as white
 
 
@@ -32,11 +30,11 @@ def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str
         "iterations": [trials.iterations.mean() for trials in outcome],
         "time [ms]": [1e3 * np.median(trials.seconds) for trials in outcome],
     }
-    figure = canvas.new_figure(_WIDTH_IN, 6.0, layout="constrained")
-    figure.suptitle(title)
+    figure = canvas.new_figure(6.0, title)
+    colour, _ = canvas.line_style(0)
     all_axes = figure.subplots(len(panels), 1, sharex=True)
     for axes, (label, values) in zip(all_axes, panels.items(), strict=True):
-        axes.plot(weights, values, color=canvas.COLOURS[0], marker="o", markersize=3)
+        axes.plot(weights, values, color=colour, marker="o", markersize=3)
         axes.set_ylabel(label)
         axes.ticklabel_format(axis="y", useOffset=False)
         # Errors differ in the last digits: a scale of their own would make hills of nothing.
@@ -52,7 +50,7 @@ def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str
     axes.set_xticks([0.0, *(10.0**power for power in range(9))])
     axes.set_xlim(-0.1, 2.0 * max(weights))
     axes.xaxis.set_major_formatter(_plainly)
-    axes.set_xlabel("prior weight: 0 is the free gauge, infinity is fixation")
+    axes.set_xlabel("prior weight (0: free gauge, infinity: gauge fixation)")
     return figure
 
 
@@ -60,43 +58,39 @@ def prior_paths(weights: Sequence[float], traces: Sequence[Trace], title: str) -
     """Draw reprojection error and the prior's error over the iterations: what Fig. 6 shows.
 
     The paper draws one over the other: all but the first two iterations of a weak prior are then
-    one vertical line.
+    one vertical line. Here each weight has a column of its own, by the same scales, with the
+    others behind it.
     """
-    figure = canvas.new_figure(_WIDTH_IN, 5.0, layout="constrained")
-    figure.suptitle(title)
     panels = {
-        "reprojection_px": "mean reprojection\nerror [px]",
-        "position_m": "prior error,\nposition [m]",
-        "yaw_deg": "prior error,\nyaw [deg]",
+        "reprojection_px": "reprojection\nerror [px]",
+        "position_m": "prior's error,\nposition [m]",
+        "yaw_deg": "prior's error,\nyaw [deg]",
     }
-    all_axes = figure.subplots(len(panels), 1, sharex=True)
-    for axes, (metric, label) in zip(all_axes, panels.items(), strict=True):
-        for place, (weight, trace) in enumerate(zip(weights, traces, strict=True)):
-            colour, dashes = canvas.line_style(place)
-            axes.plot(
-                getattr(trace, metric),
-                color=colour,
-                linestyle=dashes,
-                marker="o",
-                markersize=3,
-                label=f"w = {weight:g}",
-            )
-        axes.set_ylabel(label)
-        axes.set_ylim(bottom=0.0)
-    all_axes[0].set_yscale("log")
-    all_axes[0].autoscale(axis="y")
-    all_axes[0].yaxis.set_major_formatter(_plainly)
-    all_axes[-1].xaxis.get_major_locator().set_params(integer=True)
-    all_axes[-1].set_xlabel("accepted iterations")
-    handles, labels = all_axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure = canvas.new_figure(4.2, title)
+    grid = figure.subplots(len(panels), len(weights), sharex=True, sharey="row")
+    for row, (metric, label) in zip(grid, panels.items(), strict=True):
+        for place, (axes, trace) in enumerate(zip(row, traces, strict=True)):
+            for other in traces:
+                axes.plot(getattr(other, metric), color=canvas.soft_ink(), alpha=0.4, lw=0.5)
+            colour, _ = canvas.line_style(0)
+            axes.plot(getattr(trace, metric), color=colour, marker="o", markersize=2.5)
+            if metric == "reprojection_px":
+                axes.set_yscale("log")
+                axes.set_title(f"w = {weights[place]:g}")
+            else:
+                axes.set_ylim(bottom=0.0)
+        row[0].set_ylabel(label)
+    grid[0, 0].yaxis.set_major_formatter(_plainly)
+    grid[0, 0].yaxis.set_minor_formatter("")
+    grid[0, 0].xaxis.get_major_locator().set_params(integer=True)
+    figure.supxlabel("accepted iterations", fontsize="medium")
+    figure.align_ylabels()
     return figure
 
 
 def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> Figure:
     """Draw iterations, time, and time per iteration relative to fixation: Fig. 7 and 11."""
-    figure = canvas.new_figure(_WIDTH_IN, 5.2, layout="constrained")
-    figure.suptitle(title)
+    figure = canvas.new_figure(5.0, title)
     panels = figure.subplots(3, 1, sharex=True)
     places = np.arange(len(outcome))
     width = 0.26
@@ -111,6 +105,7 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
                 for each, of_fixed in zip(trials, fixed, strict=True)
             ],
         )
+        colour, _ = canvas.line_style(shift)
         for axes, heights in zip(panels, values, strict=True):
             # From small simulated scenes to measured ones, times grow tenfold: points on a
             # logarithmic scale, where bars have no foot.
@@ -118,7 +113,7 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
                 axes.plot(
                     places + (shift - 1) * width,
                     heights,
-                    color=_HANDLING_COLOURS[handling],
+                    color=colour,
                     marker="o",
                     linestyle="none",
                 )
@@ -127,7 +122,7 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
                 places + (shift - 1) * width,
                 heights,
                 width,
-                color=_HANDLING_COLOURS[handling],
+                color=colour,
                 label=handling.value,
             )
     panels[1].set_yscale("log")
@@ -135,21 +130,22 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
     panels[1].yaxis.get_minor_locator().set_params(subs=())
     panels[1].yaxis.set_major_formatter(_plainly)
     for axes, label in zip(
-        panels, ("iterations", "time [ms]", "time per iteration\n/ fixation's"), strict=True
+        panels, ("iterations", "time [ms]", "time per iteration\n/ gauge fixation"), strict=True
     ):
         axes.set_ylabel(label)
         axes.grid(visible=False, axis="x")
     panels[-1].set_xticks(places, [one_line(each) for each in outcome], rotation=20, ha="right")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    canvas.legend_below(figure, *panels[0].get_legend_handles_labels())
+    figure.align_ylabels()
     return figure
 
 
 def covariance_matrices(covariances: Covariances, title: str) -> Figure:
     """Draw the covariances of free gauge, transformed and fixed: Fig. 9 and 10."""
-    figure = canvas.new_figure(7.4, 3.1, layout="constrained")
     percent = 100.0 * covariances.difference
-    figure.suptitle(
-        f"{one_line(title)}: transformed and fixed differ by {percent:.2g} % (Frobenius norm)"
+    figure = canvas.new_figure(
+        0.27 * canvas.width_in() + 0.7,
+        f"{one_line(title)}: difference of transformed and fixed {percent:.2g} % (Frobenius norm)",
     )
     panels = figure.subplots(1, 3)
     named = (
@@ -160,12 +156,10 @@ def covariance_matrices(covariances: Covariances, title: str) -> Figure:
     images = [_by_kind(matrix) for _, matrix in named]
     largest = max(float(image.max()) for image in images)
     for axes, (label, _), image in zip(panels, named, images, strict=True):
-        drawn = axes.imshow(
-            image, vmin=np.log10(_FLOOR), vmax=largest, cmap="magma_r", interpolation="nearest"
-        )
+        drawn = axes.imshow(image, vmin=np.log10(_FLOOR), vmax=largest, interpolation="nearest")
         _mark_kinds(axes, len(image))
-        axes.set_title(label)
-    figure.colorbar(drawn, ax=list(panels), shrink=0.8, label="log10 |covariance|")
+        axes.set_title(canvas.wrapped(label, canvas.width_in() / 3.0))
+    figure.colorbar(drawn, ax=list(panels), shrink=0.7, label="log10 |covariance|")
     return figure
 
 
@@ -188,5 +182,5 @@ def _mark_kinds(axes: Axes, size: int) -> None:
     axes.set_yticks(middles, ["p", "φ", "v"])
     axes.grid(visible=False)
     for place in (1, 2):
-        axes.axhline(place * third - 0.5, color="0.5", linewidth=0.5)
-        axes.axvline(place * third - 0.5, color="0.5", linewidth=0.5)
+        axes.axhline(place * third - 0.5, color=canvas.paper(), linewidth=0.5)
+        axes.axvline(place * third - 0.5, color=canvas.paper(), linewidth=0.5)

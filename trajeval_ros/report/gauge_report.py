@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.text_tables import markdown_table
-from trajeval_ros.report import gauge_figures, gauge_scenes, gauge_tables
+from trajeval_ros.report import canvas, gauge_figures, gauge_scenes, gauge_tables
 from trajeval_ros.report.measured_lines import measured_lines, measured_numbers
 from trajeval_ros.visual_inertial.examination import Examination
 from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
@@ -20,7 +21,7 @@ from trajeval_ros.visual_inertial.study import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 SWEPT = "sine plane"
 
@@ -57,17 +58,19 @@ class GaugeStudy:
     def sensors(self) -> str:
         """Which sensors are simulated, in a sentence."""
         if self.measured:
-            return f"Sensors are simulated but for {self.measured}, where they are measured."
-        return "All sensors are simulated, also those along recorded motions."
+            return f"Sensors are simulated, except for {self.measured} (measured)."
+        return "All sensors are simulated, including sensors on recorded motions."
 
     @property
     def timing(self) -> str:
         """On what times were taken, in a sentence."""
         if self.blas_threads == "1":
-            return "Times are on one thread of linear algebra, the ways in turns."
+            return (
+                "Times are measured with one linear algebra thread, alternating between methods."
+            )
         return (
-            "Times are on as many threads of linear algebra as the library likes, the ways in "
-            "turns; OPENBLAS_NUM_THREADS=1 gives those of one."
+            "Times are measured with the default number of linear algebra threads, alternating "
+            "between methods; for one thread, set OPENBLAS_NUM_THREADS=1."
         )
 
     def lines(self) -> list[str]:
@@ -106,17 +109,17 @@ class GaugeStudy:
         """Return tables.md's content."""
         parts = [
             "Root mean square errors after alignment by the first keyframe (yaw and "
-            f"translation), means over {self.trials} trials: p [m] / φ [deg] / v [m/s]; profile "
-            f"`{self.profile}`. {markdown_text(self.sensors)} {self.timing} The paper's values "
-            "are those of its Tables II and III; its noise, segments and feature tracks are not "
-            "public.\n",
+            f"translation), means over {self.trials} trials: p [m] / φ [deg] / v [m/s]; "
+            f"profile `{self.profile}`. {markdown_text(self.sensors)} {self.timing} The values "
+            "of the paper are from its Tables II and III. Its noise, segments and feature "
+            "tracks are not public.\n",
             *markdown_table(gauge_tables.HEADINGS, gauge_tables.accuracy_rows(self.compared)),
             "",
             "Relative Frobenius difference between the transformed free-gauge covariance, eq. "
-            "(12), and that of a separate solve with fixation (paper: 0.11 % simulated, 0.02 % on "
-            "V1_01): where Ceres stops, and at the minimum:\n",
+            "(12), and the covariance of a separate solve with gauge fixation (paper: 0.11 % "
+            "simulated, 0.02 % on V1_01), at the termination of Ceres and at the minimum:\n",
             *markdown_table(
-                ["configuration", "as Ceres stops", "converged"],
+                ["configuration", "at termination of Ceres", "converged"],
                 [
                     [name, *(f"{100 * each.difference:.2g} %" for each in pair)]
                     for name, pair in self.covariances.items()
@@ -126,7 +129,7 @@ class GaugeStudy:
         if self.examined is not None:
             parts += [
                 "",
-                f"The prior's weight on {markdown_text(self.measured)}:\n",
+                f"Prior weight on {markdown_text(self.measured)}:\n",
                 *markdown_table(
                     gauge_tables.SWEEP_HEADINGS,
                     gauge_tables.sweep_rows(SWEEP_WEIGHTS, self.sweeps[self.measured]),
@@ -136,24 +139,31 @@ class GaugeStudy:
             ]
         return "\n".join([*parts, ""])
 
-    def figures(self) -> dict[str, Figure]:
-        """Return the figures by the names of their files."""
+    def figures(self) -> dict[str, canvas.Drawing]:
+        """Return what draws each figure by the names of their files, without a suffix."""
         what = f"profile {self.profile}, {self.trials} trials"
-        figures = {
-            "scenes.png": gauge_scenes.scenes(self.states),
-            "cost.png": gauge_figures.cost(self.compared, what),
-            "prior_paths.png": gauge_figures.prior_paths(
-                PATH_WEIGHTS, self.paths, f"{SWEPT}, one trial, profile {self.profile}"
+        figures: dict[str, canvas.Drawing] = {
+            "scenes": partial(gauge_scenes.scenes, self.states),
+            "cost": partial(gauge_figures.cost, self.compared, what),
+            "prior_paths": partial(
+                gauge_figures.prior_paths,
+                PATH_WEIGHTS,
+                self.paths,
+                f"{SWEPT}, one trial, profile {self.profile}",
             ),
         }
         for name, trials in self.sweeps.items():
-            file = "prior_weight.png" if name == SWEPT else f"prior_weight_{_file_name(name)}.png"
+            file = "prior_weight" if name == SWEPT else f"prior_weight_{_file_name(name)}"
             title = f"{name}, {what if name == SWEPT else f'{self.trials} trials'}"
-            figures[file] = gauge_figures.prior_weight(SWEEP_WEIGHTS, trials, title)
+            figures[file] = partial(gauge_figures.prior_weight, SWEEP_WEIGHTS, trials, title)
         for name, (stopped, converged) in self.covariances.items():
             file = _file_name(name)
-            figures[f"covariances_{file}.png"] = gauge_figures.covariance_matrices(stopped, name)
-            figures[f"gauges_{file}.png"] = gauge_scenes.gauges(converged, self.states[name], name)
+            figures[f"covariances_{file}"] = partial(
+                gauge_figures.covariance_matrices, stopped, name
+            )
+            figures[f"gauges_{file}"] = partial(
+                gauge_scenes.gauges, converged, self.states[name], name
+            )
         return figures
 
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS = 3
-_PANEL_IN = 2.5
+_PANEL_IN, _NARROWEST_IN = 2.4, 1.7
 _LARGEST_SHARE = 0.25  # of the path's extent, that the largest ellipse is drawn as
 _FACTORS = (1, 2, 3, 5, 8)
 _FARTHEST_PERCENTILE = 98.0  # of landmarks: a few far ones would shrink all others
@@ -38,14 +37,19 @@ def gauges(covariances: Covariances, state: State, title: str) -> Figure:
     extent_m = float(np.ptp(state.positions[:, :2], axis=0).max())
     largest_m = max(float(np.abs(each).max()) for each in ellipses.values())
     factor = _readable(_LARGEST_SHARE * extent_m / largest_m)
-    figure = canvas.new_figure(6.4, 3.4, layout="constrained")
-    figure.suptitle(f"{title}: position, {factor:g} σ, from above")
+    shape = float(np.ptp(state.positions[:, 1])) / max(extent_m, 1e-9)
+    figure = canvas.new_figure(
+        0.5 * canvas.width_in() * min(shape + 2.5 * _LARGEST_SHARE, 1.2) + 0.4,
+        f"{title}: position, {factor:g} σ, from above",
+    )
+    colour, _ = canvas.line_style(1)
+    mark, _ = canvas.line_style(0)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, (name, outlines) in zip(panels, ellipses.items(), strict=True):
-        axes.plot(*state.positions[:, :2].T, color="0.4", marker="o", markersize=2.5)
+        axes.plot(*state.positions[:, :2].T, color=canvas.soft_ink(), marker="o", markersize=2.5)
         for centre, outline in zip(state.positions[:, :2], outlines, strict=True):
-            axes.plot(*(centre[:, None] + factor * outline), color=canvas.COLOURS[0], alpha=0.6)
-        axes.plot(*state.positions[0, :2], color=canvas.COLOURS[1], marker="s", markersize=5)
+            axes.plot(*(centre[:, None] + factor * outline), color=colour, alpha=0.6)
+        axes.plot(*state.positions[0, :2], color=mark, marker="s", markersize=5)
         axes.set_title(name)
         # One scale for both: ellipses are there to be compared.
         _from_above(axes, "box")
@@ -54,16 +58,19 @@ def gauges(covariances: Covariances, state: State, title: str) -> Figure:
 
 def scenes(states: Mapping[str, State]) -> Figure:
     """Draw keyframes and landmarks of each configuration: Fig. 3."""
-    rows = -(-len(states) // _COLUMNS)
-    figure = canvas.new_figure(_COLUMNS * _PANEL_IN, rows * _PANEL_IN, layout="constrained")
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    columns = canvas.columns_of_panels(min(3, len(states)), _NARROWEST_IN)
+    rows = -(-len(states) // columns)
+    figure = canvas.new_figure(rows * _PANEL_IN)
+    colour, _ = canvas.line_style(1)
+    mark, _ = canvas.line_style(0)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (name, state) in zip(panels, states.items(), strict=False):
         middle = state.positions[:, :2].mean(axis=0)
         away = np.linalg.norm(state.landmarks[:, :2] - middle, axis=1)
         near = state.landmarks[away <= np.percentile(away, _FARTHEST_PERCENTILE)]
-        axes.scatter(*near[:, :2].T, s=3, color="0.6", linewidths=0)
-        axes.plot(*state.positions[:, :2].T, color=canvas.COLOURS[0], marker="o", markersize=2)
-        axes.plot(*state.positions[0, :2], color=canvas.COLOURS[1], marker="s", markersize=4)
+        axes.scatter(*near[:, :2].T, s=3, color=canvas.soft_ink(), alpha=0.5, linewidths=0)
+        axes.plot(*state.positions[:, :2].T, color=colour, marker="o", markersize=2)
+        axes.plot(*state.positions[0, :2], color=mark, marker="s", markersize=4)
         axes.set_title(name)
         _from_above(axes, "datalim")
     for axes in panels[len(states) :]:

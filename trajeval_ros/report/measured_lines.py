@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.visual_inertial.examination import (
     GROUNDTRUTH_NOISES,
     LAGS,
@@ -31,33 +32,47 @@ def measured_lines(name: str, examined: Examination) -> list[str]:
     )
     coloured = undecided = ""
     if examined.correlation[0] > _WHITE:
-        coloured = ": a pixel noise from their chi-square would be too small for the covariance"
+        coloured = ": a pixel noise from their chi-square is too small for the covariance"
     if examined.drift_deg > _GOOD_GROUNDTRUTH_DEG:
-        undecided = ": groundtruth drifts, and the verdict is a choice of its noise"
+        undecided = ": groundtruth drifts, and the verdict depends on its assumed noise"
     lines = [
         f"{name}: {problem.keyframes} keyframes in {examined.duration_s:.2f} s",
         *(f"{note[0].upper()}{note[1:]}." for note in examined.notes),
-        f"Gravity by groundtruth and IMU: {np.linalg.norm(examined.gravity):.3f} m/s^2, "
+        f"Gravity from groundtruth and IMU: {np.linalg.norm(examined.gravity):.3f} m/s^2, "
         f"{tilt_of(examined.gravity):.2f} deg from the vertical.",
         f"Reprojection at groundtruth: median {rejection.median_px:.2f} px, "
         f"{100 * rejection.within_3px:.1f} % within 3 px.",
         f"Without outliers: {after} of {before} observations, {left} of {landmarks} landmarks, "
-        f"after {len(rejection.rounds) - 1} rounds.",
-        f"Chi-square over redundancy by group (redundancy): {groups}. The total says nothing of "
-        "the IMU.",
-        f"Reprojection errors of a track correlate by {correlation} at lags of "
+        f"after {counted(len(rejection.rounds) - 1, 'round')}.",
+        f"Chi-square over redundancy by group (redundancy): {groups}. The total is insensitive "
+        "to the IMU.",
+        f"Autocorrelation of the reprojection errors of a track: {correlation} at lags of "
         f"{', '.join(map(str, LAGS))} keyframes{coloured}.",
-        f"NEES of the poses / dof by the noise of groundtruth that is assumed: {nees}. "
-        f"Groundtruth and gyroscope differ by {examined.drift_deg:.2f} deg from first to last "
+        f"NEES of the poses / dof by the assumed groundtruth noise: {nees}. Groundtruth and "
+        f"gyroscope differ by {examined.drift_deg:.2f} deg from the first to the last "
         f"keyframe{undecided}.",
     ]
+    if examined.biases_sigma.size:
+        lines.append(
+            "Biases of the last keyframe, relative to the mean of the groundtruth: gyroscope "
+            f"{_with_sigmas(examined, slice(0, 3))} rad/s, accelerometer "
+            f"{_with_sigmas(examined, slice(3, 6))} m/s^2."
+        )
     if examined.split_half is not None:
         lines.append(
-            f"NEES / dof of the difference of two halves of the landmarks, without groundtruth: "
+            "NEES / dof of the difference of two halves of the landmarks, without groundtruth: "
             f"{examined.split_half.mean():.2f} ({examined.split_half.min():.2f} to "
-            f"{examined.split_half.max():.2f} in {len(examined.split_half)} splits)."
+            f"{examined.split_half.max():.2f} in {counted(len(examined.split_half), 'split')})."
         )
     return lines
+
+
+def _with_sigmas(examined: Examination, axes: slice) -> str:
+    values = examined.rejection.state.biases[-1, axes]
+    return ", ".join(
+        f"{value:.2g} +- {sigma:.1g}"
+        for value, sigma in zip(values, examined.biases_sigma[axes], strict=True)
+    )
 
 
 def measured_numbers(examined: Examination) -> dict[str, Any]:
@@ -98,6 +113,8 @@ def measured_numbers(examined: Examination) -> dict[str, Any]:
             }
             for value, (p, phi, v) in zip(examined.nees, GROUNDTRUTH_NOISES, strict=True)
         ],
+        "biases": examined.rejection.state.biases.tolist() if examined.biases_sigma.size else None,
+        "biases_sigma": examined.biases_sigma.tolist() if examined.biases_sigma.size else None,
         "split_half_nees_per_dof": (
             None if examined.split_half is None else examined.split_half.tolist()
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,8 @@ import numpy as np
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.assessment import Assessment
 
 
-_WIDTH_IN = 6.4
 _SIGMAS = 2.0
 # Bands show around the longest gap; over minutes they would be lines.
 _SHOWN_S = 20.0
@@ -27,27 +29,30 @@ _LABELS = ("x [m]", "y [m]", "z [m]")
 
 
 def write_probabilistic(
-    assessments: Sequence[Assessment], folder: Path, names: Sequence[str]
+    assessments: Sequence[Assessment],
+    folder: Path,
+    names: Sequence[str],
+    style: FigureStyle = PLAIN,
 ) -> list[Path]:
-    """Write `groundtruth_uncertainty.png`, `mahalanobis.png` and `likelihood_by_edge.png`.
+    """Write `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`.
 
     Args:
         assessments: One for each estimate, against the same groundtruth.
         folder: Existing folder; figures of the same names are replaced.
         names: What legends call the estimates.
+        style: Formats and look.
 
     Returns:
         The files that were written.
     """
     legend = canvas.short_names(names)
-    with canvas.house_style():
-        figures = {
-            "groundtruth_uncertainty": groundtruth_between_samples(assessments[0]),
-            "mahalanobis": mahalanobis_over_time(assessments, legend),
-        }
-        if any(each.edges is not None for each in assessments):
-            figures["likelihood_by_edge"] = likelihood_by_edge(assessments, legend)
-        return [canvas.save(each, folder / f"{name}.png") for name, each in figures.items()]
+    drawings = {
+        "groundtruth_uncertainty": partial(groundtruth_between_samples, assessments[0]),
+        "mahalanobis": partial(mahalanobis_over_time, assessments, legend),
+    }
+    if any(each.edges is not None for each in assessments):
+        drawings["likelihood_by_edge"] = partial(likelihood_by_edge, assessments, legend)
+    return canvas.save_all(drawings, folder, style)
 
 
 def groundtruth_between_samples(assessment: Assessment) -> Figure:
@@ -63,15 +68,15 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
     covariances = world_from_body_twists(belief.covariances, belief.poses[:, :3, :3])
     sigmas = np.sqrt(np.einsum("nii->ni", covariances)[:, :3])
     shown = (samples.times >= begin) & (samples.times <= end)
-    figure = canvas.new_figure(_WIDTH_IN, 4.6, layout="constrained")
-    figure.suptitle(
+    figure = canvas.new_figure(
+        4.6,
         f"Groundtruth, model {continuous.model}: mean, ±{_SIGMAS:g} sigma, and samples about the "
-        "longest gap"
+        "longest gap",
     )
+    colour, _ = canvas.line_style(1)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
         mean, reach = belief.poses[:, axis, 3], _SIGMAS * sigmas[:, axis]
-        colour = canvas.COLOURS[0]
         axes.fill_between(times, mean - reach, mean + reach, color=canvas.tint(colour), lw=0)
         axes.plot(times, mean, color=colour)
         axes.plot(
@@ -80,38 +85,39 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
             linestyle="none",
             marker=".",
             markersize=3,
-            color=canvas.GROUNDTRUTH_COLOUR,
+            color=canvas.truth_colour(),
         )
         axes.set_ylabel(label)
     panels[-1].set_xlabel("time since the first groundtruth sample [s]")
+    figure.align_ylabels()
     return figure
 
 
 def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
     """Draw the squared Mahalanobis distance of each aligned pose, by its degrees of freedom."""
-    figure = canvas.new_figure(_WIDTH_IN, 2.4)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    figure = canvas.new_figure(2.7, "1: error as expected from the groundtruth's uncertainty")
+    axes = figure.subplots()
     origin = assessments[0].continuous.samples.origin
     for place, (each, name) in enumerate(zip(assessments, names, strict=True)):
         values = each.error.mahalanobis2 / each.error.residuals.axes
         colour, dashes = canvas.line_style(place)
         label = f"{name}, chi2/dof {each.error.chi2_per_dof:.3g}"
         columns = np.stack([(each.stamps - origin) / NANOSECONDS, values], axis=1)
-        rows = canvas.thinned(columns, each.stamps, np.inf)
+        rows = thinned(columns, each.stamps, np.inf)
         axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
-    axes.axhline(1.0, color="0.35", linewidth=0.8, linestyle="--")
+    axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("squared Mahalanobis / dof")
     axes.set_xlabel("time since the first groundtruth sample [s]")
-    canvas.head(axes, _WIDTH_IN, "1: as far off as the groundtruth's uncertainty explains")
+    canvas.grow(figure, canvas.legend_above(axes))
     return figure
 
 
 def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
     """Draw where along the way likelihood is lost: minus the log density of each edge."""
-    figure = canvas.new_figure(_WIDTH_IN, 2.4)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    figure = canvas.new_figure(2.7, "Likelihood by edge, given all previous edges")
+    axes = figure.subplots()
     origin = assessments[0].continuous.samples.origin
     for place, (each, name) in enumerate(zip(assessments, names, strict=True)):
         if each.edges is None:
@@ -119,11 +125,11 @@ def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) 
         colour, dashes = canvas.line_style(place)
         times = (each.stamps[1:] - origin) / NANOSECONDS
         columns = np.stack([times, -each.edges.edges], axis=1)
-        rows = canvas.thinned(columns, each.stamps[1:], np.inf)
+        rows = thinned(columns, each.stamps[1:], np.inf)
         axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=name)
     axes.set_yscale("symlog", linthresh=10.0)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("-log likelihood of edge [nats]")
     axes.set_xlabel("time since the first groundtruth sample [s]")
-    canvas.head(axes, _WIDTH_IN, "Likelihood by edge, each given those before it")
+    canvas.grow(figure, canvas.legend_above(axes))
     return figure

@@ -30,7 +30,7 @@ def probabilistic_table(assessments: Mapping[str, Assessment]) -> Table:
     """Return a row for each estimate, by name."""
     first = next(iter(assessments.values()))
     noise = first.continuous.samples.noise
-    rivals = ["log Bayes factor, best rival"] if len(assessments) > 1 else []
+    rivals = ["log Bayes factor, best competitor"] if len(assessments) > 1 else []
     table = new_table(
         f"Against continuous groundtruth, model {first.continuous.model}, noise "
         f"{noise.position_m:g} m",

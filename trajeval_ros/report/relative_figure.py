@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PANEL_IN = 3.2
-_COUNT_POINTS = 9.0
+_PANEL_IN, _BELOW_IN = 1.9, 0.5
+_NARROWEST_IN, _NARROWEST_BOX_IN, _BESIDE_IN = 2.1, 0.12, 0.6
+_COUNT_POINTS = 8.5
 _MOST_COUNT_ROWS = 4
 _UNITS = {"%": "% of the path", "f": "frames"}
 _METRICS = {
@@ -37,21 +38,25 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     metrics = [metric for metric in _METRICS if in_metres or metric != "position_percent"]
     title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
     everything = [segments for each in evaluations for segments in each.segments or ()]
-    if not any(len(segments.errors.ends) for segments in everything):
-        figure = canvas.new_figure(_PANEL_IN * len(metrics), 0.8)
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_title(title)
-        canvas.say_instead(axes, _why_nothing(evaluations))
+    if not any(segments.count for segments in everything):
+        figure = canvas.new_figure(0.9, title)
+        canvas.say_instead(figure.subplots(), _why_nothing(evaluations))
         return figure
     count_rows = len(evaluations) if len(evaluations) <= _MOST_COUNT_ROWS else 1
+    columns = canvas.columns_of_panels(len(metrics), _NARROWEST_IN)
+    boxes = len(evaluations) * len(lengths)
+    if (canvas.width_in() / columns - _BESIDE_IN) / boxes < _NARROWEST_BOX_IN:
+        columns = 1
+    rows = -(-len(metrics) // columns)
     figure = canvas.new_figure(
-        _PANEL_IN * len(metrics), 3.5 + 0.13 * count_rows, layout="constrained"
-    )
-    figure.suptitle(
+        rows * (_PANEL_IN + _BELOW_IN + _COUNT_POINTS * count_rows / 72.0) + 0.4,
         f"{title}\nboxes: median and quartiles; whiskers: 5 % to 95 %; "
-        "below: number of sub-trajectories"
+        "below: number of sub-trajectories",
     )
-    for metric, axes in zip(metrics, figure.subplots(1, len(metrics)), strict=True):
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in panels[len(metrics) :]:
+        axes.set_visible(False)
+    for metric, axes in zip(metrics, panels, strict=False):
         for place, evaluation in enumerate(evaluations):
             _draw_boxes(axes, evaluation.segments or (), metric, place, len(evaluations))
         _write_counts(axes, evaluations)
@@ -71,30 +76,28 @@ def _draw_boxes(
     boxes = []
     for group, segments in enumerate(all_segments):
         errors = _errors(segments, metric)
-        if len(errors):
+        if errors is not None and len(errors):
             numbers = np.percentile(errors, [5, 25, 50, 75, 95]).tolist()
             boxes.append((group + shift, numbers))
     canvas.draw_boxes(
         axes,
         boxes,
         0.85 * width,
-        edge=(colour, dashes, 0.8),
-        inside=canvas.tint(colour),
-        median=("black", 1.1),
+        colour=colour,
+        dashes=dashes,
     )
 
 
 def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
     """Write below each length how many sub-trajectories there are; of many estimates the range."""
     for group in range(len(evaluations[0].protocol.lengths)):
-        counts = [
-            len(each.segments[group].errors.ends) if each.segments else 0 for each in evaluations
-        ]
+        counts = [each.segments[group].count if each.segments else 0 for each in evaluations]
         colours = [canvas.line_style(place)[0] for place in range(len(counts))]
         texts = [str(count) for count in counts]
         if len(set(counts)) == 1 or len(counts) > _MOST_COUNT_ROWS:
             least, most = min(counts), max(counts)
-            texts, colours = [str(least) if least == most else f"{least}–{most}"], ["0.35"]
+            texts = [str(least) if least == most else f"{least}–{most}"]
+            colours = [canvas.soft_ink()]
         for row, (text, colour) in enumerate(zip(texts, colours, strict=True)):
             axes.annotate(
                 text,
@@ -104,16 +107,16 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
                 textcoords="offset points",
                 ha="center",
                 va="top",
-                fontsize=6.5,
+                fontsize=7,
                 color=colour,
             )
 
 
-def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats:
+def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats | None:
     if metric == "position_percent":
         assert segments.length_m is not None
         return position_percent(segments.errors.position_m, segments.length_m)
-    errors: Floats = getattr(segments.errors, metric)
+    errors: Floats | None = getattr(segments.errors, metric)
     return errors
 
 
@@ -136,16 +139,10 @@ def _add_legend(figure: Figure, names: Sequence[str]) -> None:
     from matplotlib.patches import Patch
 
     patches = []
-    for place, name in enumerate(names):
+    for place in range(len(names)):
         colour, dashes = canvas.line_style(place)
-        patches.append(
-            Patch(facecolor=canvas.tint(colour), edgecolor=colour, linestyle=dashes, label=name)
-        )
-    figure.legend(
-        handles=patches,
-        loc="outside lower center",
-        ncols=canvas.legend_columns(names, figure.get_figwidth()),
-    )
+        patches.append(Patch(facecolor=canvas.tint(colour), edgecolor=colour, linestyle=dashes))
+    canvas.legend_below(figure, patches, names)
 
 
 def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
@@ -154,4 +151,4 @@ def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
         return f"Withheld: {'; '.join(reasons)}."
     longest = max(each.association.groundtruth.path_length_m for each in evaluations)
     lengths = ", ".join(str(length) for length in evaluations[0].protocol.lengths)
-    return f"No sub-trajectory of {lengths}: the matched path is {longest:.1f} m long."
+    return f"No sub-trajectories of {lengths}: the paired path is {longest:.1f} m long."

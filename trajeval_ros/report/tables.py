@@ -1,4 +1,4 @@
-"""The verdict in three lines and the tables behind it, for a terminal or a pipe."""
+"""The verdict lines and the tables of an evaluation, as text."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.few_pairs import few_pairs
-from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.formatting.numbers import NOTHING, four_digits, percent
+from trajeval_ros.diagnosis.warnings import completeness_in_words, reasons
+from trajeval_ros.formatting.numbers import NOTHING, counted, four_digits, percent
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
@@ -18,15 +18,19 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from trajeval_ros.consistency.result import Consistency
-    from trajeval_ros.pipeline import RunOutcome
+    from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.pipeline.outcome import RunOutcome
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # Terminals that are narrower do without some columns; the results on disk have them all.
 _WIDTH_FOR_MEDIANS = 140
 _WIDTH_FOR_ALL = 110
+_PARTS = ("horizontal_m", "vertical_m")
 _WITHOUT_IF_NARROW = {"std", "min", "p95", "rotation_deg_per_m", "tilt_deg"}
 ABSOLUTE = {
     "position_m": "position [m]",
+    "horizontal_m": "horizontal [m]",
+    "vertical_m": "vertical [m]",
     "rotation_deg": "rotation [deg]",
     "yaw_deg": "yaw [deg]",
     "tilt_deg": "tilt [deg]",
@@ -50,69 +54,117 @@ RELATIVE = {
     "full": "full pose",
 }
 METHODS = {
-    "linear": "groundtruth interpolated, never across more than {0.max_gap_s:g} s",
-    "continuous": "groundtruth at the estimate's stamps by model {0.model}, gaps included",
-    "nearest": "nearest stamps one to one, within {0.max_time_difference_s:g} s",
-    "rpg": "nearest stamps one to one, under {0.max_time_difference_s:g} s",
-    "evo": "nearest stamps many to one, within {0.max_time_difference_s:g} s",
-    "index": "paired by frame or row",
+    "linear": "groundtruth interpolated, gaps up to {0.max_gap_s:g} s",
+    "groundtruth-stamps": "estimate interpolated at the groundtruth's timestamps, gaps up to "
+    "{0.max_gap_s:g} s",
+    "continuous": "groundtruth at the estimate's timestamps from model {0.model}, including gaps",
+    "nearest": "nearest timestamps one to one, within {0.max_time_difference_s:g} s",
+    "rpg": "nearest timestamps one to one, under {0.max_time_difference_s:g} s",
+    "evo": "nearest timestamps many to one, within {0.max_time_difference_s:g} s",
+    "index": "paired by frame or row index",
+}
+WEIGHTS = {
+    "none": "",
+    "covariance": ", weighted by covariance",
+    "groundtruth-covariance": ", weighted by the groundtruth's covariance",
 }
 RE_FORMS = {
-    "gauge": "first state aligned by the gauge, plain difference at the end",
+    "gauge": "first state aligned by the gauge, position difference at the end",
     "se3": "relative poses, SE(3) at the first state",
-    "tutorial": "eq. (26) to the letter",
-    "matrices": "relative poses, by the matrices as they are in the file",
-    "fitted": "yaw and position fitted to each sub-trajectory, plain difference at its end",
+    "tutorial": "eq. (26) of the tutorial",
+    "matrices": "relative poses, with the matrices of the file",
+    "fitted": "yaw and position fitted to every sub-trajectory, position difference at the end",
     "evo": "relative poses, as evo_rpe",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
 }
 
 
 def verdict(evaluation: Evaluation) -> list[str]:
-    """Return the three lines that answer: how wrong, by which definition, over how much."""
+    """Return the verdict lines: errors, definitions and coverage."""
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
     turned = "rotation withheld" if rotation is None else f"{rotation.rmse:.4g} deg rotation"
     protocol, pairs = evaluation.protocol, evaluation.association
-    coverage, states = pairs.coverage, evaluation.alignment.states_used
+    states = evaluation.alignment.states_used
     how = "first state" if states == 1 else f"first {states} states"
     if protocol.align_states is None:
         how = f"all {states} states"
     modality = f" for {protocol.modality}" if protocol.modality else ""
     poses = " with orientations" if protocol.align_with == "poses" else ""
-    weights = ", weighted by covariance" if protocol.align_weights == "covariance" else ""
+    weights = WEIGHTS[protocol.align_weights]
     if protocol.apply == "scale":
-        how += ", its scale alone applied"
+        how += ", only its scale applied"
     scale = (
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
     return [
         f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})"
-        + (f"; {few}" if (few := few_pairs(evaluation)) else ""),
+        + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
-        f"  {len(pairs)} {coverage.of_what} cover {percent(pairs.estimate_coverage)} of the "
-        f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time "
-        f"({pairs.groundtruth.path_length_m:.1f} m)"
-        + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
-        + _dropped(evaluation),
+        f"  {_covered(evaluation)}{_dropped(evaluation)}",
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
         *_score(evaluation),
     ]
 
 
+def own_error_line(own: OwnError) -> str:
+    """Return what can be claimed of an estimate's own error by noisy fixes."""
+    worth = (
+        f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {own.effective_fixes:.2g} "
+        "independent fixes"
+    )
+    guess = ", from approximate covariances of the driver" if own.by_guess else ""
+    low, high = own.interval_m
+    if own.resolved:
+        said = (
+            f"  own error {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); {worth} "
+            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+        )
+    else:
+        why = (
+            ("the fixes have too many jumps")
+            if own.jumps and 2.0 * own.ate_m >= high - low
+            else "the fixes have too much noise"
+        )
+        said = (
+            f"  own error below {high:.3g} m (95 %), no lower limit since {why}; {worth} "
+            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+        )
+    return said + guess
+
+
+def _covered(evaluation: Evaluation) -> str:
+    """State over how much of both sides the errors are."""
+    pairs = evaluation.association
+    if pairs.estimate_coverage is None:
+        return completeness_in_words(evaluation)
+    coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
+    return (
+        f"{len(pairs)} {coverage.of_what} cover {percent(pairs.estimate_coverage)} of the "
+        f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time {path_m}"
+        + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
+    )
+
+
 def _up(groundtruth: UpAxis, estimate: UpAxis) -> list[str]:
-    """Say which axes are up, unless nobody says other than z."""
+    """State which axes are up, unless nobody says other than z."""
     if {groundtruth.origin, estimate.origin} == {ASSUMED}:
         return []
-    return [f"  up: {groundtruth} of the groundtruth, {estimate} of the estimate"]
+    return [f"  vertical axes: groundtruth {groundtruth}, estimate {estimate}"]
 
 
 def _score(evaluation: Evaluation) -> list[str]:
-    score = evaluation.score
+    score, recall = evaluation.score, evaluation.recall
+    lines = []
+    if recall is not None:
+        shares = zip(recall.percent, recall.bounds_m, strict=True)
+        level = " (level)" if recall.dimensions == 2 else ""
+        within = ", ".join(f"{share:.4g} % within {bound:g} m" for share, bound in shares)
+        lines.append(f"  recall of all points{level}: {within}")
     if score is None:
-        return []
+        return lines
     found = [
         f"{count} under {bound:g} m"
         for bound, count in zip(score.bounds_m, score.found, strict=False)
@@ -120,8 +172,9 @@ def _score(evaluation: Evaluation) -> list[str]:
     ]
     found.append(f"{score.found[-1]} beyond, {score.missing} missing")
     return [
+        *lines,
         f"  score {score.value:.4g} of {score.best:g} for {score.references} points: "
-        + ", ".join(found)
+        + ", ".join(found),
     ]
 
 
@@ -148,11 +201,16 @@ def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
         name = evaluation.estimate.name
         for metric, label in ABSOLUTE.items():
             statistics = evaluation.ate.get(metric)
-            if statistics is not None:
+            if statistics is not None and (metric not in _PARTS or _are_apart(evaluation)):
                 numbers = [four_digits(getattr(statistics, each)) for each in shown]
                 add_rows(table, [[name, label, *numbers, str(statistics.count)]])
                 name = ""
     return table
+
+
+def _are_apart(evaluation: Evaluation) -> bool:
+    """Return whether level and vertical errors are worth a row: where they differ in quality."""
+    return evaluation.groundtruth.kind != "poses"
 
 
 def states_table(runs: Sequence[RunOutcome]) -> Table | None:
@@ -160,7 +218,7 @@ def states_table(runs: Sequence[RunOutcome]) -> Table | None:
     if not any(run.by_states for run in runs):
         return None
     table = new_table(
-        "ATE (rmse) by the first states that are aligned",
+        "ATE (RMSE) by the number of aligned states",
         ["estimate", "states"],
         [ABSOLUTE["position_m"], ABSOLUTE["rotation_deg"], "states used"],
     )
@@ -211,7 +269,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         name = evaluation.estimate.name
         for segment in evaluation.segments or ():
             cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
-            count = str(len(segment.errors.ends))
+            count = str(segment.count)
             add_rows(table, [[name, length_text(segment), *cells, count]])
             name = ""
         pooled = evaluation.pooled["position_percent"]
@@ -243,16 +301,16 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
     """Return what covariances and errors say together, and on what ground."""
     lines = [
         "",
-        f"{name}: {consistency.verdict}, by covariances of {consistency.covariance_source} in "
-        f"gauge {consistency.gauge.value}",
+        f"{name}: {consistency.verdict}; covariances from {consistency.covariance_source}, gauge "
+        f"{consistency.gauge.value}",
         f"  {consistency.statement}",
     ]
     joint, per_pose = consistency.joint, consistency.per_pose
     if joint is not None:
         low, high = joint.band_95
         lines.append(
-            f"  joint NEES / dof {joint.nees / joint.dof:.3f} (95 % of honest runs: {low:.3f} to "
-            f"{high:.3f}; {joint.dof} dof)"
+            f"  joint NEES / dof {joint.nees / joint.dof:.3f} (95 % interval of consistent runs: "
+            f"{low:.3f} to {high:.3f}; {joint.dof} dof)"
         )
     if per_pose is not None:
         # Poses of one run err together: their mean has a band only where correlations are known.
@@ -260,12 +318,12 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
         if per_pose.band_95 is not None and per_pose.effective_dof is not None:
             low, high = per_pose.band_95
             band = (
-                f" (95 % of honest runs: {low:.2f} to {high:.2f}; {per_pose.effective_dof:.1f} "
-                f"effective dof of {6 * per_pose.poses})"
+                f" (95 % interval of consistent runs: {low:.2f} to {high:.2f}; "
+                f"{per_pose.effective_dof:.1f} effective of {6 * per_pose.poses} dof)"
             )
         limit = ""
         if per_pose.limit_95 is not None:
-            limit = f" (95 % of honest runs: under {per_pose.limit_95:.2f})"
+            limit = f" (95 % of consistent runs: below {per_pose.limit_95:.2f})"
         position, rotation = per_pose.position, per_pose.rotation
         lines += [
             f"  NEES / 6 of single poses: mean {per_pose.mean:.3f}{band}, largest "
@@ -275,7 +333,7 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
         ]
         if consistency.exactness == "as published":
             lines.append(
-                f"  as ov_eval prints NEES: mean_ori = {3.0 * rotation.mean:.3f} | mean_pos = "
-                f"{3.0 * position.mean:.3f}"
+                f"  NEES as printed by ov_eval: mean_ori = {3.0 * rotation.mean:.3f} | mean_pos "
+                f"= {3.0 * position.mean:.3f}"
             )
     return lines

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
+from trajeval_ros.report.fix_marks import draw_fixes
+from trajeval_ros.report.line_thinning import thinned
+from trajeval_ros.report.plane_panels import PlanePanels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _CORRESPONDENCES = 100
-_LONGEST_SIDE_IN = 5.6
-_SHORTEST_SIDES_IN = (4.2, 1.1)
-_MARGIN = 0.04
 
 
 def top_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
@@ -40,83 +41,51 @@ def _view(
 ) -> Figure:
     """Draw two of the groundtruth's level axes and height, which is the third."""
     first = evaluations[0]
-    upward = first.groundtruth.up
-
-    def seen(trajectory: Trajectory) -> Floats:
-        return upward.turned(trajectory.positions)[:, plane]
-
-    everything = np.concatenate(
-        [seen(first.groundtruth), *(seen(each.aligned) for each in evaluations)]
-    )
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    extent = np.maximum(high - low, 1e-3)
-    # The figure takes the shape of the flight, so that equal axes leave no empty paper.
-    inches = np.maximum(_LONGEST_SIDE_IN * extent / extent.max(), _SHORTEST_SIDES_IN)
-    figure = canvas.new_figure(*inches)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    truth, upward = first.groundtruth, first.groundtruth.up
     max_gap_s = first.protocol.association.max_gap_s
-    truth = first.groundtruth
-    axes.plot(
-        *canvas.thinned(seen(truth), truth.stamps, max_gap_s).T,
-        color=canvas.GROUNDTRUTH_COLOUR,
-        linewidth=1.7,
-        label="groundtruth",
+    across, up = axis_names(upward, plane)
+    aligned = [_seen(each.aligned, upward, plane) for each in evaluations]
+    whole = _seen(truth, upward, plane)
+    panels = PlanePanels(
+        [whole, *aligned],
+        dict(enumerate(names)),
+        f"{title} ({across}{up})\n{alignment_of(evaluations)}",
     )
-    for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
-        colour, dashes = canvas.line_style(place)
-        aligned = evaluation.aligned
-        axes.plot(
-            *canvas.thinned(seen(aligned), aligned.stamps, max_gap_s).T,
-            color=colour,
-            linestyle=dashes,
-            linewidth=1.0,
-            label=name,
-        )
-    _draw_correspondences(axes, evaluations, seen)
-    start = seen(first.association.groundtruth)[0]
-    axes.plot(
-        *start[:, None],
-        linestyle="none",
-        marker="o",
-        markersize=6,
-        markerfacecolor="white",
-        markeredgecolor="black",
-        zorder=5,
-        label="start",
-    )
-    centre = (low + high) / 2.0
-    half = inches / 2.0 * float(((1.0 + 2.0 * _MARGIN) * extent / inches).max())
-    axes.set_xlim(centre[0] - half[0], centre[0] + half[0])
-    axes.set_ylim(centre[1] - half[1], centre[1] + half[1])
-    axes.set_aspect("equal")
-    labels = [*("xyz"[each] for each in upward.level), upward.name]
-    across, up = (labels[each] for each in plane)
-    axes.set_xlabel(f"{across} [m]")
-    axes.set_ylabel(f"{up} [m]")
-    canvas.head(axes, inches[0], f"{title} ({across}{up})\n{alignment_of(evaluations)}")
-    return figure
+    line = thinned(whole, truth.stamps, max_gap_s)
+    for place, (evaluation, path) in enumerate(zip(evaluations, aligned, strict=True)):
+        axes = panels.of(place)
+        _draw_correspondences(axes, _seen(evaluation.association.groundtruth, upward, plane), path,
+                              evaluation.association.groundtruth.travelled)  # fmt: skip
+        panels.draw_path(place, thinned(path, evaluation.aligned.stamps, max_gap_s))
+    for axes in panels.panels:
+        draw_fixes(axes, truth, whole, plane)
+    matched = _seen(first.association.groundtruth, upward, plane)
+    return panels.finish(line, matched, (across, up))
 
 
-def _draw_correspondences(
-    axes: Axes, evaluations: Sequence[Evaluation], seen: Callable[[Trajectory], Floats]
-) -> None:
-    """Join a hundred states of each estimate, evenly along the path, with their groundtruth."""
+def axis_names(upward: UpAxis, plane: tuple[int, int]) -> tuple[str, str]:
+    """Return the names of two of the level axes and height, as the frame has them."""
+    names = [*("xyz"[each] for each in upward.level), upward.name]
+    return names[plane[0]], names[plane[1]]
+
+
+def _seen(trajectory: Trajectory, upward: UpAxis, plane: tuple[int, int]) -> Floats:
+    seen: Floats = upward.turned(trajectory.positions)[:, plane]
+    return seen
+
+
+def _draw_correspondences(axes: Axes, truth: Floats, aligned: Floats, along: Floats) -> None:
+    """Join a hundred states, evenly along the path, with their groundtruth."""
     from matplotlib.collections import LineCollection
 
-    ends: list[Floats] = []
-    for evaluation in evaluations:
-        truth, aligned = evaluation.association.groundtruth, evaluation.aligned
-        along = truth.travelled
-        evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _CORRESPONDENCES))
-        rows = np.unique(np.minimum(evenly, len(along) - 1))
-        ends.append(np.stack([seen(truth)[rows], seen(aligned)[rows]], axis=1))
-    axes.add_collection(
-        LineCollection(
-            list(np.concatenate(ends)),
-            colors="0.55",
-            linewidths=0.7,
-            zorder=1.5,
-            label="correspondences",
-        ),
-        autolim=False,
+    evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _CORRESPONDENCES))
+    rows = np.unique(np.minimum(evenly, len(along) - 1))
+    lines = LineCollection(
+        list(np.stack([truth[rows], aligned[rows]], axis=1)),
+        colors=canvas.soft_ink(),
+        alpha=0.6,
+        linewidths=0.6,
+        zorder=1.5,
+        label="correspondences",
     )
+    axes.add_collection(lines, autolim=False)

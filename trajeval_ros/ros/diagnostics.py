@@ -6,15 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import add_counts
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, Peak, alarms
+from trajeval_ros.online.error_topics import status_values
 from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
 from trajeval_ros.ros.status_message import status_message
-
-_STALE_AFTER_S = 5.0
 
 
 def diagnose(
@@ -73,51 +73,86 @@ def notices_about(
     """
     return [
         *_about_data(run, estimate),
-        *_about_coverage(snapshot.estimate_coverage, limits),
+        *_about_coverage(snapshot, limits),
         *alarms(peaks, limits),
+        *about_integrity(snapshot),
+        *_about_start(run),
         *_about_clock(run, estimate),
         *_about_run(run, estimate, snapshot),
     ]
 
 
 def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
-    """Tell what doesn't come: no number renews itself then."""
+    """Report what doesn't come: no number renews itself then."""
     for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.side)):
         silent_s = side.silent_s
         if silent_s is None:
             yield Notice("silence", STALE, f"no {what} yet on {side.source}", what)
-        elif silent_s > _STALE_AFTER_S:
+        elif silent_s > side.stream.patience_s:
             said = f"no {what} for {silent_s:.0f} s on {side.source}"
             yield Notice("silence", STALE, said, what)
         if side.stream.trouble:
             yield Notice("data", WARN, side.stream.trouble, what)
 
 
-def _about_coverage(coverage: float | None, limits: Mapping[str, Any]) -> list[Notice]:
+def _about_coverage(snapshot: Snapshot, limits: Mapping[str, Any]) -> list[Notice]:
+    coverage, what = snapshot.estimate_coverage, "poses have groundtruth"
+    if coverage is None and snapshot.coverage is not None:  # of pairs at the groundtruth's stamps
+        coverage, what = snapshot.coverage.covered, "fixes or points have an estimate"
     for level, name in ((ERROR, "error_coverage"), (WARN, "warn_coverage")):
         if coverage is not None and coverage < limits[name]:
-            said = f"only {100 * coverage:.0f} % of the poses have groundtruth"
+            said = f"only {100 * coverage:.0f} % of the {what}"
             values = {"value": coverage, "limit": limits[name]}
             return [Notice("alarm", level, said, "coverage", values)]
     return []
 
 
+def about_integrity(snapshot: Snapshot) -> list[Notice]:
+    """Tell where the newest pair is in the Stanford diagram, unless that is where it should be."""
+    parts = () if snapshot.integrity is None else snapshot.integrity.parts
+    found = []
+    for each in parts:
+        error, level, limit = float(each.errors[-1]), float(each.levels[-1]), each.alert_limit
+        if max(error, level) <= limit and error <= level:
+            continue
+        is_hazardous = level <= limit < error
+        state = "hazardously misleading" if is_hazardous else "misleading"
+        if error <= level:
+            state = "unavailable"
+        said = (
+            f"integrity, {each.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
+            f"alert limit {limit:g} {each.unit}"
+        )
+        values: dict[str, float | int | str]
+        values = {"value": error, "level": level, "limit": limit, "unit": each.unit}
+        gravity = ERROR if is_hazardous else WARN
+        found.append(Notice("alarm", gravity, said, f"integrity_{each.part}", values))
+    return found
+
+
 def _about_clock(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
     clock, applied_s = estimate.clock.report, estimate.evaluator.offset_s
-    if run.holds:
-        said = "nothing is evaluated until the clocks' offset is known"
-        yield Notice("clock", OK, said)
-    elif clock.is_significant and clock.offset_s is not None and clock.half_width_95_s is not None:
-        apart_s = clock.offset_s - applied_s
-        if abs(apart_s) > clock.half_width_95_s:
-            yield Notice(
-                "clock",
-                WARN,
-                f"the clocks differ by {1e3 * apart_s:+.0f} ms "
-                f"+- {1e3 * clock.half_width_95_s:.2g} ms, which is not applied: "
-                "time_offset:=auto",
-                values={"offset_s": apart_s, "half_width_95_s": clock.half_width_95_s},
-            )
+    if run.holds or clock.offset_s is None or clock.half_width_95_s is None:
+        return
+    apart_s = clock.offset_s - applied_s
+    if clock.is_significant and abs(apart_s) > clock.half_width_95_s:
+        yield Notice(
+            "clock",
+            WARN,
+            f"the clocks differ by {1e3 * apart_s:+.0f} ms +- {1e3 * clock.half_width_95_s:.2g} "
+            "ms, not applied; to apply it, set time_offset:=auto",
+            values={"offset_s": apart_s, "half_width_95_s": clock.half_width_95_s},
+        )
+
+
+def _about_start(run: LiveRun) -> Iterator[Notice]:
+    """Report what isn't known yet, or never was."""
+    body = run.body
+    if run.waits_for:
+        yield Notice("alignment", OK, f"evaluation waits for {run.waits_for}")
+    if body.why_not and (not run.holds or body.transform is not None):
+        said = f"hand_eye:={body.source} is not applied: {body.why_not}"
+        yield Notice("hint", WARN, said, "hand_eye")
 
 
 def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Notice]:
@@ -127,14 +162,19 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         misleading = snapshot.alignment.freedom.misleading
         if misleading:
             yield Notice("hint", WARN, misleading, "alignment")
+    if not run.holds:
+        yield from estimate.slow.hints
+    if snapshot.why_not_consistency and not snapshot.warming_up:
+        said = f"no NEES: {snapshot.why_not_consistency}"
+        yield Notice("hint", WARN, said, "covariance")
     if estimate.doubt:
         yield Notice("hint", WARN, estimate.doubt.replace("--up=", "up:="), "up")
     if estimate.jumps.count:
-        said = f"{estimate.jumps.count} jumps: restarted with a new origin?"
+        said = f"{counted(estimate.jumps.count, 'jump')}, probably a restart with a new origin"
         yield Notice("jump", WARN, said, "count")
     lost = run.groundtruth.lost + estimate.side.lost
     if lost:
-        yield Notice("loss", WARN, f"{lost} messages lost")
+        yield Notice("loss", WARN, f"{counted(lost, 'message')} lost")
     if forgotten := estimate.evaluator.buffer.why_forgotten:
         yield Notice("delay", WARN, forgotten)
     trouble = estimate.writer.trouble or (snapshot.pairs and run.finisher.trouble)
@@ -146,34 +186,14 @@ def _values(
     run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot, newest: Update
 ) -> dict[str, Any]:
     """Return what stands in the status, by name; None is left out."""
-    alignment, rotation = snapshot.alignment, snapshot.ate.get("rotation_deg")
-    coverage = snapshot.coverage
     return {
         "groundtruth": run.groundtruth.source,
         "estimate": estimate.side.source,
-        "pairs": snapshot.pairs,
-        "window pairs": snapshot.window_pairs,
-        "position error [m]": newest.position_m,
-        "rotation error [deg]": newest.rotation_deg,
-        "ATE position, window [m]": snapshot.window_position_rmse_m,
-        "ATE rotation, window [deg]": None if rotation is None else rotation.rmse,
-        "ATE position, whole run [m]": snapshot.position_rmse_m,
-        **{
-            f"RE {length}, mean [m]": errors.position_m
-            for length, errors in snapshot.relative.items()
-            if errors.count
-        },
-        "alignment": None if alignment is None else f"{alignment.states_used} states",
-        "scale": None if alignment is None else alignment.similarity.scale,
-        "estimate coverage": snapshot.estimate_coverage,
-        "groundtruth coverage": None if coverage is None else coverage.covered,
-        "groundtruth from first to last pair": None if coverage is None else coverage.span,
-        "longest gap": None
-        if coverage is None or coverage.longest_gap is None
-        else str(coverage.longest_gap),
+        "segment": estimate.segment,
+        **status_values(snapshot, newest),
         "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(run.groundtruth_dropped(estimate)) or None,
-        "waiting for groundtruth": snapshot.waiting,
+        f"waiting for {estimate.evaluator.buffer.interpolated}": snapshot.waiting,
         "messages lost": estimate.side.lost,
         "groundtruth messages lost": run.groundtruth.lost,
         "arrival after stamp [s]": estimate.stream.arrivals.offset_s,
@@ -182,6 +202,7 @@ def _values(
         "clock offset, sigma [s]": estimate.clock.report.sigma_s,
         "clock offset, status": estimate.clock.report.status,
         "time offset applied [s]": None if run.holds else estimate.evaluator.offset_s,
+        "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run.groundtruth, estimate.side, estimate.evaluator.buffer),
         "latency p95 [s]": estimate.latency.p95_s,
         "results": run.finisher.folder,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trajeval_ros.online.notices import Notice
+from trajeval_ros.ros.advertise import advertise
 from trajeval_ros.ros.status_message import status_message
 
 if TYPE_CHECKING:
@@ -19,11 +20,9 @@ class EventTopic:
     def __init__(self, node: Node) -> None:
         """Advertise it."""
         from diagnostic_msgs.msg import DiagnosticStatus
-        from rclpy.qos import DurabilityPolicy, QoSProfile
 
-        latched = QoSProfile(depth=_KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._node = node
-        self._publisher = node.create_publisher(DiagnosticStatus, "~/event", latched)
+        self._publisher = advertise(node, DiagnosticStatus, "~/event", _KEPT, latched=True)
 
     def publish(self, about: str, notice: Notice) -> None:
         """Publish a notice about an estimate or the groundtruth, by its name."""
@@ -33,5 +32,5 @@ class EventTopic:
             "subject": notice.subject or None,
             **notice.values,
         }
-        name = f"{self._node.get_name()}: {about}"
+        name = f"{self._node.get_fully_qualified_name()}: {about}"
         self._publisher.publish(status_message(notice.level, name, notice.text, values))

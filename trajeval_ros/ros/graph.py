@@ -5,48 +5,51 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.checks import nearest
+from trajeval_ros.online.notices import WARN, Notice
 from trajeval_ros.ros.message_types import is_installed
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-def publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:
+def publishers_of(node: Node, name: str, types: tuple[str, ...] | None) -> list[Any]:
     """Return the endpoints that publish a topic with one of the types, all of one type.
 
     Args:
         node: Knows the network.
         name: The topic's, before remapping.
-        types: Those that can be read.
+        types: Those that can be read; None for all that are installed.
     """
     found = [
         each
         for each in node.get_publishers_info_by_topic(name)
-        if each.topic_type in types and is_installed(each.topic_type)
+        if (types is None or each.topic_type in types) and is_installed(each.topic_type)
     ]
     return [each for each in found if each.topic_type == found[0].topic_type]
 
 
-def why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
+def why_unmatched(node: Node, name: str, types: tuple[str, ...] | None) -> str:
     """Return why nothing is received on a topic, and what there is instead.
 
     Args:
         node: Knows the network.
         name: The topic's, before remapping.
-        types: Those that can be read.
+        types: Those that can be read; None for all that are installed.
     """
     topic = node.resolve_topic_name(name)
     there = node.get_publishers_info_by_topic(name)
     for each in there:
         kind = each.topic_type
-        if kind in types:
+        if types is None or kind in types:
             return (
-                f"{topic} carries {kind}, which is not installed here; install its package, "
+                f"{topic} has type {kind}, which is not installed; install "
                 f"ros-$ROS_DISTRO-{kind.partition('/')[0].replace('_', '-')}"
             )
+    if types is None:
+        return f"nobody publishes {topic}"
     if there:
         kinds = ", ".join(sorted({each.topic_type for each in there}))
-        return f"{topic} carries {kinds}, no poses that can be read ({', '.join(types)})"
+        return f"{topic} has type {kinds}, not a supported type of poses ({', '.join(types)})"
     poses = [
         other
         for other, kinds in node.get_topic_names_and_types()
@@ -55,5 +58,19 @@ def why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
         and not other.startswith(f"{node.get_fully_qualified_name()}/")
     ]
     if poses:
-        return f"nobody publishes {topic}; there are poses on {nearest(topic, poses)}"
-    return f"nobody publishes {topic}, and there are no poses on any other topic"
+        return f"no publisher on {topic}; poses are on {nearest(topic, poses)}"
+    return f"no publisher on {topic}, and no poses on any other topic"
+
+
+def about_twins(node: Node) -> list[Notice]:
+    """Report other nodes of the same name, whose topics nobody can tell from this one's."""
+    name = node.get_fully_qualified_name()
+    everybody = node.get_node_names_and_namespaces()
+    names = [f"{namespace.rstrip('/')}/{each}" for each, namespace in everybody]
+    if names.count(name) < 2:
+        return []
+    said = (
+        f"{names.count(name)} nodes have the name {name} and publish on the same topics; start "
+        "them with different names, as in --ros-args -r __node:=evaluator_2"
+    )
+    return [Notice("hint", WARN, said, "name")]

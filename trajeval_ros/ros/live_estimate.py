@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from copy import copy
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,26 +14,39 @@ import numpy as np
 from trajeval_ros.consistency.marginal_covariances import unknown_covariances
 from trajeval_ros.diagnosis.vertical import doubt_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, PATH_TYPE, decode_poses
+from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.notices import Standing
+from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs, trajectory
+from trajeval_ros.online.state_rows import (
+    COVARIANCE,
+    POSITION,
+    QUATERNION,
+    WIDTH,
+    Pairs,
+    states,
+    trajectory,
+)
 from trajeval_ros.online.trail import Trail
-from trajeval_ros.ros.held_messages import HeldMessages
-from trajeval_ros.ros.poses import StateColumns
+from trajeval_ros.ros.held_messages import HeldCall, HeldMessages
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.poses import PoseStream, StateColumns
 from trajeval_ros.ros.sides import Side
-from trajeval_ros.ros.subscriptions import ReceivedMessages
+from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
 
@@ -40,7 +55,10 @@ class LiveEstimate:
 
     Attributes:
         side: Where its messages come from.
-        name: Of its files and topics.
+        name: Of its topics.
+        segment: Which part of the run this is, from 1.
+        epoch: How often time had stepped back before it.
+        following: What the next segment begins with, once this one ended with a jump.
         stream: What its messages have told.
         evaluator: Its evaluation.
         latency: How long its errors take to be published.
@@ -50,7 +68,9 @@ class LiveEstimate:
         revised: The newest path, if the topic carries paths.
         watch: Is given all new pairs, to draw them.
         peaks: The largest errors since the last status.
+        slow: Hints, and the errors of the newest path.
         standing: What has been said of it and still is so.
+        newest: Type and bytes of the newest message; None before it, and of paths.
         offset_ns: What is added to its stamps, nanoseconds.
         doubt: Why the axis that is taken for up in the groundtruth can't be, as of the newest
             snapshot; empty if it can.
@@ -59,60 +79,113 @@ class LiveEstimate:
     def __init__(
         self,
         side: Side,
+        worker: Executor,
         settings: OnlineSettings,
         folder: Path,
-        groundtruth: str,
+        groundtruth: Side,
         place: int,
+        body: MarkerBody,
         *,
-        hold: bool,
+        hold: bool = False,
+        splits: bool = False,
+        after: LiveEstimate | None = None,
+        began_by: str = "",
     ) -> None:
-        """Begin, with an empty pair file.
+        """Create it with an empty pair file.
 
         Args:
             side: Where its messages come from.
+            worker: Estimates its clock.
             settings: What to do.
             folder: For its files.
-            groundtruth: The groundtruth's source.
+            groundtruth: Where the groundtruth comes from.
             place: Its place among the estimates, from 0.
+            body: Moves states before they are paired.
             hold: Evaluate nothing until `release` says by which clock.
+            splits: End where the estimate jumps: `following` is what goes on then.
+            after: The segment before this one, of the same topic.
+            began_by: Why this is another one.
 
         Raises:
             InputError: The file can't be made.
         """
         self.side, self.name, self.stream = side, side.name, side.stream
+        self._body, self._worker = body, worker
+        self.began_by = began_by
+        self.folder, self.place = folder, place
+        self.segment: int = 1 if after is None or after.folder != folder else after.segment + 1
+        self.epoch: int = 0 if after is None else after.epoch
+        self.following: Pairing | None = None
+        self._splits, self._jumps_found = splits, list[Jump]()
+        self._dropped_before = {
+            id(each): dict(each.status.dropped) for each in (side.stream, groundtruth.stream)
+        }
+        self._stem = self.name if self.segment == 1 else f"{self.name}.{self.segment}"
+        description = {
+            "groundtruth": groundtruth.source,
+            "estimate": side.source,
+            "place": place,
+            "segment": self.segment,
+        }
+        self.writer = PairWriter(folder / f"{self._stem}{SUFFIX}", description)
+        # It doesn't refer to this segment, whose memory is free when nobody needs it any more.
         self.evaluator = OnlineEvaluator(
             settings,
-            record=self._record,
-            record_waypoints=lambda waypoints: self.writer.append_waypoints(waypoints),
+            record_waypoints=self.writer.append_waypoints,
+            buffer=None if after is None else after.following,
         )
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
         self.watch: Callable[[Pairs], object] | None = None
-        self.clock = OnlineClock(settings.protocol.gauge)
+        self.clock = OnlineClock(settings.protocol.gauge, worker)
         self.peaks, self.standing = Peaks(), Standing()
+        self.slow = SlowEvaluation()
         self.doubt = ""
         self._given_up = None if settings.up is None else settings.up[1]
         self._held = HeldMessages() if hold else None
+        self._held_for_next: Sequence[HeldCall] = ()
         self._released: list[Update] = []
         self.offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
-        self._newest: tuple[str, bytes] | None = None
-        self._folder = folder
+        self.newest: tuple[str, bytes] | None = None
         self._undigested: list[Pairs] = []
         self._state: Mapping[str, Any] = {}
-        description = {"groundtruth": groundtruth, "estimate": side.source, "place": place}
-        self.writer = PairWriter(folder / f"{self.name}{SUFFIX}", description)
+        if after is not None:
+            self._follow(after)
+
+    def _follow(self, before: LiveEstimate) -> None:
+        """Take over what is not about a segment alone."""
+        self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
+        self.watch, self.offset_ns = before.watch, before.offset_ns
+        self._jumps_found = before._jumps_found
+        if before.following is not None:
+            self.jumps = before.jumps  # what is usual stays so
+        self.evaluator.set_offset(before.evaluator.offset_s)
+        self.evaluator.groundtruth_up = before.evaluator.groundtruth_up
+        self.evaluator.estimate_up = before.evaluator.estimate_up
+        self._take_held(before._held_for_next)
+
+    def set_gauge(self, gauge: Gauge) -> None:
+        """Align by another gauge; before the first groundtruth."""
+        self.evaluator.set_gauge(gauge)
+        self.clock = OnlineClock(gauge, self._worker)
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: stamps (N,) and rows (N, 10)."""
         self.clock.add_groundtruth(stamps, rows)
-        if self._held is not None and not self._held.calls:
+        if self._held is not None and not self._held.calls and not self._body.is_wanted:
             # No estimate waits so far; the evaluator itself forgets what nobody needs.
             self.evaluator.add_groundtruth(stamps, rows)
         else:
             self._now_or_later(
-                "groundtruth", stamps, lambda: self.evaluator.add_groundtruth(stamps, rows)
+                "groundtruth",
+                stamps,
+                lambda segment: segment.evaluator.add_groundtruth(stamps, self._body.truth(rows)),
             )
+
+    def share_groundtruth(self, other: LiveEstimate) -> None:
+        """Take the newest groundtruth states of another segment, which are moved already."""
+        self.evaluator.add_groundtruth(*other.evaluator.buffer.newest_groundtruth)
 
     @property
     def up(self) -> UpAxis:
@@ -129,21 +202,64 @@ class LiveEstimate:
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
         self.offset_ns = round(offset_s * NANOSECONDS)
+        if self.revised is not None:
+            self.revised.states = self._body.estimated(self.revised.states)
         held, self._held = self._held, None
-        for each in held.calls:
-            each()
-            # At once, as if it came only now: no more waits than ever does.
-            self._released.append(self.evaluator.update())
+        self._take_held(held.calls)
 
-    def take(self, now_ns: int | None) -> None:
-        """Take the messages that have arrived; `now_ns` is the simulated time."""
-        for message_type, taken, arrived in self.side.take(now_ns):
-            self._take(message_type, taken, arrived)
+    def _take_held(self, calls: Sequence[HeldCall]) -> None:
+        """Take what was held, up to a jump: what came after it is the next segment's."""
+        for place, (side, call) in enumerate(calls, start=1):
+            call(self)
+            # At once, as if it came only now: no more waits than ever does. But groundtruth isn't
+            # forgotten before the estimates that came with it are there.
+            if side == "estimate":
+                self._released.append(self._evaluate_new())
+                if self.following is not None:
+                    self._held_for_next = calls[place:]
+                    return
+
+    def take(self, poses: StateColumns, received: Stamps) -> None:
+        """Take states, and when the middleware received each, (N,), nanoseconds since 1970."""
+        self.evaluator.estimate_up = self.up
+        self.clock.add_estimate(poses.stamps, poses.states)
+        self._now_or_later(
+            "estimate", poses.stamps, lambda segment: segment._evaluate(poses, received)
+        )
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate what has arrived and write its pairs; returns what is new."""
         released, self._released = self._released, []
-        return united([*released, self.evaluator.update(at_end=at_end)])
+        return united([*released, self._evaluate_new(at_end=at_end)])
+
+    def _evaluate_new(self, *, at_end: bool = False) -> Update:
+        """Evaluate the pairs that can be made now, up to a jump where it ends there."""
+        buffer = self.evaluator.buffer
+        pairs = self.evaluator.of_same_point(buffer.made(at_end=at_end))
+        if self._splits and len(pairs.stamps):
+            pairs = self._before_a_jump(pairs)
+        buffer.settle()
+        if len(pairs.stamps):
+            self._record(pairs)
+        return self.evaluator.evaluate(pairs, at_end=at_end)
+
+    def _before_a_jump(self, pairs: Pairs) -> Pairs:
+        """Return the new pairs up to the first jump; those behind it are the next segment's."""
+        narrowed, detector = narrow(pairs), copy(self.jumps)
+        found = detector.update(narrowed, self._scale)
+        if not found:
+            self.jumps = detector
+            return pairs
+        row = int(pairs.stamps.searchsorted(found[0].stamp))
+        self._jumps_found = self.jumps.update(narrowed.picked(slice(row + 1)), self._scale)
+        self.jumps.count = 0  # it has none within
+        pairs, self.following = self.evaluator.buffer.cut(pairs, row)
+        return pairs
+
+    @property
+    def _scale(self) -> float:
+        alignment = self.evaluator.alignment
+        return 1.0 if alignment is None else alignment.similarity.scale
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation, without yaw and tilt where up is doubtful."""
@@ -160,36 +276,65 @@ class LiveEstimate:
 
         Apart from `update`, so that what can wait costs a few calls a second.
         """
-        alignment = self.evaluator.alignment
-        scale = 1.0 if alignment is None else alignment.similarity.scale
-        found: list[Jump] = []
+        found, self._jumps_found = self._jumps_found, []
         for pairs in joined(self._undigested):
-            found += self.jumps.update(pairs, scale)
+            if not self._splits:
+                found += self.jumps.update(pairs, self._scale)
             self.trail.add(pairs)
             if self.revised is not None:  # by the estimate's own clock
                 self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
         self._undigested = []
         return found
 
+    def renew_slow(self, truth_body: str) -> bool:
+        """Look beside the ticks; returns whether the newest path has been evaluated.
+
+        Args:
+            truth_body: Name of the body that the groundtruth is of.
+        """
+        evaluator = self.evaluator
+        protocol = evaluator.settings.protocol
+        if evaluator.frozen_at is not None:
+            protocol = replace(protocol, align_states=evaluator.frozen_at)
+        return self.slow.renew(
+            self.trail,
+            None if self.why_not_revised else self.revised,
+            protocol,
+            (evaluator.groundtruth_up, self.up),
+            self._body.renamed(truth_body, self.stream.status.child_frame),
+            of_clocks=self.clock.report.offset_s is None,
+        )
+
     def uncertainty(self) -> tuple[int, Floats, Floats] | None:
-        """Return stamp, position (3,) and its covariance (3, 3) of the newest message.
+        """Return stamp, position (3,) and its covariance (3, 3) of the newest message, as paired.
 
         Returns:
             None if there is none, or it says nothing of its covariance.
         """
-        if self._newest is None or self._newest[0] not in COVARIANCE_TYPES:
+        if self.newest is None or self.newest[0] not in COVARIANCE_TYPES:
             return None
-        message_type, payload = self._newest
+        message_type, payload = self.newest
         pose = decode_poses([payload], message_type, covariance=True)
         if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
             return None
-        position, covariance = pose.positions[0], pose.covariances[0]
         # The first of a run may be zero, hence this one twice.
         if not judge_poses(pose.positions)[0][0] or unknown_covariances(
             pose.covariances.repeat(2, 0)
         ):
             return None
-        return int(pose.stamps[0]) + self.offset_ns, position, covariance[:3, :3]
+        row = np.hstack(
+            [states(pose.positions, pose.quaternions), pose.covariances.reshape(1, 36)]
+        )
+        [moved] = self._body.estimated(row)
+        if not np.isfinite(moved[POSITION]).all():
+            return None
+        covariance = moved[COVARIANCE].reshape(6, 6)[:3, :3]
+        return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
+
+    def dropped_since_begun(self, stream: PoseStream) -> dict[str, int]:
+        """Number of messages of one side since this segment began that are no poses, by reason."""
+        before, now = self._dropped_before[id(stream)], stream.status.dropped
+        return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` can't tell from pairs, if it has changed.
@@ -198,19 +343,25 @@ class LiveEstimate:
             state: What is known beside the estimate: settings, groundtruth, live, warnings.
         """
         status, evaluator = self.stream.status, self.evaluator
-        decided = status.poses - evaluator.buffer.waiting
+        covariances, buffer = evaluator.settings.covariances, evaluator.buffer
         state = {
             **state,
             "estimate": {
-                "poses": status.poses,
-                "states": decided - evaluator.buffer.dropped.get("duplicate_stamp", 0),
-                "duration_s": status.duration_s,
+                "poses": buffer.estimate_intake.poses,
+                "states": buffer.estimate_count,
+                "duration_s": buffer.estimate_intake.duration_s,
+                "first_stamp_ns": buffer.estimate_intake.first,
                 "frame": status.frame,
                 "child_frame": status.child_frame,
                 "up": asdict(self.up),
                 "notes": list(status.notes),
             },
-            "dropped": add_counts(status.dropped, evaluator.buffer.dropped),
+            "covariances": {
+                "source": covariances.source,
+                "rotation_frame": covariances.rotation_frame,
+                "groundtruth_noise": covariances.groundtruth_noise,
+            },
+            "dropped": add_counts(self.dropped_since_begun(self.stream), buffer.dropped),
             "aligned_by": evaluator.frozen_at,
         }
         if state == self._state:
@@ -220,6 +371,18 @@ class LiveEstimate:
         none = np.empty((0, 10))
         self.writer.append(np.empty(0, dtype=np.int64), none, none, state)
 
+    @property
+    def why_not_revised(self) -> str:
+        """Why errors are not those of the newest path; empty if they are, or there is none."""
+        evaluator = self.evaluator
+        has_points = evaluator.rule.method == AT_GROUNDTRUTH
+        if self.revised is None or not (has_points or evaluator.settings.protocol.lever_m):
+            return ""
+        return (
+            "errors are those of poses as first published: live, a revised path is not compared "
+            "with fixes or points, or by a lever arm; evaluate a recording"
+        )
+
     def write_revised(self) -> None:
         """Write the newest path, if there is one.
 
@@ -227,57 +390,71 @@ class LiveEstimate:
             InputError: It can't be written.
         """
         path = self.revised
-        if path is None or not len(path.stamps):
+        if path is None or not len(path.stamps) or self.why_not_revised:
             return
         stamps, positions = path.stamps + self.offset_ns, path.states[:, POSITION]
         write_whole(
-            self._folder / f"{self.name}{REVISED_SUFFIX}",
+            self.folder / f"{self._stem}{REVISED_SUFFIX}",
             lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
         )
 
     def _record(self, pairs: Pairs) -> None:
         """Have new pairs on disk before anything else."""
         self.writer.append(*pairs)
+        pairs = narrow(pairs)
         self._undigested.append(pairs)
         if self.watch is not None:
             self.watch(pairs)
 
-    def _take(self, message_type: str, taken: ReceivedMessages, arrived: Stamps) -> None:
-        if message_type == PATH_TYPE:
-            for payload, each in zip(taken.payloads, arrived.tolist(), strict=True):
-                self._take_path(payload, each)
-            return
-        self._newest = message_type, taken.payloads[-1]
-        poses = self.stream.poses(message_type, taken.payloads, arrived)
-        self.evaluator.estimate_up = self.up
-        received = np.array(taken.received, dtype=np.int64)[poses.rows]
-        self.clock.add_estimate(poses.stamps, poses.states)
-        self._now_or_later("estimate", poses.stamps, lambda: self._evaluate(poses, received))
-
-    def _take_path(self, payload: bytes, arrived_ns: int) -> None:
+    def take_path(self, path: StateColumns, arrived_ns: int) -> None:
         """Take a path: evaluate the poses that are new, and remember how it sees the others."""
-        path = self.stream.path(payload)
         self.evaluator.estimate_up = self.up
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
-            reason = "a path is revised as it goes, which hides its clock"
+            reason = "paths are revised during the run, so their clock can't be estimated"
             self.clock.report = ClockReport(status="unobservable", reason=reason)
-        rows = self.revised.renew(path.stamps, path.states)
-        new = StateColumns(path.stamps[rows], path.states[rows], path.rows[rows])
+        states = self._body.estimated(path.states)
+        new = path.picked(self.revised.renew(path.stamps, states))
         self.stream.count_new(new, arrived_ns)
         self._now_or_later(
-            "estimate", new.stamps, lambda: self.evaluator.add_estimate(new.stamps, new.states)
+            "estimate",
+            new.stamps,
+            lambda segment: segment.evaluator.add_estimate(
+                new.stamps, self._body.estimated(new.states)
+            ),
         )
+
+    def close(self) -> None:
+        """Have all on disk.
+
+        Raises:
+            InputError: The disk takes no more.
+        """
+        self.slow.close()
+        try:
+            self.write_revised()
+        finally:
+            self.writer.close()
 
     def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self.offset_ns, received)
-        self.evaluator.add_estimate(poses.stamps, poses.states)
+        left_out = self._body.leaves_out_velocities_of(poses.states, is_truth=False)
+        if left_out or self.evaluator.leaves_out_velocities_of(poses.states):
+            self.stream.status.note(BODYS_VELOCITIES)
+        self.evaluator.add_estimate(poses.stamps, self._body.estimated(poses.states))
 
-    def _now_or_later(self, side: str, stamps: Stamps, evaluate: Callable[[], None]) -> None:
+    def _now_or_later(
+        self, side: str, stamps: Stamps, evaluate: Callable[[LiveEstimate], None]
+    ) -> None:
         if self._held is None:
-            evaluate()
+            evaluate(self)
         elif len(stamps):
             self._held.add(side, stamps, evaluate)
+
+
+def narrow(pairs: Pairs) -> Pairs:
+    """Return pairs without covariances."""
+    return pairs._replace(estimate=pairs.estimate[:, :WIDTH])
 
 
 def joined(several: list[Pairs]) -> list[Pairs]:

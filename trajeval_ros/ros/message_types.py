@@ -15,10 +15,9 @@ def require_ros() -> None:
         import rclpy  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f"this needs ROS 2, but {sys.executable} can't import rclpy ({error}); source a ROS 2 "
-            "installation made for this Python, as in `source /opt/ros/jazzy/setup.bash`, or, to "
-            "develop without one, run `make ros-environment` in the checkout and use "
-            ".venv-ros/bin/trajeval"
+            f"ROS 2 is required, but {sys.executable} can't import rclpy ({error}); source a ROS "
+            "2 installation for this Python, as in `source /opt/ros/jazzy/setup.bash`, or run "
+            "`make ros-environment` in the checkout and use .venv-ros/bin/trajeval"
         ) from error
 
 

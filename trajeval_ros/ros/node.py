@@ -1,4 +1,4 @@
-"""The live evaluator as a node: what it publishes, answers, and says."""
+"""What the node of the live evaluator does: what it publishes, answers, and says."""
 
 from __future__ import annotations
 
@@ -12,56 +12,85 @@ from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.notices import OK, WARN, Notice
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros import parameters
+from trajeval_ros.ros.advertise import advertise
 from trajeval_ros.ros.diagnostics import diagnose, notices_about
 from trajeval_ros.ros.events import EventTopic
+from trajeval_ros.ros.frame_broadcaster import FrameBroadcaster
+from trajeval_ros.ros.graph import about_twins
 from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.output_folder import Finisher, make_folder
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.node_log import log
+from trajeval_ros.ros.output_folder import Autosave, Finisher, make_folder
+from trajeval_ros.ros.parameter_table import PARAMETERS
 from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
-from trajeval_ros.ros.sides import Side, told_apart
+from trajeval_ros.ros.revised_outputs import RevisedOutputs
+from trajeval_ros.ros.sides import Side, TimeAt, name_apart
+from trajeval_ros.ros.simulated_clock import SimulatedClock
+from trajeval_ros.ros.static_transform import StaticTransform
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
+from trajeval_ros.ros.watching import Watching
 
 _SNAPSHOTS_SHARE = 0.05  # of a core at the most: a window that is the whole run grows
 
 
-class EvaluatorNode(Node):  # type: ignore[misc]
+class EvaluatorNode:
     """Evaluates estimate topics against a groundtruth topic, side by side."""
 
-    def __init__(self) -> None:
-        """Declare parameters, advertise, make the output folder, and begin.
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
+        """Advertise, make the output folder, and begin.
+
+        Args:
+            node: Publishes, subscribes and serves.
+            values: Its parameters.
 
         Raises:
-            SettingsError: A parameter means nothing, or topics are missing.
+            SettingsError: A parameter means nothing.
             InputError: The output folder can't be made.
         """
-        super().__init__("evaluator")
-        self._values = parameters.declare(self)
+        self._node, self._values = node, values
         self._settings = parameters.settings_of(self._values)
+        self._broadcaster = (
+            FrameBroadcaster(self._node, self._settings.protocol.gauge)
+            if self._values["broadcast_tf"]
+            else None
+        )
         self._line = StatusLine()
+        self._simulated_time = SimulatedClock(self._node)
+        self._events = EventTopic(self._node)
+        self._watching = Watching(self._node, self._values, self._events, self._log)
         self._run = self._new_run()
         self._picture = self._new_picture()
-        self._outputs = {each.name: Outputs(self, each.name) for each in self._run.estimates}
+        judges = self._settings.covariances.source != "none"
+        self._outputs = {
+            each.name: Outputs(self._node, each.name, judges=judges)
+            for each in self._run.estimates
+        }
+        self._revised: dict[str, RevisedOutputs] = {}
         self._snapshots: dict[str, Snapshot] = {}
         self._newest: dict[str, Update] = {}
         self._snapshot_at = 0.0
-        self._saved_at = time.monotonic()
+        self._autosaving = Autosave()
         self._saved = Future()
         self._ended: list[Finisher] = []  # of runs before a reset, still writing
         self._complaint = ""
         self._advertise()
         self._warn_of_unknown_parameters()
-        self._log(f"results go to {self._run.finisher.folder}")
+        self._log(f"output folder: {self._run.finisher.folder}")
 
     def finish(self) -> bool:
         """Evaluate what is left, and write everything; returns whether it was written."""
         self._line.clear()
         try:
-            self._run.drain(self._simulated_ns())
+            self._run.drain(self._time_at)
+            self._watching.conclude()
         finally:
             written = self._write()
         return written
@@ -70,6 +99,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         for each in self._picture.close():
             self._log(each, warn=True)
         troubles = self._run.close()
+        self._finish_folders(self._run)
         for each in troubles:
             self._log_error(each)
         if not self._run.has_pairs:
@@ -78,11 +108,18 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         return self._run.finisher.finish(quiet=False) and not troubles
 
     def _new_run(self) -> LiveRun:
-        groundtruth = Side(self, self._values["groundtruth_topic"], is_groundtruth=True)
-        sides = [
-            Side(self, each, is_groundtruth=False) for each in self._values["estimate_topics"]
-        ]
-        told_apart(sides)
+        fixes = LiveFixes(
+            parameters.fixes_of(self._values),
+            wants_datum=self._settings.protocol.gauge is Gauge.NONE,
+        )
+        groundtruth = Side(self._node, self._values["groundtruth_topic"], fixes)
+        sides = [Side(self._node, each) for each in self._values["estimate_topics"]]
+        name_apart(sides, self._node.get_namespace())
+        hand_eye = self._values["hand_eye"]
+        transform = (
+            StaticTransform(self._node, hand_eye) if parameters.names_frames(hand_eye) else None
+        )
+        known = parameters.known_hand_eye_of(self._values)
         return LiveRun(
             groundtruth,
             sides,
@@ -90,11 +127,17 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             parameters.words_of(self._values),
             make_folder(self._values["output"]),
             find_offset=parameters.finds_offset(self._values),
+            body=MarkerBody(hand_eye, known, transform, self._settings.covariances.rotation_frame),
+            segmentation=parameters.segmentation_of(self._values),
+            new_folder=lambda: make_folder(self._values["output"]),
         )
 
     def _new_picture(self, before: RerunOutput | None = None) -> RerunOutput:
         gauge = self._settings.protocol.gauge
-        return RerunOutput(self._values["rerun"], self._run, gauge, before)
+        picture = RerunOutput(self._values["rerun"], self._run, gauge, before)
+        if picture.address:
+            self._log(f"Rerun: rerun --connect {picture.address}")
+        return picture
 
     def _advertise(self) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
@@ -102,13 +145,12 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
         for each in self._outputs.values():
             each.advertise_lengths(self._lengths)
-        self._events = EventTopic(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
         # Whoever waits for ~/save must not keep other services waiting.
         asked = ReentrantCallbackGroup()
-        self.create_service(Trigger, "~/reset", self._reset, callback_group=asked)
-        self.create_service(Trigger, "~/save", self._save, callback_group=asked)
-        self.add_on_set_parameters_callback(self._set)
+        self._node.create_service(Trigger, "~/reset", self._reset, callback_group=asked)
+        self._node.create_service(Trigger, "~/save", self._save, callback_group=asked)
+        self._node.add_on_set_parameters_callback(self._set)
 
     @property
     def tick_period_s(self) -> float:
@@ -125,7 +167,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def tick(self) -> None:
         """Take messages, evaluate them, publish their errors."""
-        self._run.take(self._simulated_ns())
+        self._watching.tick()
+        self._run.take(self._time_at)
         for estimate, update in self._run.update():
             if update.stamp is None:
                 continue
@@ -136,10 +179,19 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                 estimate.offset_ns,
                 knows_up=not estimate.doubt,
             )
+            if self._broadcaster is not None and estimate.evaluator.alignment is not None:
+                self._broadcaster.publish(
+                    estimate.name,
+                    estimate.evaluator.alignment.similarity,
+                    update.stamp - estimate.offset_ns,
+                    self._run.groundtruth.stream.status.frame,
+                    estimate.stream.status.frame,
+                )
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
             estimate.peaks.see_update(update, knows_up=not estimate.doubt)
+        self._tell_of_segments()
         for estimate in self._run.estimates:
             for side in (self._run.groundtruth, estimate.side):
                 estimate.peaks.see("staleness_s", side.silent_s)
@@ -159,12 +211,8 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             self._snapshots[estimate.name] = snapshot
             estimate.peaks.see_snapshot(snapshot)
             outputs = self._outputs[estimate.name]
-            revised = None
-            if estimate.revised is not None:
-                outputs.advertise_revised()
-                revised = estimate.revised.position_rmse_m(self._run.groundtruth_up)
-            outputs.publish_snapshot(snapshot, revised)
-            self._picture.snapshot(estimate, snapshot, revised)
+            outputs.publish_snapshot(snapshot)
+            self._picture.snapshot(estimate, snapshot, self._publish_revised(estimate))
             if snapshot.alignment is not None:
                 outputs.publish_geometry(
                     estimate.trail,
@@ -175,19 +223,56 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
 
+    def _publish_revised(self, estimate: LiveEstimate) -> float | None:
+        """Publish how the newest path is, if it is anew; returns its position ATE, metres."""
+        truth = self._run.groundtruth.stream.status
+        is_new = estimate.renew_slow(truth.child_frame)
+        revised = estimate.slow.revised
+        if revised is None:
+            return None
+        name = estimate.name
+        if name not in self._revised:
+            self._revised[name] = RevisedOutputs(self._node, name)
+        if is_new:
+            frames = truth.frame, estimate.stream.status.frame
+            self._revised[name].publish(revised, (self._run.groundtruth_up, estimate.up), *frames)
+        position = revised.ate["position_m"]
+        return None if position is None else position.rmse
+
+    def _tell_of_segments(self) -> None:
+        """Report which segments have begun, and write the results of folders that are complete."""
+        news, self._run.news = self._run.news, []
+        for each in news:
+            self._log(each.text)
+            self._events.publish("run", each)
+        self._finish_folders(self._run)
+
+    def _finish_folders(self, run: LiveRun) -> None:
+        """Write the results of folders that a run has left."""
+        for finisher in run.ended():
+            self._log(f"results of {finisher.folder} are complete")
+            finisher.finish_alone()
+            self._ended.append(finisher)
+
     def _match(self) -> None:
+        if self._time_at is not None:
+            self._simulated_time.match()
         for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
             for each in side.match():
                 self._log(each.text, warn=each.level > OK)
                 self._events.publish(side.name, each)
+        self._watching.match()
+        if self._run.body.transform is not None and (said := self._run.body.transform.match()):
+            self._log(said)
 
     def tell(self) -> None:
         """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         self._run.write_states()
+        twins = about_twins(self._node)
         message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = self._node.get_clock().now().to_msg()
         parts = []
         for estimate in self._run.estimates:
             snapshot = self._snapshots.get(estimate.name)
@@ -196,13 +281,18 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             update = self._newest.get(estimate.name, Update())
             peaks = estimate.peaks.take()
             notices = notices_about(self._run, estimate, snapshot, peaks, self._values)
+            notices += twins
+            if self._broadcaster is not None:
+                notices += self._broadcaster.notices(estimate.name)
             # Each jump has been an event of its own.
             standing = [each for each in notices if each.kind != "jump"]
-            for each in estimate.standing.renew(standing):
+            told = estimate.standing.renew(standing)
+            for each in told:
                 self._events.publish(estimate.name, each)
+            self._watching.see(told)
             message.status.append(
                 diagnose(
-                    self.get_name(),
+                    self._node.get_fully_qualified_name(),
                     self._run,
                     estimate,
                     snapshot,
@@ -221,12 +311,14 @@ class EvaluatorNode(Node):  # type: ignore[misc]
                     self._run.missing(estimate),
                 )
             )
+        message.status += self._watching.statuses()
         self._diagnostics.publish(message)
         for news in self._picture.news():
-            self._log(f"there is no picture in Rerun: {news}", warn=True)
+            self._log(f"no output in Rerun: {news}", warn=True)
         self._complain()
         self._autosave()
-        self._line.show(parts)
+        if (line := self._line.show(parts)) is not None:
+            self._log(line)
 
     def _autosave(self) -> None:
         if self._run.finisher.poll():
@@ -235,15 +327,17 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             if each.poll() and each.trouble:
                 self._log(f"results can't be written to {each.folder}: {each.trouble}", warn=True)
         self._ended = [each for each in self._ended if each.is_busy]
-        period = self._values["autosave_period"]
-        if period and time.monotonic() >= self._saved_at + period and self._run.finisher.is_due:
+        finisher, period_s = self._run.finisher, self._values["autosave_period"]
+        if self._autosaving.is_due(finisher, period_s):
             self._begin_to_save()
+        if late := self._autosaving.why_late(finisher, period_s):
+            self._log(late)
 
     def _begin_to_save(self) -> str:
-        """Begin to write result.json; returns why it can't be written, empty if it can."""
+        """Start to write result.json; returns why it can't be written, empty if it can."""
         if not self._run.has_pairs:
             return self._run.why_no_pair()
-        self._saved_at = time.monotonic()
+        self._autosaving.saved()
         try:
             self._run.save()
         except TrajevalError as error:
@@ -270,7 +364,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         await self._saved
         result = finisher.folder / "result.json"
         if finisher is not self._run.finisher:
-            response.message = f"~/reset came before {result} was written, which it is now"
+            response.message = f"{result}, interrupted by ~/reset, is now written"
             return response
         response.success = not finisher.trouble
         response.message = finisher.trouble or str(result)
@@ -285,11 +379,14 @@ class EvaluatorNode(Node):  # type: ignore[misc]
             response.message = str(error)
             return response
         ended, self._run = self._run, begun
-        ended.conclude(self._simulated_ns())
+        ended.conclude(self._time_at)
         for trouble in ended.close():
             self._log(trouble, warn=True)
+        self._finish_folders(ended)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
+        if ended.body.transform is not None:
+            ended.body.transform.leave()
         self._match()
         self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
@@ -299,7 +396,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         self._tell_saved()
         response.success = True
         response.message = (
-            f"results so far are in {ended.finisher.folder}, new ones go to "
+            f"previous results are in {ended.finisher.folder}, new results in "
             f"{self._run.finisher.folder}"
         )
         self._log(response.message)
@@ -310,7 +407,7 @@ class EvaluatorNode(Node):  # type: ignore[misc]
         """Answer to parameters that are set while it runs."""
         from rcl_interfaces.msg import SetParametersResult
 
-        known = {each.name: each for each in parameters.PARAMETERS}
+        known = {each.name: each for each in PARAMETERS}
         try:
             new = {
                 each.name: parameters.converted(known[each.name], each.value)
@@ -329,20 +426,16 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     # What is said.
 
-    def _log(self, text: str, *, warn: bool = False) -> None:
+    def _log(self, text: str, warn: bool = False) -> None:
         self._line.clear()
-        logger, line = self.get_logger(), one_line(text)
-        if warn:  # rclpy wants one severity of each line of code
-            logger.warning(line)
-        else:
-            logger.info(line)
+        log(self._node, text, warn=warn)
 
     def _log_error(self, text: str) -> None:
         self._line.clear()
-        self.get_logger().error(one_line(text))
+        self._node.get_logger().error(one_line(text))
 
     def _complain(self) -> None:
-        """Say once what is wrong with the disk, and that it is well again."""
+        """State once what is wrong with the disk, and that it is well again."""
         troubles = [each.writer.trouble for each in self._run.estimates if each.writer.trouble]
         if self._run.has_pairs and self._run.finisher.trouble:
             troubles.append(self._run.finisher.trouble)
@@ -355,9 +448,9 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         said = (
-            f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
-            f"{seconds(jump.stamp)}: has it restarted with a new origin? One alignment can't fit "
-            "the parts on both sides; ~/reset begins anew"
+            f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg "
+            f"at {seconds(jump.stamp)}: probably a restart with a new origin, which one "
+            "alignment can't fit; to start a new run, call ~/reset"
         )
         values = {
             "stamp_ns": jump.stamp,
@@ -369,16 +462,15 @@ class EvaluatorNode(Node):  # type: ignore[misc]
 
     def _warn_of_unknown_parameters(self) -> None:
         """Name what a parameter file sets and nobody declares, a misspelt name above all."""
-        names = [each.name for each in parameters.PARAMETERS]
-        for name in getattr(self, "_parameter_overrides", {}):
-            if self.has_parameter(name) or name.startswith("qos_overrides."):
+        names = [each.name for each in PARAMETERS]
+        for name in getattr(self._node, "_parameter_overrides", {}):
+            if self._node.has_parameter(name) or name.startswith("qos_overrides."):
                 continue
             near = get_close_matches(name, names, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
-            self._log(f"there is no parameter {name}{hint}", warn=True)
+            self._log(f"unknown parameter {name}{hint}", warn=True)
 
-    def _simulated_ns(self) -> int | None:
-        """Return the time on /clock; None where time isn't simulated."""
-        if not self.get_parameter("use_sim_time").value:
-            return None
-        return int(self.get_clock().now().nanoseconds)
+    @property
+    def _time_at(self) -> TimeAt | None:
+        """What tells simulated times; None where time isn't simulated."""
+        return self._simulated_time.at if self._node.get_parameter("use_sim_time").value else None

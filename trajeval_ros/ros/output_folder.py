@@ -14,7 +14,7 @@ import time
 from datetime import datetime
 from pathlib import Path
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.temporary import collect_leftovers
 
 _MOST_SHARE = 0.05  # of a core, for saving again and again
@@ -38,8 +38,7 @@ def make_folder(name: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"output folder {folder} can't be made: {reason}") from error
+        raise InputError(f"output folder {folder} can't be created: {reason_of(error)}") from error
     return folder
 
 
@@ -51,11 +50,11 @@ class Finisher:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Begin without a process."""
+        """Create it without a process."""
         self.folder = folder
         self.trouble = ""
         self._process: subprocess.Popen[str] | None = None
-        self._began = 0.0
+        self._began = self._took_s = 0.0
         self._next_at = 0.0
 
     @property
@@ -68,8 +67,13 @@ class Finisher:
         """Whether to write again of one's own accord takes no more of the machine than it may."""
         return not self.is_busy and time.monotonic() >= self._next_at
 
+    @property
+    def least_period_s(self) -> float:
+        """How often to write at the most, so that it takes no more than its share, seconds."""
+        return self._took_s / _MOST_SHARE
+
     def save(self) -> None:
-        """Begin to write result.json."""
+        """Start to write result.json."""
         self._start(["--json", str(self.folder / "result.json")], quiet=True)
 
     def poll(self) -> bool:
@@ -90,7 +94,7 @@ class Finisher:
         return self._end()
 
     def finish_alone(self) -> None:
-        """Begin to write everything, and don't wait for it, nor for what is being written."""
+        """Start to write everything, and don't wait for it, nor for what is being written."""
         if self._process is not None:
             self._process.terminate()
             self._end()
@@ -116,8 +120,37 @@ class Finisher:
         assert self._process is not None
         _, said = self._process.communicate()
         status, self._process = self._process.returncode, None
-        took = time.monotonic() - self._began
-        self._next_at = time.monotonic() + took / _MOST_SHARE
+        self._took_s = time.monotonic() - self._began
+        self._next_at = self._began + max(self.least_period_s, self._took_s)
         lines = [line.removeprefix("trajeval: ") for line in (said or "").splitlines()]
         self.trouble = "" if status == 0 else (lines[-1] if lines else f"exit status {status}")
         return status == 0
+
+
+class Autosave:
+    """Says when result.json is to be written again, and why that is later than was asked for."""
+
+    def __init__(self) -> None:
+        """Create it: the first time is a period from now."""
+        self._saved_at = time.monotonic()
+        self._told_s = 0.0
+
+    def saved(self) -> None:
+        """Note that it is being written."""
+        self._saved_at = time.monotonic()
+
+    def is_due(self, finisher: Finisher, period_s: float) -> bool:
+        """Return whether to write now; a period of 0 is never."""
+        return 0.0 < period_s <= time.monotonic() - self._saved_at and finisher.is_due
+
+    def why_late(self, finisher: Finisher, period_s: float) -> str:
+        """Return why it is written less often than asked for; once for each doubling."""
+        real_s = finisher.least_period_s
+        if not 0.0 < period_s < real_s or real_s < 2.0 * self._told_s:
+            return ""
+        self._told_s = real_s
+        return (
+            f"result.json is written every {real_s:.0f} s instead of {period_s:g} s, to limit "
+            f"its evaluation to {100 * _MOST_SHARE:.0f} % of a core; pairs are written "
+            "immediately; to write results now, call ~/save"
+        )

@@ -1,184 +1,39 @@
-"""The evaluator's parameters: what they are called, what they mean, what they may be."""
+"""The values of the evaluator's parameters, and the settings that they ask for."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.gauge import MODALITIES, Gauge
-from trajeval_ros.io.requests.request_words import parse_up
+from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.geodesy import parse_datum
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.io.requests.request_words import (
+    AUTO,
+    NONE,
+    integrity_request,
+    known_hand_eye,
+    parse_lever,
+    parse_noise,
+    parse_up,
+)
 from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.online.alarms import LIMITED_QUANTITIES
+from trajeval_ros.online.intake import Limits
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import Limits
 from trajeval_ros.online.window import Window
+from trajeval_ros.ros.parameter_table import FROZEN, PARAMETERS, NodeParameter
+from trajeval_ros.ros.segmentation import Segmentation
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-FROZEN = "frozen"
-AUTO = "auto"
 
-
-@dataclass(frozen=True)
-class NodeParameter:
-    """A parameter as it is declared.
-
-    Attributes:
-        name: Its name.
-        default: Its value if nobody sets it; the type is the parameter's.
-        description: What it means.
-        range: The least and the greatest value of a number.
-        is_live: Whether it may be set while the node runs.
-    """
-
-    name: str
-    default: str | float | list[str]
-    description: str
-    range: tuple[float, float] | None = None
-    is_live: bool = False
-
-
-PARAMETERS = (
-    NodeParameter(
-        "groundtruth_topic",
-        "",
-        "Topic of the groundtruth: PoseStamped, PoseWithCovarianceStamped, TransformStamped, "
-        "PointStamped or Odometry, or a transform as in /tf:map.base_link. Required.",
-    ),
-    NodeParameter(
-        "estimate_topics",
-        [""],
-        "Topics of the estimates to be judged, side by side: the same types, or nav_msgs/Path. "
-        "Required.",
-    ),
-    NodeParameter(
-        "modality",
-        "",
-        f"The sensors, which decide what alignment may change: {', '.join(MODALITIES)}.",
-    ),
-    NodeParameter(
-        "gauge",
-        "",
-        "What alignment may change, by name, instead of modality: "
-        f"{', '.join(each.value for each in Gauge)} (se3 if neither is given).",
-    ),
-    NodeParameter(
-        "align_states",
-        "all",
-        f"Align by all states so far, by the first N, or {FROZEN}: all, until they determine the "
-        "alignment well, and then no more.",
-    ),
-    NodeParameter(
-        "align_with",
-        "positions",
-        "What decides the alignment's rotation: positions, or poses to let orientations help, for "
-        "paths that are nearly straight.",
-    ),
-    NodeParameter(
-        "window",
-        "30s",
-        "What the published ATE is about: the newest 30s, 50m or 500 (pairs); 0 is the whole run. "
-        "The results on disk are always about the whole run.",
-        is_live=True,
-    ),
-    NodeParameter(
-        "lengths",
-        "8,16,24,32,40",
-        "Sub-trajectory lengths of the relative error: 8,16 (metres), 1s,5s (seconds), 1f,10f "
-        "(frames), 10%,20% (of the path, only in the results at the end) or none.",
-        is_live=True,
-    ),
-    NodeParameter(
-        "association",
-        "linear",
-        "How pairs are made. Live it can only be linear: the groundtruth is interpolated.",
-    ),
-    NodeParameter(
-        "max_gap",
-        0.5,
-        "Never interpolate across a longer groundtruth gap, seconds.",
-        (0.0, 3600.0),
-    ),
-    NodeParameter(
-        "max_delay",
-        10.0,
-        "How much later than newer groundtruth an estimate may come and still be paired, seconds; "
-        "0: as late as 500 000 groundtruth states reach back (44 MB for each estimate).",
-        (0.0, 86400.0),
-    ),
-    NodeParameter(
-        "time_offset",
-        "0",
-        f"Added to the estimates' stamps, seconds; or {AUTO}: estimated from the first minute, "
-        "and applied to all of them if it is significant.",
-    ),
-    NodeParameter(
-        "up",
-        "",
-        "The axis that points up in all frames (x, y, z, -x, -y, -z), or in the groundtruth's and "
-        "the estimates', as in -y,z. Empty: -y for frames named *_optical and *_optical_frame, "
-        "else z. YAML needs quotes for 'y'.",
-    ),
-    NodeParameter(
-        "publish_rate",
-        20.0,
-        "How often messages are taken, evaluated, and errors published, Hz.",
-        (1.0, 200.0),
-        is_live=True,
-    ),
-    NodeParameter(
-        "output",
-        "",
-        "Folder for what remains: pairs, result.json, figures. Empty: trajeval_DATE-TIME in the "
-        "working directory.",
-    ),
-    NodeParameter(
-        "autosave_period",
-        30.0,
-        "How often result.json is written, seconds; 0 only at the end.",
-        (0.0, 86400.0),
-        is_live=True,
-    ),
-    NodeParameter(
-        "rerun",
-        "none",
-        "The Rerun picture: none; file (run.rrd in the output folder); serve or serve:PORT, for "
-        "viewers on this machine that come and go, and the file; connect:URL, to a viewer that "
-        "listens there, and the file. It needs rerun-sdk.",
-    ),
-    *(
-        NodeParameter(
-            f"{level}_{name}",
-            0.0,
-            f"Diagnostics {reports} when the largest {words} since the last status is above "
-            f"this, {unit}; 0 never.",
-            (0.0, 1e6),
-            is_live=True,
-        )
-        for name, words, unit in LIMITED_QUANTITIES
-        for level, reports in (("warn", "warn"), ("error", "report an error"))
-    ),
-    NodeParameter(
-        "warn_coverage",
-        0.9,
-        "Diagnostics warn when a smaller share of the estimate's poses has groundtruth.",
-        (0.0, 1.0),
-        is_live=True,
-    ),
-    NodeParameter(
-        "error_coverage",
-        0.5,
-        "Diagnostics report an error when a smaller share of the estimate's poses has "
-        "groundtruth.",
-        (0.0, 1.0),
-        is_live=True,
-    ),
-)
+_OF_WATCH = ("watch_with", "imu_topic")
 
 
 def declare(node: Node) -> dict[str, Any]:
@@ -205,12 +60,19 @@ def declare(node: Node) -> dict[str, Any]:
             declared = node.declare_parameter(each.name, each.default, descriptor)
         except Exception as error:  # of several kinds, without a base of their own
             said = " ".join(str(error).split())
-            raise SettingsError(f"parameter {each.name} can't be set: {said}") from error
+            raise SettingsError(f"parameter {each.name} is not valid: {said}") from error
         values[each.name] = converted(each, declared.value)
-    if not values["groundtruth_topic"] or not values["estimate_topics"]:
+    needed = ["estimate_topics"] if values["watch"] else ["groundtruth_topic", "estimate_topics"]
+    if not all(values[each] for each in needed):
         raise SettingsError(
-            "the parameters groundtruth_topic and estimate_topics must name topics, as in "
-            "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]"
+            "the parameters groundtruth_topic and estimate_topics are required; set them, as in "
+            "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]; "
+            "without groundtruth, set watch to a file with limits"
+        )
+    if not values["watch"] and (alone := [each for each in _OF_WATCH if values[each]]):
+        raise SettingsError(
+            f"parameter {alone[0]} needs the parameter watch; set watch to a file with limits, "
+            "which trajeval watch --learn writes"
         )
     return values
 
@@ -222,6 +84,10 @@ def converted(parameter: NodeParameter, value: Any) -> Any:
         SettingsError: It is of no such type, or outside of the parameter's range.
     """
     wanted, is_number = parameter.default, isinstance(value, int | float)
+    if isinstance(wanted, bool):
+        if isinstance(value, bool):
+            return value
+        raise SettingsError(f"parameter {parameter.name} must be true or false, not {value!r}")
     if isinstance(value, bool) or value is None:
         raise SettingsError(f"parameter {parameter.name} can't be {value}")
     if isinstance(wanted, list) and isinstance(value, str | list):
@@ -253,15 +119,50 @@ def words_of(values: dict[str, Any]) -> dict[str, Any]:
         "max_time_difference": None,
         "max_gap": values["max_gap"],
         "time_offset": _time_offset(values["time_offset"]),
+        "lever_m": parse_lever(values["lever_arm"]) if values["lever_arm"] else None,
         "lengths": values["lengths"],
         "ate_form": None,
         "re_form": None,
     }
 
 
+def fixes_of(values: dict[str, Any]) -> FixRule:
+    """Return which GNSS fixes of the groundtruth are used.
+
+    Raises:
+        SettingsError: The values mean nothing.
+    """
+    return FixRule(
+        datum=parse_datum(values["datum"]) if values["datum"] else None,
+        min_status=int(values["min_fix_status"]) or None,
+        max_sigma_m=values["max_fix_sigma"] or None,
+        correlation_s=values["fix_correlation"],
+    )
+
+
+def segmentation_of(values: dict[str, Any]) -> Segmentation:
+    """Return when a segment ends and another one begins."""
+    return Segmentation(values["on_time_jump"], values["on_restart"])
+
+
 def finds_offset(values: dict[str, Any]) -> bool:
     """Return whether the clocks' offset is to be estimated and applied."""
     return bool(values["time_offset"] == AUTO)
+
+
+def names_frames(hand_eye: str) -> bool:
+    """Return whether the parameter hand_eye asks for two frames of static transforms."""
+    return re.fullmatch(r"[\w/~]*tf_static:.*", hand_eye) is not None
+
+
+def known_hand_eye_of(values: dict[str, Any]) -> HandEye | None:
+    """Return the transform that the parameter hand_eye names a file of; None for no file.
+
+    Raises:
+        InputError: The file can't be read, or is no transform.
+    """
+    text = values["hand_eye"]
+    return None if text in (NONE, AUTO) or names_frames(text) else known_hand_eye(text)
 
 
 def _time_offset(text: str) -> float:
@@ -283,6 +184,21 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         protocol=protocol_from("default", **words_of(values)),
         window=Window.parse(values["window"]),
         freeze=values["align_states"] == FROZEN,
-        limits=Limits(groundtruth_s=values["max_delay"] or math.inf),
+        limits=Limits(past_s=values["max_delay"] or math.inf),
+        covariances=_covariances(values),
+        integrity=integrity_request(values["alert_limit"], values["risk"])
+        if values["alert_limit"]
+        else None,
         up=parse_up(values["up"]) if values["up"] else None,
+    )
+
+
+def _covariances(values: dict[str, Any]) -> CovarianceRequest:
+    source, noise = values["covariance"], values["groundtruth_noise"]
+    if source not in ("none", "message"):
+        raise SettingsError(f"parameter covariance must be none or message, not {source!r}")
+    return CovarianceRequest(
+        source,
+        rotation_frame=values["rotation_covariance_frame"],
+        groundtruth_noise=parse_noise(noise) if noise else None,
     )

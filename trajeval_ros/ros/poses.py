@@ -5,24 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.fixes import FRAME
+from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
+from trajeval_ros.geometry.trajectory import NANOSECONDS, count_up
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
 from trajeval_ros.online.notices import WARN, Notice
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, states
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH, as_wide, states
+from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals
 
 _MOST_NOTES = 20
+_STALE_AFTER_S, _STALE_PERIODS = 5.0, 3.0
 _TROUBLE_AFTER = 10  # messages in a row that give no pose
-_STEP_BACK_S = 1.0  # messages that merely overtake each other step back by less
 
 
 class StateColumns(NamedTuple):
@@ -30,13 +33,28 @@ class StateColumns(NamedTuple):
 
     Attributes:
         stamps: (N,) nanoseconds.
-        states: (N, 10), the rows of `online.state_rows.states`.
+        states: (N, 10) or (N, 46), rows as `online.state_rows` has them.
         rows: (N,) which message each is from.
+        fixes: (N, 14), of GNSS fixes place and quality as in their messages; else None.
     """
 
     stamps: Stamps
     states: Floats
     rows: NDArray[np.int64]
+    fixes: Floats | None = None
+
+    def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
+        """Return some of the states: a mask, their places, or a slice."""
+        fixes = None if self.fixes is None else self.fixes[rows]
+        return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes)
+
+    def joined(self, other: StateColumns) -> StateColumns:
+        """Return these states and others behind them."""
+        return StateColumns(
+            np.concatenate([self.stamps, other.stamps]),
+            np.concatenate([self.states, other.states]),
+            np.concatenate([self.rows, other.rows]),
+        )
 
 
 @dataclass
@@ -77,8 +95,7 @@ class StreamStatus:
 
     def drop(self, reason: str, number: int) -> None:
         """Count what is no pose."""
-        if number:
-            self.dropped[reason] = self.dropped.get(reason, 0) + number
+        count_up(self.dropped, reason, number)
 
 
 class PoseStream:
@@ -89,22 +106,45 @@ class PoseStream:
         arrivals: How much later than their stamps they come.
         news: What nobody has been told yet.
         trouble: Why messages give no poses at present; empty if they do.
+        fixes: How GNSS fixes are used, if the topic carries these.
+        begins_anew: Whether time may begin anew, as in a bag that is played in a loop.
         heard_at: When the last of them came, by `time.monotonic`; None before.
     """
 
-    def __init__(self, topic: str) -> None:
-        """Begin, for a topic."""
+    def __init__(
+        self, topic: str, *, covariances: bool = False, fixes: LiveFixes | None = None
+    ) -> None:
+        """Create it for a topic.
+
+        Args:
+            topic: Its name.
+            covariances: Whether to decode those of messages that have one.
+            fixes: How GNSS fixes are used.
+        """
+        self._covariances = covariances
+        self.fixes = fixes or LiveFixes()
         self.status = StreamStatus()
         self.arrivals = Arrivals()
         self.news: list[Notice] = []
         self.trouble = ""
         self.heard_at: float | None = None
+        self.begins_anew = False
         self._topic = topic
         self._type = ""
         self._names: tuple[str, str] | None = None
         self._previous: int | None = None
+        self._trust = StampTrust()
+        self._batch, self._width = 0, WIDTH
+        self._lone_note = ""
         self._in_a_row = 0
         self._is_told = False
+
+    @property
+    def patience_s(self) -> float:
+        """How long to wait for a message before that is told: some of the stream's own periods."""
+        status = self.status
+        period_s = status.duration_s / (status.poses - 1) if status.poses > 1 else 0.0
+        return max(_STALE_AFTER_S, _STALE_PERIODS * period_s)
 
     def up(self, given: str | None) -> UpAxis:
         """Return which axis points up: the one given, or what the name of the frame tells."""
@@ -115,15 +155,33 @@ class PoseStream:
     ) -> StateColumns:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
         self._see_type(message_type)
-        found = self._states(decode_poses(payloads, message_type))
+        columns = decode_poses(payloads, message_type, covariance=self._covariances)
+        if columns.fix_quality is not None:
+            found = self._fix_states(columns, columns.fix_quality)
+        else:
+            found = self._trusted(self._states(columns))
         self.arrivals.see(found.stamps, arrived_ns[found.rows])
         self._count(found)
         return found
 
+    def last_poses(self) -> StateColumns:
+        """Return the states that still wait for their stamps to be trusted: no more will come."""
+        none = np.empty(0, dtype=np.int64)
+        found = self._trusted(StateColumns(none, np.empty((0, WIDTH)), none), at_end=True)
+        self._count(found)
+        return found
+
     def path(self, payload: bytes) -> StateColumns:
-        """Return all states of a path; which of them are new, `count_new` is told."""
+        """Return all states of a path; which of them are new, `count_new` is told.
+
+        Those whose stamps stand alone are counted with each path that has them.
+        """
         self._see_type(PATH_TYPE)
-        return self._states(decode_path(payload))
+        found = self._states(decode_path(payload))
+        poses = np.flatnonzero(_are_poses(found.states))
+        rows, trust = trusted_states(found.stamps[poses])
+        self._tell_lone(trust)
+        return found.picked(poses[rows]) if trust.lone else found
 
     def count_new(self, new: StateColumns, arrived_ns: int) -> None:
         """Count the states that a path, which arrived at a time, is the first to have."""
@@ -146,28 +204,79 @@ class PoseStream:
         if columns.quaternions is not None and columns.body_velocities is not None:
             usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
             states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
+        if columns.covariances is not None:
+            states_ = np.hstack([states_, columns.covariances.reshape(-1, 36)])
         timed = stamps != 0  # a stamp that nobody has set
         untimed = int(np.count_nonzero(~timed))
         status.drop("zero_stamp", untimed)
         self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
         return StateColumns(stamps[timed], states_[timed], columns.rows[timed])
 
+    def _fix_states(self, columns: PoseColumns, quality: Floats) -> StateColumns:
+        """Return the fixes that are used, in metres, without those that have no time."""
+        status = self.status
+        timed = columns.stamps != 0
+        status.drop("undecodable", columns.undecodable)
+        status.drop("zero_stamp", int(np.count_nonzero(~timed)))
+        stamps, rows = columns.stamps[timed], columns.rows[timed]
+        places, quality = columns.positions[timed], quality[timed]
+        kept, positions, dropped = self.fixes.placed(stamps, places, quality)
+        for reason, count in dropped.items():
+            status.drop(reason, count)
+        antennas = [antenna for _, antenna, _ in columns.frames]
+        for antenna in antennas:
+            self._see_frames(FRAME, antenna)
+        self._see_trouble(len(positions), columns.undecodable + len(columns.stamps))
+        if (mixed := self.fixes.mixed(antennas)) and status.note(mixed):
+            self.news.append(Notice("data", WARN, f"{self._topic}: {mixed}"))
+        as_sent = np.hstack([places, quality])[kept]
+        return StateColumns(stamps[kept], states(positions), rows[kept], as_sent)
+
+    def _trusted(self, found: StateColumns, *, at_end: bool = False) -> StateColumns:
+        """Return the states whose stamps can be trusted by now, and what is no pose at all.
+
+        Those that have waited are as of the first of these messages.
+        """
+        poses, before = _are_poses(found.states), self._trust.lone
+        self._batch += 1
+        self._width = max(self._width, found.states.shape[1])  # types may change on the way
+        found = found._replace(states=as_wide(found.states, self._width))
+        batches = np.full(len(found.stamps), self._batch)
+        picked, batches = found.picked(poses), batches[poses]
+        stamps, states_, rows, batches = self._trust.take(
+            picked.stamps, picked.states, picked.rows, batches, at_end=at_end
+        )
+        rows = np.where(batches == self._batch, rows, 0)
+        if self._trust.lone > before:
+            self._tell_lone(self._trust)
+            self.status.drop(LONE, self._trust.lone - before)
+        trusted = StateColumns(stamps, states_, rows)
+        return trusted if poses.all() else trusted.joined(found.picked(~poses))
+
+    def _tell_lone(self, trust: StampTrust) -> None:
+        """Note how many stamps no others agree with, and tell it once."""
+        if not trust.lone:
+            return
+        if not self._lone_note:
+            self.news.append(Notice("data", WARN, f"{self._topic}: {trust.said}"))
+        notes = [each for each in self.status.notes if each != self._lone_note]
+        self._lone_note = trust.said
+        self.status.notes = [*notes, trust.said]
+
     def _see_trouble(self, poses: int, dropped: int) -> None:
-        """Tell, once, that messages come and give no poses."""
+        """Report, once, that messages come and give no poses."""
         self._in_a_row = 0 if poses else self._in_a_row + dropped
         if poses:
             self.trouble = ""
         elif self._in_a_row >= _TROUBLE_AFTER:
-            self.trouble = (
-                f"{self._topic}: no message gives a pose: {reasons(self.status.dropped)}"
-            )
+            why = self.fixes.refused or reasons(self.status.dropped)
+            self.trouble = f"{self._topic}: no message with a valid pose: {why}"
             if not self._is_told:
                 self._is_told = True
                 self.news.append(Notice("data", WARN, self.trouble))
 
     def _count(self, found: StateColumns) -> None:
-        rows = found.states
-        poses = np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isposinf(rows).any(axis=1)
+        poses = _are_poses(found.states)
         if not poses.any():
             return
         status, seen = self.status, found.stamps[poses]
@@ -178,17 +287,21 @@ class PoseStream:
         status.last = latest if status.last is None else max(status.last, latest)
 
     def _see_step_back(self, stamps: Stamps) -> None:
-        """Tell, once, that time doesn't go on: live errors are about the newest pairs alone."""
+        """Report, once, that time doesn't go on: live errors are about the newest pairs alone."""
         before, self._previous = self._previous, int(stamps[-1])
         steps = np.diff(stamps if before is None else np.concatenate([[before], stamps]))
         self._tell_step_back(-float(steps.min(initial=0)) / NANOSECONDS)
 
     def _tell_step_back(self, back_s: float) -> None:
-        if back_s < _STEP_BACK_S or any("stamps step back" in each for each in self.status.notes):
+        if self.begins_anew:
+            return  # whoever begins anew with it will tell
+        told = any("timestamps step back" in each for each in self.status.notes)
+        if told or back_s < NEAR_NS / NANOSECONDS:
             return
         sentence = (
-            f"{self._topic}: stamps step back by {back_s:.1f} s: has its clock, or a bag, begun "
-            "anew? What is older than the newest pair is in no live number; ~/reset begins anew"
+            f"{self._topic}: timestamps step back by {back_s:.1f} s, as after a restart of a "
+            "clock or bag; older poses are excluded from live values; to start a new run, "
+            "call ~/reset or set on_time_jump"
         )
         if self.status.note(sentence):
             self.news.append(Notice("restart", WARN, sentence, values={"back_s": back_s}))
@@ -204,3 +317,10 @@ class PoseStream:
             if self.status.note(sentence):
                 self.news.append(Notice("frame", WARN, sentence))
         self._names = names
+
+
+def _are_poses(rows: Floats) -> Booleans:
+    """Return which states (N, 10) are finite, and have a quaternion of some length or none."""
+    rows = rows[:, :WIDTH]
+    finite = np.isfinite(rows[:, POSITION]).all(axis=1)
+    return np.logical_and(finite, ~np.isposinf(rows).any(axis=1))

@@ -15,7 +15,7 @@ from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.viewer.live_scene import LiveScene
-from trajeval_ros.viewer.sinks import sinks_for
+from trajeval_ros.viewer.sinks import ServerTarget, sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, give_way
 
 FILE = "run.rrd"
@@ -26,12 +26,13 @@ class RerunOutput:
 
     Attributes:
         trouble: Why there is no picture at all; empty if there is, or none was asked for.
+        address: Where viewers find it; empty if nothing is served.
     """
 
     def __init__(
         self, value: str, run: LiveRun, gauge: Gauge, before: RerunOutput | None = None
     ) -> None:
-        """Begin to draw; a sink that can't be had is told by `news`, and the node runs on.
+        """Start to draw; a sink that can't be had is told by `news`, and the node runs on.
 
         Args:
             value: Of the parameter.
@@ -42,11 +43,13 @@ class RerunOutput:
         self._run = run
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
         self._told: set[str] = set()
-        self.trouble = ""
+        self.trouble = self.address = ""
         folder = run.finisher.folder
         names = [each.name for each in run.estimates]
         try:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
+                if isinstance(sink, ServerTarget):
+                    self.address = sink.url
                 scene = LiveScene(folder.name, names, gauge)
                 after = None if before is None else before._ending(place)
                 self._streams.append((DrawingThread(sink, scene, after), scene))
@@ -99,7 +102,7 @@ class RerunOutput:
         for stream, _ in self._streams:
             stream.end()
         late = [stream.name for stream, _ in self._streams if not stream.close()]
-        return [*self.news(), *(f"Rerun's {each} takes too long to end" for each in late)]
+        return [*self.news(), *(f"Rerun's {each} does not stop in time" for each in late)]
 
     def _ending(self, place: int) -> DrawingThread | None:
         if place >= len(self._streams):

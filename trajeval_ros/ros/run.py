@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
+from trajeval_ros.ros import parameters
 from trajeval_ros.ros.lifetime import StopSignal, ros
+from trajeval_ros.ros.message_types import require_ros
+from trajeval_ros.viewer.stream import give_way
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from trajeval_ros.ros.node import EvaluatorNode
+    from trajeval_ros.ros.watch_node import WatchNode
 
 # Services and the simulated clock are served so often. An executor makes its wait set anew for
 # every event, which at /clock's rate alone would take longer than all evaluation.
@@ -18,7 +28,7 @@ class PeriodicTask:
     """Something to do again and again."""
 
     def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
-        """Begin at once.
+        """Create it.
 
         Args:
             do: What to do.
@@ -42,29 +52,43 @@ def evaluate_live(arguments: Sequence[str]) -> int:
 
     Raises:
         SettingsError: ROS doesn't take the arguments, or a parameter means nothing.
-        InputError: The output folder can't be made.
+        InputError: ROS can't be imported, or the output folder can't be made.
     """
+    require_ros()
     with ros(arguments) as stop:
         from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
 
-        from trajeval_ros.ros.node import EvaluatorNode
-
-        node = EvaluatorNode()
+        node = Node("evaluator")
+        work = _evaluator_or_watch(node)
+        give_way()
         executor = SingleThreadedExecutor()  # the other executors pass over callback groups
         executor.add_node(node)
         duties = [
-            PeriodicTask(node.tick, lambda: node.tick_period_s),
-            PeriodicTask(node.report, lambda: _REPORT_EVERY_S),
-            PeriodicTask(node.tell, lambda: _TELL_EVERY_S),
+            PeriodicTask(work.tick, lambda: work.tick_period_s),
+            PeriodicTask(work.report, lambda: _REPORT_EVERY_S),
+            PeriodicTask(work.tell, lambda: _TELL_EVERY_S),
             PeriodicTask(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
         ]
         try:
             _work(duties, stop)
         finally:  # a defect is told, and takes nothing along
             executor.shutdown()
-            written = node.finish()
+            written = work.finish()
             node.destroy_node()
     return 0 if written else 2
+
+
+def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
+    """Return what the node does, as its parameters ask."""
+    values = parameters.declare(node)
+    if values["groundtruth_topic"]:
+        from trajeval_ros.ros.node import EvaluatorNode
+
+        return EvaluatorNode(node, values)
+    from trajeval_ros.ros.watch_node import WatchNode
+
+    return WatchNode(node, values)
 
 
 def _work(duties: Sequence[PeriodicTask], stop: StopSignal) -> None:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import re
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.bags.pose_messages import PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.formatting.topic_names import part_of_topic
+from trajeval_ros.io.bags.pose_messages import (
+    FIX_TYPE,
+    PATH_TYPE,
+    POSE_TYPES,
+    TRANSFORM_TYPES,
+)
 from trajeval_ros.online.notices import OK, WARN, Notice
+from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.subscriptions import ReceivedMessages, TopicInput
@@ -20,6 +27,8 @@ from trajeval_ros.ros.transform_stream import TransformStream
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+# From when messages were received to what time it was then.
+TimeAt = Callable[[NDArray[np.int64]], NDArray[np.int64]]
 _POINT_TYPE = "geometry_msgs/msg/PointStamped"
 
 
@@ -28,17 +37,18 @@ class Side:
 
     Attributes:
         source: What the user named, with topics as they are after remapping.
-        name: The same, fit for a part of a topic's or a file's name.
+        name: The same, fit for a part of a topic's or a file's name; see `name_apart`.
         stream: Decodes the messages.
     """
 
-    def __init__(self, node: Node, source: str, *, is_groundtruth: bool) -> None:
-        """Begin to look for publishers.
+    def __init__(self, node: Node, source: str, fixes: LiveFixes | None = None) -> None:
+        """Start to look for publishers.
 
         Args:
             node: Subscribes.
             source: A topic, or TOPIC:PARENT.CHILD of transforms.
-            is_groundtruth: Then it may be positions alone, but no path.
+            fixes: Of the groundtruth how GNSS fixes are used: it may be positions alone, but no
+                path. None for an estimate.
 
         Raises:
             SettingsError: The source is neither, or transforms can't be received.
@@ -48,9 +58,8 @@ class Side:
             self.source = node.resolve_topic_name(topic) + colon + frames
         except Exception as error:  # of several kinds, without a base of their own
             said = " ".join(str(error).split())
-            raise SettingsError(f"{topic!r} is no name of a topic: {said}") from error
-        self.name = re.sub(r"\W+", "_", self.source.strip("/"), flags=re.ASCII)
-        self.name = f"topic_{self.name}" if self.name[:1].isdigit() else self.name
+            raise SettingsError(f"{topic!r} is not a topic name: {said}") from error
+        self.name = part_of_topic(self.source)
         self.stream: PoseStream
         if colon:
             self.stream = self._transforms(frames)
@@ -62,9 +71,9 @@ class Side:
             }
             self.inputs = [TopicInput(node, topic, types), *static.values()]
         else:
-            self.stream = PoseStream(self.source)
-            other = _POINT_TYPE if not is_groundtruth else PATH_TYPE
-            readable = [each for each in POSE_TYPES if each != other]
+            self.stream = PoseStream(self.source, covariances=fixes is None, fixes=fixes)
+            others = (_POINT_TYPE, FIX_TYPE) if fixes is None else (PATH_TYPE,)
+            readable = [each for each in POSE_TYPES if each not in others]
             self.inputs = [TopicInput(node, topic, readable)]
 
     def match(self) -> list[Notice]:
@@ -78,11 +87,13 @@ class Side:
         news, self.stream.news = self.stream.news, []
         return [*told, *news]
 
-    def take(self, now_ns: int | None) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
+    def take(
+        self, time_at: TimeAt | None
+    ) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         """Return type, messages and their times of arrival, by input.
 
         Args:
-            now_ns: The simulated time; None to use the times when messages were received.
+            time_at: Of simulated time; None to use the times when messages were received.
         """
         found = []
         for each in self.inputs:
@@ -91,8 +102,8 @@ class Side:
                 self.stream.hold(taken.payloads)
             elif taken.payloads:
                 arrived = np.array(taken.received, dtype=np.int64)
-                if now_ns is not None:
-                    arrived[:] = now_ns
+                if time_at is not None:
+                    arrived = time_at(arrived)
                 found.append((each.type, taken, arrived))
         return found
 
@@ -121,27 +132,36 @@ class Side:
         parent, dot, child = (each.strip("/ ") for each in frames.partition("."))
         if not (parent and dot and child) or parent == child:
             raise SettingsError(
-                f"{self.source!r} names no two frames; write it as in /tf:map.base_link"
+                f"{self.source!r} has no pair of frames; write it as in /tf:map.base_link"
             )
         if not is_installed(TRANSFORM_TYPES[0]):
             raise SettingsError(
-                f"{self.source} needs tf2_msgs, which is not installed here; install "
-                "ros-$ROS_DISTRO-tf2-msgs, or name a topic with poses"
+                f"{self.source} needs tf2_msgs; install ros-$ROS_DISTRO-tf2-msgs, or give a "
+                "topic with poses"
             )
         return TransformStream(self.source, parent, child)
 
 
-def told_apart(sides: list[Side]) -> None:
-    """Check that no two estimates have the same name.
+def name_apart(sides: list[Side], namespace: str) -> None:
+    """Name estimates by their topics, without the node's own namespace, which its topics have.
+
+    Args:
+        sides: The estimates.
+        namespace: The node's.
 
     Raises:
-        SettingsError: Two have.
+        SettingsError: Two would have the same name.
     """
-    names: dict[str, Any] = {}
+    inside = f"{namespace.rstrip('/')}/"
+    short = [part_of_topic(each.source.removeprefix(inside)) for each in sides]
+    if len(set(short)) == len(sides):
+        for each, name in zip(sides, short, strict=True):
+            each.name = name
+    names: dict[str, str] = {}
     for each in sides:
         if each.name in names:
             raise SettingsError(
-                f"estimates {names[each.name]} and {each.source} would both be called "
-                f"{each.name}; name each topic once"
+                f"estimates {names[each.name]} and {each.source} have the same name {each.name}; "
+                "remove one"
             )
         names[each.name] = each.source

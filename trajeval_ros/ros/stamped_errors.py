@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.encode_messages import encode_vector_stamped
+from trajeval_ros.online.error_topics import VECTOR_TYPE, VECTORS, vectors_of
 from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.ros.advertise import advertise
+from trajeval_ros.ros.message_types import message_class
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 _QUEUE = 1000  # messages: those of a tick come together
-_VECTORS: dict[str, Callable[[PairErrors], Floats | None]] = {
-    "position_error": lambda errors: errors.position,
-    "rotation_error": lambda errors: errors.rotation_vector_deg,
-    "velocity_error": lambda errors: errors.velocity,
-    "attitude_error": lambda errors: errors.attitude_deg,
-    "heading_error": lambda errors: errors.along_cross_vertical,
-}
-_BY_UP = {"attitude_error", "heading_error"}
 
 
 class StampedErrors:
@@ -30,11 +21,9 @@ class StampedErrors:
 
     def __init__(self, node: Node, name: str) -> None:
         """Advertise them."""
-        from geometry_msgs.msg import Vector3Stamped
-
+        kind = message_class(VECTOR_TYPE)
         self._publishers = {
-            each: node.create_publisher(Vector3Stamped, f"~/{name}/stamped/{each}", _QUEUE)
-            for each in _VECTORS
+            topic: advertise(node, kind, f"~/{name}/{topic}", _QUEUE) for topic in VECTORS
         }
 
     def publish(self, errors: PairErrors, frame: str, offset_ns: int, *, knows_up: bool) -> None:
@@ -46,23 +35,9 @@ class StampedErrors:
             offset_ns: What was added to the estimate's stamps, which are published as they were.
             knows_up: False withholds what depends on the up axis.
         """
-        for name, publisher in self._publishers.items():
-            if not publisher.get_subscription_count() or (name in _BY_UP and not knows_up):
+        for topic, publisher in self._publishers.items():
+            if not publisher.get_subscription_count():
                 continue
-            vectors = _VECTORS[name](errors)
-            if vectors is None:
-                continue
-            rows = np.flatnonzero(np.isfinite(vectors).all(axis=1))
-            stamps = (errors.stamps[rows] - offset_ns).tolist()
-            for stamp, vector in zip(stamps, vectors[rows].tolist(), strict=True):
-                publisher.publish(_message(stamp, frame, vector))
-
-
-def _message(stamp: int, frame: str, vector: list[float]) -> Any:
-    from geometry_msgs.msg import Vector3Stamped
-
-    message = Vector3Stamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-    message.header.frame_id = frame
-    message.vector.x, message.vector.y, message.vector.z = vector
-    return message
+            stamps, vectors = vectors_of(errors, topic, offset_ns, knows_up=knows_up)
+            for message in encode_vector_stamped(stamps, vectors, frame):
+                publisher.publish(message.tobytes())

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.online.error_topics import status_texts
 
 
 def status_message(level: int, name: str, text: str, values: Mapping[str, Any]) -> Any:
@@ -17,10 +18,6 @@ def status_message(level: int, name: str, text: str, values: Mapping[str, Any]) 
         name=name,
         message=one_line(text),
         values=[
-            KeyValue(
-                key=key, value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
-            )
-            for key, value in values.items()
-            if value is not None
+            KeyValue(key=key, value=one_line(value)) for key, value in status_texts(values).items()
         ],
     )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.ros.graph import publishers_of, why_unmatched
 from trajeval_ros.ros.message_types import message_class
 from trajeval_ros.ros.qos import is_same, matching
@@ -45,7 +46,7 @@ class Losses:
     """
 
     def __init__(self) -> None:
-        """Begin without a loss."""
+        """Create it without a loss."""
         self.count = 0
         self.is_exact = True
         self._last: dict[bytes, int] = {}
@@ -76,22 +77,30 @@ class TopicInput:
     """
 
     def __init__(
-        self, node: Node, topic: str, types: Sequence[str], *, is_static: bool = False
+        self,
+        node: Node,
+        topic: str,
+        types: Sequence[str] | None,
+        *,
+        is_static: bool = False,
+        is_optional: bool = False,
     ) -> None:
-        """Begin to look for publishers.
+        """Start to look for publishers.
 
         Args:
             node: Subscribes.
             topic: A name, as a user gives it.
-            types: Those that can be read.
+            types: Those that can be read; None for all that are installed.
             is_static: See the attribute.
+            is_optional: Whether to say nothing while nobody publishes it.
         """
         self.topic, self.is_static = node.resolve_topic_name(topic), is_static
+        self._is_optional = is_optional or is_static
         self.type = ""
         self.losses = Losses()
         # What a node is asked for it remaps itself; a name that is remapped already could become
         # another one.
-        self._node, self._name, self._types = node, topic, tuple(types)
+        self._node, self._name, self._types = node, topic, types if types is None else tuple(types)
         self._group = _polled()
         self._subscription: Any = None
         self._profile: Any = None
@@ -99,11 +108,20 @@ class TopicInput:
         self._publishers = 0
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
 
+    @property
+    def is_latched(self) -> bool:
+        """Whether its publishers hand the newest messages to subscribers that come late."""
+        from rclpy.qos import DurabilityPolicy
+
+        latched = DurabilityPolicy.TRANSIENT_LOCAL
+        return self._profile is not None and bool(self._profile.durability == latched)
+
     def match(self) -> str:
         """Connect to the publishers that there are now; returns what to tell, mostly nothing."""
         publishers = publishers_of(self._node, self._name, self._types)
         if not publishers:
-            return "" if self.is_static else self._remind()
+            unknown = self._types is None and self._node.count_publishers(self._name)
+            return "" if self._is_optional and not unknown else self._remind()
         profile = matching(publishers, is_static=self.is_static)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
@@ -111,7 +129,10 @@ class TopicInput:
         self._publishers = len(publishers)
         if joined:
             names = ", ".join(sorted({each.node_name for each in publishers}))
-            mixed = f"; {self.topic} has {len(publishers)} publishers ({names}), which are mixed"
+            mixed = (
+                f"; messages of {counted(len(publishers), 'publisher')} on {self.topic} are "
+                f"mixed ({names})"
+            )
         else:
             mixed = ""
         again = self._subscription is not None
@@ -121,10 +142,16 @@ class TopicInput:
             self._node.destroy_subscription(self._subscription)
         self.type, self._profile, self._class = kind, profile, message_class(kind)
         self._subscription = self._node.create_subscription(
-            self._class, self._name, _never, profile, raw=True, callback_group=self._group
+            self._class,
+            self._name,
+            _never,
+            profile,
+            raw=True,
+            callback_group=self._group,
+            event_callbacks=_no_events(),
         )
         offer = f"{profile.reliability.name.lower()}, {profile.durability.name.lower()}"
-        verb = "subscribed anew" if again else "subscribed"
+        verb = "subscribed again" if again else "subscribed"
         return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
 
     def take(self) -> ReceivedMessages:
@@ -171,6 +198,13 @@ def _polled() -> Any:
             del entity
 
     return Polled()
+
+
+def _no_events() -> Any:
+    """Return no handlers of events, which would join the wait set; the graph tells the same."""
+    from rclpy.node import SubscriptionEventCallbacks  # its own module has another name in Humble
+
+    return SubscriptionEventCallbacks(use_default_callbacks=False)
 
 
 def _never(message: Any) -> None:

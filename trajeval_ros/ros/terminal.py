@@ -1,17 +1,19 @@
-"""One line on a terminal, renewed each second; nothing where nobody watches."""
+"""One line on a terminal, renewed each second; elsewhere a line of the log now and then."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import stat
 import sys
+import time
 
 from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.reports import Snapshot
 
+_LOG_EVERY_S = 10.0
 _BEGIN_ANEW = "\r\x1b[K"
 
 
@@ -20,18 +22,27 @@ class StatusLine:
 
     def __init__(self) -> None:
         """Look whether anybody watches."""
-        self._watched = sys.stderr.isatty()
+        self._width = _width()
         self._shown = False
+        self._log_at = 0.0
 
-    def show(self, parts: list[str]) -> None:
-        """Show what is to be told of each estimate, cut to the terminal's width."""
-        if not self._watched:
-            return
-        width = shutil.get_terminal_size().columns
+    def show(self, parts: list[str]) -> str | None:
+        """Show what is to be told of each estimate, cut to the terminal's width.
+
+        Returns:
+            The whole line, now and then, to be logged where there is no terminal to renew it on.
+        """
         text = one_line("  |  ".join(parts))
-        text = text if len(text) < width else text[: width - 2] + "…"
+        if not self._width:
+            if not parts or time.monotonic() < self._log_at:
+                return None
+            self._log_at = time.monotonic() + _LOG_EVERY_S
+            return text
+        self._width = _width() or self._width
+        text = text if len(text) < self._width else text[: self._width - 2] + "…"
         self._write(_BEGIN_ANEW + text)
         self._shown = True
+        return None
 
     def clear(self) -> None:
         """Make way for another line."""
@@ -45,11 +56,22 @@ class StatusLine:
             sys.stderr.write(text)
             sys.stderr.flush()
         except OSError:
-            self._watched = False
+            self._width = 0
+
+
+def _width() -> int:
+    """Return how many columns the terminal has; 0 for none, or one that nobody sees.
+
+    `ros2 launch` with emulate_tty makes a terminal without a size, and prefixes its lines.
+    """
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns if sys.stderr.isatty() else 0
+    except (OSError, ValueError):
+        return 0
 
 
 def leave_lost_terminal() -> None:
-    """Say no more where a terminal was that is gone, as when an SSH session drops.
+    """Print nothing where the terminal is gone, as when an SSH session drops.
 
     To write there fails, and would end what is still to be done, in other processes as well.
     """
@@ -74,9 +96,9 @@ def summary(
         missing: The topic that nothing has come from yet; empty if there is none.
     """
     if not snapshot.pairs:
-        waiting = f"{snapshot.waiting} poses wait for groundtruth"
+        waiting = f"{counted(snapshot.waiting, 'pose')} waiting for groundtruth"
         return f"{name}: " + (
-            f"nothing yet on {missing}" if missing else f"no pair yet, {waiting}"
+            f"no messages yet on {missing}" if missing else f"no pairs yet, {waiting}"
         )
     window = "whole run" if window == "0" else window
     if snapshot.alignment is None or snapshot.window_position_rmse_m is None:
@@ -92,7 +114,7 @@ def summary(
     if ended:
         length, errors = ended[-1]
         words.append(f"RE {length} {errors.position_m:.3f} m")
-    words.append(f"{snapshot.pairs} pairs")
+    words.append(f"{counted(snapshot.pairs, 'pair')}")
     if snapshot.estimate_coverage is not None and snapshot.estimate_coverage < 0.995:
         words.append(f"{100 * snapshot.estimate_coverage:.0f} % covered")
     return " ".join(words)

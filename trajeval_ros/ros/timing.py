@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 _BATCHES = 200  # of messages, over which a median is taken
+UNKNOWN = int(np.iinfo(np.int64).min)  # a time of arrival
 _WAITING = 10_000  # estimates whose errors are not published yet
 
 
@@ -17,13 +18,16 @@ class Arrivals:
     """The offset between the stamps of a stream and the times when its messages arrive."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create it empty."""
         self._offsets: deque[float] = deque(maxlen=_BATCHES)
 
     def see(self, stamps: NDArray[np.int64], arrived_ns: NDArray[np.int64]) -> None:
-        """Take the stamps of messages (N,) and their times of arrival (N,), nanoseconds."""
-        if len(stamps):
-            middle = len(stamps) // 2  # of messages in order, one stands for all
+        """Take the stamps of messages (N,) and their times of arrival (N,), nanoseconds.
+
+        Some of these may be `UNKNOWN`.
+        """
+        middle = len(stamps) // 2  # of messages in order, one stands for all
+        if len(stamps) and arrived_ns[middle] != UNKNOWN:
             self._offsets.append(int(arrived_ns[middle] - stamps[middle]) / NANOSECONDS)
 
     @property
@@ -36,7 +40,7 @@ class Latency:
     """The time from an estimate's arrival to the publication of its error."""
 
     def __init__(self) -> None:
-        """Begin empty."""
+        """Create it empty."""
         self._waiting: deque[tuple[int, int]] = deque(maxlen=_WAITING)
         self._seconds: deque[float] = deque(maxlen=10 * _BATCHES)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.transform_tree import (
@@ -41,12 +42,13 @@ class TransformStream(PoseStream):
     """
 
     def __init__(self, source: str, parent: str, child: str) -> None:
-        """Begin, for the pose of `child` in `parent`."""
+        """Create it for the pose of `child` in `parent`."""
         super().__init__(source)
         self.status.frame, self.status.child_frame = parent, child
         self.status.note("format: TF")
         self._parent, self._child = parent, child
         self._edges: dict[EdgeKey, Edge] = {}
+        self._trusts: dict[EdgeKey, StampTrust] = {}
         self._way: Way = []
         self._leading: EdgeKey | None = None
         self._until = _NEVER
@@ -56,6 +58,7 @@ class TransformStream(PoseStream):
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
     ) -> StateColumns:
         """Return the states that have become known with new messages, as of the last of these."""
+        # Stamps are judged edge by edge, where they come from.
         del message_type
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
@@ -95,11 +98,29 @@ class TransformStream(PoseStream):
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
         """Add transforms to an edge that moves."""
         timed = columns.stamps != 0  # a stamp that nobody has set
-        new = Edge.from_columns(columns.stamps[timed], columns.numbers[timed], False)
+        trust = self._trusts.setdefault(key, StampTrust())
+        before = trust.lone
+        stamps, numbers = trust.take(columns.stamps[timed], columns.numbers[timed])
+        if trust.lone > before:
+            self._tell_lone(trust)
+            self.status.drop(LONE, trust.lone - before)
+        known = self._edges.get(key)
+        if self.begins_anew and len(stamps):
+            last = stamps[:1] if known is None or known.is_static else known.stamps[-1:]
+            back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
+            if len(back):
+                self._begin_anew()
+                stamps, numbers = stamps[back[-1] :], numbers[back[-1] :]
+        new = Edge.from_columns(stamps, numbers, False)
         if key == self._leading and len(new.stamps):
             self._tell_step_back((self._until - int(new.stamps[-1])) / NANOSECONDS)
         known = self._edges.get(key)
         self._keep(key, new if known is None or known.is_static else known.joined(new))
+
+    def _begin_anew(self) -> None:
+        """Forget what moved: its time has begun anew."""
+        self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
+        self._way, self._leading, self._until = [], None, _NEVER
 
     def _wants(self, key: EdgeKey) -> bool:
         return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)
@@ -134,13 +155,13 @@ class TransformStream(PoseStream):
         if span is None:
             raise InputError(
                 f"{self._topic}: all transforms between {self._parent} and {self._child} are "
-                "static so far; name a frame that moves"
+                "static so far; choose a moving frame"
             )
         if self._leading is None:
             if span[1] - span[0] < round(LEADS_BY_S * NANOSECONDS):
                 raise InputError(
-                    f"{self._topic}: not all transforms between {self._parent} and {self._child} "
-                    f"have come for {LEADS_BY_S:g} s so far; poses begin then"
+                    f"{self._topic}: incomplete chain from {self._parent} to {self._child}; "
+                    f"output starts {LEADS_BY_S:g} s after all its transforms are received"
                 )
             self._leading = leading_edge(self._edges, self._way, span)
         return self._leading, span

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.entity_data import marker
+from trajeval_ros.viewer.legend import declare_legend
 from trajeval_ros.viewer.scene_entities import (
     ALIGNMENT_YAW,
     ATE_POSITION,
@@ -34,23 +36,40 @@ from trajeval_ros.viewer.sdk import sdk
 _AXES_M = 0.4
 
 
-def declare(recording: Any, estimates: Sequence[EstimateEntities], up: UpAxis) -> None:
-    """Log once how everything looks, in a world in which this axis is up."""
+def declare(
+    recording: Any, estimates: Sequence[EstimateEntities], gauge: Gauge, up: UpAxis
+) -> None:
+    """Log once how everything looks, in a world in which this axis is up.
+
+    What only some runs have is declared where it comes: it would cost a kilobyte each.
+    """
     rerun, _ = sdk()
     way = "DOWN" if up.name.startswith("-") else "UP"
     view = f"RIGHT_HAND_{up.name[-1].upper()}_{way}"
     recording.log(WORLD, getattr(rerun.ViewCoordinates, view), static=True)
+    declare_legend(recording, estimates)
     _declare_path(recording, GroundtruthEntities.path, colours.GROUNDTRUTH, 1.2)
-    _declare_pose(recording, GroundtruthEntities.pose, colours.GROUNDTRUTH)
+    recording.log(
+        GroundtruthEntities.pose, marker(np.zeros(3), colours.GROUNDTRUTH, ""), static=True
+    )
     for each in estimates:
         _declare_path(recording, each.path, each.colour, 1.0 if len(estimates) == 1 else 1.6)
-        _declare_pose(recording, each.pose, each.colour, each.name)
-        recording.log(each.pose, rerun.TransformAxes3D(_AXES_M), static=True)
+        # Of several that are close their names would lie on each other; the legend has them.
+        label = each.name if len(estimates) == 1 else ""
+        looks = marker(np.zeros(3), each.colour, label), rerun.TransformAxes3D(_AXES_M)
+        recording.log(each.pose, *looks, static=True)
         _declare_lines(recording, each.by_error, None, 2.6)
-        _declare_lines(recording, each.revised, each.colour, 1.0)
         _declare_lines(recording, each.correspondences, None, 0.8)
         _declare_ellipsoids(recording, each.covariance, each.colour)
         _declare_series(recording, each)
+        if gauge.has_scale:
+            _series(recording, each.metric(SCALE), f"{each.name}, scale", each.colour, 1.6)
+
+
+def declare_revised(recording: Any, estimate: EstimateEntities) -> None:
+    """Log once how the error of a path's newest version looks."""
+    label = f"{estimate.name}, ATE of the revised path"
+    _series(recording, estimate.metric(REVISED_ATE_POSITION), label, _pale(estimate.colour))
 
 
 def declare_length(recording: Any, estimate: EstimateEntities, length: str, place: int) -> None:
@@ -71,7 +90,7 @@ def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
     name, colour = estimate.name, estimate.colour
     _declare_ellipsoids(recording, estimate.uncertainty, colour)
     _series(recording, estimate.metric(NEES), name, colour)
-    label = f"{name}, 95 % of honest runs stay below"
+    label = f"{name}, 95 % of consistent runs stay below"
     _series(recording, estimate.metric(NEES_LIMIT), label, colours.BAND, 1.6)
     for quantity in ERRORS_WITHIN:
         bands = rerun.SeriesLines(
@@ -111,24 +130,22 @@ def _declare_lines(
     )
 
 
-def _declare_pose(recording: Any, entity: str, colour: colours.Colour, label: str = "") -> None:
-    recording.log(entity, marker(np.zeros(3), colour, label), static=True)
-
-
 def _declare_series(recording: Any, estimate: EstimateEntities) -> None:
     name, colour = estimate.name, estimate.colour
-    pale = tuple((each + 255) // 2 for each in colour)
+    pale = _pale(colour)
     for quantity, label, its, width in (
         (POSITION_ERROR, name, colour, 1.2),
-        (ATE_POSITION, f"{name}, ATE (rmse)", pale, 2.4),
-        (REVISED_ATE_POSITION, f"{name}, ATE of the revised path", pale, 1.2),
+        (ATE_POSITION, f"{name}, ATE (RMSE)", pale, 2.4),
         (ROTATION_ERROR, name, colour, 1.2),
-        (ATE_ROTATION, f"{name}, ATE (rmse)", pale, 2.4),
+        (ATE_ROTATION, f"{name}, ATE (RMSE)", pale, 2.4),
         (YAW_ERROR, f"{name}, yaw", colour, 1.2),
-        (SCALE, f"{name}, scale", colour, 1.6),
         (ALIGNMENT_YAW, f"{name}, yaw of the alignment", colour, 1.6),
     ):
         _series(recording, estimate.metric(quantity), label, its, width)
+
+
+def _pale(colour: colours.Colour) -> tuple[int, ...]:
+    return tuple((each + 255) // 2 for each in colour)
 
 
 def _series(recording: Any, entity: str, label: str, colour: Any, width: float = 1.2) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.viewer import colours, scene_entities
+from trajeval_ros.viewer.layout_parts import until_now, whole_run, with_panels
+from trajeval_ros.viewer.legend import ROW, WIDTH, rows_of
 from trajeval_ros.viewer.sdk import sdk
 
 _MOST_COLOURED = 1  # estimates that are told apart by colour can't be coloured by error
@@ -21,6 +23,7 @@ def blueprint(
     *,
     is_live: bool,
     has_consistency: bool = False,
+    has_map: bool = False,
     bounds: tuple[Floats, Floats] | None = None,
 ) -> Any:
     """Return the layout.
@@ -30,40 +33,50 @@ def blueprint(
         gauge: Of the alignments.
         is_live: Follow what comes; else the whole run is there already.
         has_consistency: Whether errors are drawn within their bands.
+        has_map: Whether latitudes and longitudes are known.
         bounds: Least and greatest coordinates (3,), (3,) of what is drawn, if known.
     """
     _, layout = sdk()
-    errors = _errors(gauge, is_live=is_live)
-    return layout.Blueprint(
+    # A legend of several estimates would cover the plot.
+    space = _space(estimates, is_live=is_live, bounds=bounds)
+    errors = _errors(gauge, is_live=is_live, legend=len(estimates) == 1)
+    return with_panels(
         layout.Horizontal(
-            _space(estimates, is_live=is_live, bounds=bounds),
+            layout.Vertical(
+                layout.Tabs(space, _map()) if has_map else space,
+                _legend(len(estimates)),
+                row_shares=[16, 1 + rows_of(len(estimates))],
+            ),
             layout.Tabs(errors, _within_bands()) if has_consistency else errors,
-            column_shares=[5, 3],
+            column_shares=[5, 3] if len(estimates) == 1 else [5, 4],
         ),
-        layout.TimePanel(
-            state="collapsed", timeline=scene_entities.TIMELINE, play_state="following"
-        ),
-        layout.SelectionPanel(state="collapsed"),
-        layout.BlueprintPanel(state="collapsed"),
-        auto_views=False,
     )
 
 
-def _errors(gauge: Gauge, *, is_live: bool) -> Any:
+def _map() -> Any:
+    """Return the map, behind the space: a viewer asks OpenStreetMap for its tiles."""
+    _, layout = sdk()
+    return layout.MapView(origin=f"/{scene_entities.MAP}", name="Map")
+
+
+def _errors(gauge: Gauge, *, is_live: bool, legend: bool) -> Any:
     _, layout = sdk()
     return layout.Vertical(
-        layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="How wrong is it?"),
+        layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="Summary"),
         _plot(
-            "Position error [m]",
+            "Position error and ATE (RMSE) [m]",
             scene_entities.POSITION_ERROR,
             scene_entities.ATE_POSITION,
             scene_entities.REVISED_ATE_POSITION,
-            legend=True,
         ),
-        _plot("Rotation error [deg]", scene_entities.ROTATION_ERROR, scene_entities.ATE_ROTATION),
+        _plot(
+            "Rotation error and RMSE [deg]",
+            scene_entities.ROTATION_ERROR,
+            scene_entities.ATE_ROTATION,
+        ),
         layout.Tabs(
             layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name="Events"),
-            _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=True),
+            _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=legend),
             _plot("Yaw error [deg]", scene_entities.YAW_ERROR),
             *([_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []),
             *(
@@ -83,10 +96,20 @@ def _within_bands() -> Any:
     plots = [_plot(*each) for each in zip(names, scene_entities.ERRORS_WITHIN, strict=True)]
     return layout.Vertical(
         *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
-        _plot(
-            "NEES / 6 of each pose", scene_entities.NEES, scene_entities.NEES_LIMIT, legend=True
-        ),
+        _plot("NEES / 6 per pose", scene_entities.NEES, scene_entities.NEES_LIMIT, legend=True),
         name="Errors within 3 sigma",
+    )
+
+
+def _legend(estimates: int) -> Any:
+    _, layout = sdk()
+    return layout.Spatial2DView(
+        origin=f"/{scene_entities.LEGEND}",
+        name="Position error and legend",
+        background=layout.Background(color=colours.BACKGROUND),
+        visual_bounds=layout.VisualBounds2D(
+            x_range=[-30.0, WIDTH], y_range=[-8.0, ROW * rows_of(estimates)]
+        ),
     )
 
 
@@ -97,15 +120,6 @@ def _space(
     bounds: tuple[Floats, Floats] | None,
 ) -> Any:
     _, layout = sdk()
-    until_now = layout.VisibleTimeRanges(
-        [
-            layout.VisibleTimeRange(
-                scene_entities.TIMELINE,
-                start=layout.TimeRangeBoundary.infinite(),
-                end=layout.TimeRangeBoundary.cursor_relative(),
-            )
-        ]
-    )
     growing = [
         scene_entities.GroundtruthEntities.path.past,
         *(each.path.past for each in estimates),
@@ -114,7 +128,7 @@ def _space(
         growing += [each.by_error for each in estimates]
         growing += [each.correspondences for each in estimates]
         growing += [each.uncertainty for each in estimates]
-    overrides: dict[str, list[Any]] = {each: [until_now] for each in growing}
+    overrides: dict[str, list[Any]] = {each: [until_now()] for each in growing}
     if len(estimates) > _MOST_COLOURED:
         hidden = [each.by_error for each in estimates]
     else:  # live, the colours come later than the path
@@ -123,25 +137,21 @@ def _space(
         overrides.setdefault(each, []).append(layout.EntityBehavior(visible=False))
     return layout.Spatial3DView(
         origin=f"/{scene_entities.WORLD}",
-        name="Groundtruth, and the estimate aligned with it",
+        name="Groundtruth and aligned estimate",
         overrides=overrides,
         background=layout.Background(color=colours.BACKGROUND),
         line_grid=layout.LineGrid3D(visible=True, color=colours.GRID, spacing=_spacing(bounds)),
-        eye_controls=_eye(bounds),
+        eye_controls=_eye(bounds, 1.0 if len(estimates) == 1 else 1.2),
     )
 
 
 def _plot(name: str, *quantities: str, legend: bool = False) -> Any:
-    rerun, layout = sdk()
-    # The whole run, and not the half minute about the cursor.
-    everything = rerun.TimeRange(
-        start=layout.TimeRangeBoundary.infinite(), end=layout.TimeRangeBoundary.infinite()
-    )
+    _, layout = sdk()
     return layout.TimeSeriesView(
         origin="/metrics",
         contents=[f"/metrics/{each}/**" for each in quantities],
         name=name,
-        axis_x=layout.TimeAxis(link="independent", view_range=everything),
+        axis_x=whole_run(),
         plot_legend=layout.PlotLegend(layout.Corner2D.LeftTop, visible=legend),
     )
 
@@ -155,15 +165,15 @@ def _spacing(bounds: tuple[Floats, Floats] | None) -> float:
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * decade - rough)) * decade)
 
 
-def _eye(bounds: tuple[Floats, Floats] | None) -> Any:
-    """Return a view of everything from the south, from above at an angle."""
+def _eye(bounds: tuple[Floats, Floats] | None, distance: float) -> Any:
+    """Return a view of everything from the south, from above at an angle, so far away."""
     if bounds is None:
         return None
     _, layout = sdk()
     low, high = bounds
     centre, size = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 1e-2)
     return layout.EyeControls3D(
-        position=centre + size * np.array([0.0, -0.52, 0.66]),
+        position=centre + distance * size * np.array([0.0, -0.52, 0.66]),
         look_target=centre,
         eye_up=(0.0, 0.0, 1.0),
     )

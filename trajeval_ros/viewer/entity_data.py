@@ -135,7 +135,7 @@ def marker(position: Floats, colour: colours.Colour, label: str = "") -> Any:
 
 
 def start(position: Floats) -> Any:
-    """Return where the groundtruth began, (3,)."""
+    """Return where the groundtruth started, (3,)."""
     return marker(position, colours.GROUNDTRUTH, "groundtruth starts here")
 
 

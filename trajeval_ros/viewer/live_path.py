@@ -26,7 +26,7 @@ class Thinning:
     """Picks one pose of each tenth of a second."""
 
     def __init__(self) -> None:
-        """Begin."""
+        """Create it."""
         self._last = _NEVER
 
     def pick(self, stamps: Stamps) -> NDArray[np.int64]:
@@ -42,11 +42,11 @@ class LivePath:
     """Draws one path, pose by pose.
 
     A piece that is whole is `past`, and never sent again. `recent` is the piece in the making, and
-    `newest` its end: each is sent anew as it grows, the short one often, the long one seldom.
+    `newest` its end: each is sent again as it grows, the short one often, the long one seldom.
     """
 
     def __init__(self, entities: PathEntities, log: Log) -> None:
-        """Begin without a pose.
+        """Create it without a pose.
 
         Args:
             entities: Where it is drawn.
@@ -97,7 +97,7 @@ class RowHistory:
     """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
 
     def __init__(self, width: int) -> None:
-        """Begin empty, for rows of so many numbers."""
+        """Create it empty, for rows of so many numbers."""
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0

@@ -9,12 +9,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
+from trajeval_ros.viewer import (
+    appearance,
+    colours,
+    entity_data,
+    legend,
+    scene_entities,
+    text_panel,
+)
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
 from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for, pieces
@@ -38,7 +46,7 @@ class LiveEstimatePicture:
     """What is known of one estimate's picture."""
 
     def __init__(self, entities: scene_entities.EstimateEntities, log: Any) -> None:
-        """Begin without a pose."""
+        """Create it without a pose."""
         self.entities = entities
         self.path = LivePath(entities.path, log)
         self.thinning, self.memory = Thinning(), RowHistory(6)
@@ -47,6 +55,7 @@ class LiveEstimatePicture:
         self.snapshot: Snapshot | None = None
         self.drawn_at = self.told_at = _NEVER
         self.coloured = 0
+        self.is_revised = False  # as a path's newest version is
         self.lengths: dict[str, int] = {}  # with the stamp of the newest error that was drawn
 
 
@@ -58,7 +67,7 @@ class LiveScene:
     """
 
     def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
-        """Begin, for a run of that title and estimates of these names."""
+        """Create it for a run of that title and estimates of these names."""
         self._title = one_line(title)
         self._recording: Any = None
         self._gauge, self._up = gauge, Z_UP
@@ -77,13 +86,16 @@ class LiveScene:
         """Draw on a recording from now on, and first what came before it."""
         self._recording = recording
         recording.send_recording_name(self._title)
-        appearance.declare(recording, self._entities, self._up)
+        appearance.declare(recording, self._entities, self._gauge, self._up)
         if self._origin is not None:
             self._draw_origin()
         stamps, points = self._truth_memory.columns()
         self._draw_again(scene_entities.GroundtruthEntities.path.past, stamps, points)
+        self._full_m = None  # so that the legend's scale is drawn with the colours
         for each in self._estimates.values():
             each.coloured = 0
+            if each.is_revised:
+                appearance.declare_revised(recording, each.entities)
             for place, length in enumerate(each.lengths):
                 appearance.declare_length(recording, each.entities, length, place)
             stamps, rows = each.memory.columns()
@@ -116,7 +128,7 @@ class LiveScene:
             if up != self._up:
                 self._up = up
                 if self._recording is not None:
-                    appearance.declare(self._recording, self._entities, up)
+                    appearance.declare(self._recording, self._entities, self._gauge, up)
             self._log(
                 self._begin,
                 scene_entities.GroundtruthEntities.start,
@@ -169,6 +181,10 @@ class LiveScene:
         """Take the state of an evaluation as of a stamp, as it is published."""
         each = self._estimates[name]
         each.snapshot = snapshot
+        if revised_m is not None and not each.is_revised:
+            each.is_revised = True
+            if self._recording is not None:
+                appearance.declare_revised(self._recording, each.entities)
         for quantity, value in (
             (scene_entities.ATE_POSITION, snapshot.window_position_rmse_m),
             (scene_entities.ATE_ROTATION, text_panel.rmse_of(snapshot.ate, "rotation_deg")),
@@ -205,7 +221,7 @@ class LiveScene:
         """Take the number of updates that were not drawn."""
         stamps, _ = self._truth_memory.columns()
         if len(stamps):
-            self.event(int(stamps[-1]), f"{count} updates were not drawn, this was too slow")
+            self.event(int(stamps[-1]), f"{counted(count, 'update')} dropped: drawing is too slow")
 
     @property
     def _entities(self) -> list[scene_entities.EstimateEntities]:
@@ -262,7 +278,9 @@ class LiveScene:
         moved_m = float(np.linalg.norm(moved))
         assert each.snapshot is not None
         if moved_m > max(_LEAST_JUMP_M, each.snapshot.position_rmse_m or 0.0):
-            self.event(stamp, f"{name}: alignment moves its end by {moved_m:.2f} m", warn=False)
+            self.event(
+                stamp, f"{name}: the alignment moves the end by {moved_m:.2f} m", warn=False
+            )
 
     def _colour(self, each: LiveEstimatePicture, stamp: int) -> None:
         """Colour the whole path by its errors under the present alignment."""
@@ -270,11 +288,14 @@ class LiveScene:
         stamps, rows = each.memory.columns()
         difference = rows[:, :3] - each.similarity.positions(rows[:, 3:])
         errors = np.sqrt(np.einsum("ni,ni->n", difference, difference))
-        self._full_m = colours.scale_for(errors)
+        full_m = colours.scale_for(errors)
+        if full_m != self._full_m:
+            self._full_m = full_m
+            self._log(stamp, *legend.scale(full_m))
         each.coloured = len(rows)
         most = min(_MOST_COLOURED, -(-len(rows) // _COLOURED_STEPS))
         parts = pieces(len(rows), gaps(stamps), most)
-        path = entity_data.path_by_error(rows[:, 3:], errors, parts, self._full_m)
+        path = entity_data.path_by_error(rows[:, 3:], errors, parts, full_m)
         self._log(stamp, each.entities.by_error, path.row())
 
     def _correspond(self, each: LiveEstimatePicture, stamp: int) -> None:

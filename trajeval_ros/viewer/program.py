@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK
@@ -44,17 +46,39 @@ def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subpro
     bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
     binary = bundled if bundled.exists() else folder / _NAME
     # Not by its Python wrapper, which would leave it running. CI keeps it from calling home.
-    process = subprocess.Popen(
-        [str(binary), "--bind", LOOPBACK, "--port", str(port), *arguments],
-        env={"RUST_LOG": "error", **os.environ, "CI": "1"},
-        **options,
-    )
-    try:
-        yield process
-    finally:
-        process.terminate()
+    with _sigterm_as_exit():
+        process = subprocess.Popen(
+            [str(binary), "--bind", LOOPBACK, "--port", str(port), *arguments],
+            env={"RUST_LOG": "error", **os.environ, "CI": "1"},
+            **options,
+        )
         try:
-            process.wait(_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def _sigterm_as_exit() -> Iterator[None]:
+    """Have SIGTERM raise in the block, so that what was started is ended.
+
+    Only the main thread hears signals, and only what nobody else handles is changed.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _exit)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _exit(number: int, _: object) -> NoReturn:
+    raise SystemExit(128 + number)

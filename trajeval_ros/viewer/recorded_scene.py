@@ -9,14 +9,22 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
+from trajeval_ros.viewer import (
+    appearance,
+    colours,
+    entity_data,
+    legend,
+    scene_entities,
+    text_panel,
+)
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency_bands import send_consistency
-from trajeval_ros.viewer.flushing import flush_to
+from trajeval_ros.viewer.map_track import has_map, send_map
 from trajeval_ros.viewer.paths import (
     between_origins,
     bounds_of,
@@ -26,7 +34,7 @@ from trajeval_ros.viewer.paths import (
     pieces,
     spread,
 )
-from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.recording_file import recording_writer
 
 _MOST_POINTS = 50_000  # of a path
 _MOST_ROWS = 900  # that a viewer draws in each frame, all paths together
@@ -51,7 +59,6 @@ def write_recording(
     Raises:
         InputError: rerun-sdk is not installed, or the file can't be written.
     """
-    rerun, _ = sdk()
     consistencies = [
         None if each is None or each.covariances is None else each for each in consistencies
     ] or [None] * len(evaluations)
@@ -59,28 +66,19 @@ def write_recording(
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
     truth = evaluations[0].groundtruth
     origin = origin_for(truth.positions)
+    layout = blueprint(
+        estimates,
+        evaluations[0].protocol.gauge,
+        is_live=False,
+        has_consistency=any(consistencies),
+        has_map=has_map(evaluations),
+        bounds=_bounds(evaluations, origin),
+    )
 
-    def write(temporary: Path) -> None:
-        recording = rerun.RecordingStream(scene_entities.APPLICATION)
-        recording.set_log_time_enabled(False)
-        recording.set_sinks(
-            rerun.FileSink(str(temporary)),
-            default_blueprint=blueprint(
-                estimates,
-                evaluations[0].protocol.gauge,
-                is_live=False,
-                has_consistency=any(consistencies),
-                bounds=_bounds(evaluations, origin),
-            ),
-        )
-        try:
-            recording.send_recording_name(", ".join(each.name for each in estimates))
-            _draw(recording, evaluations, consistencies, estimates, origin)
-            flush_to(temporary, recording)
-        finally:
-            recording.disconnect()
+    def draw(recording: Any) -> None:
+        _draw(recording, evaluations, consistencies, estimates, origin)
 
-    write_whole(path, write)
+    write_whole(path, recording_writer(", ".join(each.name for each in estimates), layout, draw))
 
 
 def _draw(
@@ -90,9 +88,12 @@ def _draw(
     estimates: Sequence[scene_entities.EstimateEntities],
     origin: Floats,
 ) -> None:
-    appearance.declare(recording, estimates, evaluations[0].groundtruth.up)
+    first = evaluations[0]
+    appearance.declare(recording, estimates, first.protocol.gauge, first.groundtruth.up)
     full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
-    truth = evaluations[0].groundtruth
+    entity, row = legend.scale(full_m)
+    recording.log(entity, row, static=True)
+    truth = first.groundtruth
     rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))
     _send_path(recording, scene_entities.GroundtruthEntities.path.past, truth, origin, rows)
     _send_poses(recording, scene_entities.GroundtruthEntities.pose, truth, origin)
@@ -106,15 +107,15 @@ def _draw(
         said = list(evaluation.warnings)
         if consistency is not None:
             factor = send_consistency(recording, evaluation, consistency, entities, origin)
-            said.append(
-                f"ellipsoids are {scene_entities.SIGMAS:g} sigma, {factor:g} times enlarged"
-            )
+            said.append(f"ellipsoids: {scene_entities.SIGMAS:g} sigma, enlarged {factor:g} times")
             said.append(consistency.statement)
         elif evaluation.estimate.covariances is not None:
             its_origin = origin_for(evaluation.estimate.positions)
             _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
         name = f"{entities.name}: " if len(estimates) > 1 else ""
         remarks += [f"{name}{each}" for each in said]
+    if has_map(evaluations):
+        send_map(recording, evaluations, estimates)
     if origin.any():
         remarks.append(text_panel.origin_in_words(origin))
     entity_data.send_origin(recording, origin)
@@ -219,7 +220,7 @@ def _send_numbers(
         level = np.full(2, evaluation.alignment.similarity.scale)
         _send_series(recording, entities.metric(scene_entities.SCALE), ends, level)
     for place, segment in enumerate(evaluation.segments or ()):
-        if len(segment.errors.ends):
+        if segment.count:
             length = str(segment.length)
             appearance.declare_length(recording, entities, length, place)
             _send_series(
@@ -243,7 +244,7 @@ def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Seque
             _say(recording, stamps[row + 1], text_panel.gap_in_words(name, step))
         for each in evaluation.warnings:
             _say(recording, stamps[-1], f"{name}: {each}")
-        _say(recording, stamps[0], f"{name}: first of {len(stamps)} pairs", warn=False)
+        _say(recording, stamps[0], f"{name}: first of {counted(len(stamps), 'pair')}", warn=False)
 
 
 def _say(recording: Any, stamp: np.int64, text: str, *, warn: bool = True) -> None:

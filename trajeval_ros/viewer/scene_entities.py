@@ -1,18 +1,19 @@
 """What is drawn: the entities of the picture, live and recorded.
 
     world/groundtruth/path/{past,recent,newest}   where the body was, in the groundtruth's frame
-    world/groundtruth/start                       where it began
+    world/groundtruth/start                       where it started
     world/groundtruth/pose                        where it is
     world/estimate/NAME                           the alignment: moves everything below it
     world/estimate/NAME/path/{past,recent,newest} where it was estimated to be, in its own frame
     world/estimate/NAME/by_error                  the same path, coloured by position error
-    world/estimate/NAME/revised                   the newest `nav_msgs/Path`, where that is one
     world/estimate/NAME/pose                      where it is estimated to be
     world/estimate/NAME/covariance                three sigma of its position
     world/uncertainty/NAME                        that of its error, in the alignment's gauge
     world/correspondences/NAME                    lines between poses of the same time
     metrics/QUANTITY/NAME...                      errors over time
     summary, events                               in words
+    legend/{ramp,scale,names}                     what colours stand for
+    map/fixes, map/estimate/NAME                  latitude and longitude, of GNSS fixes
 
 How each looks is in `appearance`, what is logged of it in `entity_data`.
 
@@ -32,7 +33,9 @@ from trajeval_ros.viewer.sdk import sdk
 APPLICATION = "trajeval"
 TIMELINE = "ros_time"
 WORLD = "world"
-SUMMARY, EVENTS = "summary", "events"
+SUMMARY, EVENTS, LEGEND = "summary", "events", "legend"
+MAP = "map"
+MAP_FIXES = f"{MAP}/fixes"
 SIGMAS = 3.0
 
 # Of metrics: the names are those of the node's topics.
@@ -83,9 +86,9 @@ class EstimateEntities:
         self.frame = f"{WORLD}/estimate/{self._part}"
         self.path = PathEntities.below(self.frame)
         self.by_error = f"{self.frame}/by_error"
-        self.revised = f"{self.frame}/revised"
         self.pose = f"{self.frame}/pose"
         self.covariance = f"{self.frame}/covariance"
+        self.on_map = f"{MAP}/estimate/{self._part}"
         self.uncertainty = f"{WORLD}/uncertainty/{self._part}"
         self.correspondences = f"{WORLD}/correspondences/{self._part}"
 

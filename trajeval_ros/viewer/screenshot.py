@@ -59,11 +59,10 @@ def ask_for_screenshot(url: str, png: Path) -> None:
     except (OSError, RuntimeError, ValueError) as error:  # all that the SDK makes of its failures
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
-            f"Rerun's viewer took no screenshot ({said}); on a machine that is busy, try again "
-            "when it is less so"
+            f"Rerun's viewer took no screenshot ({said}); close other programs and try again"
         ) from error
     if not png.exists():
-        raise InputError(f"Rerun's viewer took a screenshot, but could not write {png}")
+        raise InputError(f"Rerun's viewer can't write the screenshot {png}")
 
 
 @contextmanager
@@ -95,8 +94,8 @@ def headless_viewer(file: Path) -> Iterator[str]:
         except InputError as error:
             if late.is_set():
                 raise InputError(
-                    f"Rerun's viewer did not draw {file} within {_PATIENCE_S:g} s; try again when "
-                    "the machine is less busy"
+                    f"Rerun's viewer did not draw {file} within {_PATIENCE_S:g} s; close other "
+                    "programs and try again"
                 ) from error
             raise
         finally:
@@ -114,6 +113,6 @@ def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
         if listens:
             return
     raise InputError(
-        "Rerun's viewer finds nothing to draw with; it needs a Vulkan driver: that of Debian and "
-        "Ubuntu, mesa-vulkan-drivers, needs no graphics card"
+        "Rerun's viewer needs a Vulkan driver; install mesa-vulkan-drivers (Debian, Ubuntu), "
+        "which needs no graphics card"
     )

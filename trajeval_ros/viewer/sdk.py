@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command, install_command
 
 
 def is_installed() -> bool:
@@ -31,12 +32,11 @@ def sdk() -> tuple[Any, Any]:
     except ImportError as error:
         if is_installed():
             raise InputError(
-                f"rerun-sdk is installed but can't be imported ({error}); beside numpy 1 it needs "
-                "an older pyarrow: pip install 'pyarrow>=18,<26'"
+                f"rerun-sdk can't be imported ({error}); with numpy 1, install an older pyarrow: "
+                f"{install_command('pyarrow>=18,<26')}"
             ) from error
         raise InputError(
-            "the Rerun picture needs rerun-sdk, which is not installed: "
-            "pip install 'trajeval-ros[rerun]'"
+            f"output for Rerun needs rerun-sdk; install it: {extra_command('rerun')}"
         ) from error
     finally:
         if is_ours:

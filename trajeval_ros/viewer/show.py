@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.viewer.program import free_port, rerun_program
 from trajeval_ros.viewer.sinks import LOOPBACK
 
@@ -34,12 +34,11 @@ def show(file: Path, *, in_browser: bool = False) -> None:
         with file.open("rb") as opened:
             magic = opened.read(len(_MAGIC))
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{file} can't be read: {reason}") from error
+        raise InputError(f"{file} can't be read: {reason_of(error)}") from error
     if magic != _MAGIC:
-        raise InputError(f"{file} is no file of Rerun's; name one that --rrd wrote, or a folder")
+        raise InputError(f"{file} is not a Rerun file; give a .rrd file or an output folder")
     if not (in_browser or has_display()):
-        raise InputError("there is no display here; use --web, and open the page in a browser")
+        raise InputError("no display found; use --web and open the page in a browser")
     port, page = free_port(), free_port()
     options = ["--serve-web", "--web-viewer-port", str(page)] if in_browser else []
     try:
@@ -47,10 +46,10 @@ def show(file: Path, *, in_browser: bool = False) -> None:
             if in_browser:
                 source = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
                 address = f"http://{LOOPBACK}:{page}/?url={source}"
-                print(f"open {address} in a browser; Ctrl-C ends it")
+                print(f"open {address} in a browser; stop with Ctrl-C")
                 sys.stdout.flush()
             status = viewer.wait()
     except KeyboardInterrupt:
         return
     if status:
-        raise InputError(f"Rerun's viewer ended with status {status}")
+        raise InputError(f"Rerun's viewer exited with status {status}")

@@ -9,8 +9,8 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.viewer.flushing import flush_to
+from trajeval_ros.exceptions import InputError, SettingsError, reason_of
+from trajeval_ros.viewer.flushing import flush_to, open_file
 from trajeval_ros.viewer.scene_entities import APPLICATION
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.stream import Sink
@@ -41,15 +41,17 @@ class FileTarget:
 
     def open(self, blueprint: Any) -> Any:
         """Return a recording into the file."""
-        rerun, _ = sdk()
+        recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
         try:
             self._path.open("ab").close()
+            try:
+                open_file(recording, self._path, blueprint, write_footer=False)
+            except OSError:
+                if not self._path.stat().st_size:
+                    self._path.unlink()
+                raise
         except OSError as error:
-            raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
-        recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
-        recording.set_sinks(
-            rerun.FileSink(str(self._path), write_footer=False), default_blueprint=blueprint
-        )
+            raise InputError(f"{self._path} can't be written: {reason_of(error)}") from error
         return recording
 
     def check(self, recording: Any) -> bool:
@@ -66,7 +68,7 @@ class FileTarget:
                     os.truncate(self._path, self._whole)
                 else:
                     self._path.unlink()
-            raise InputError(f"{self._path} can't be written: {_reason(error)}") from error
+            raise InputError(f"{self._path} can't be written: {reason_of(error)}") from error
         return True
 
     def close(self, recording: Any) -> None:
@@ -95,8 +97,8 @@ class ServerTarget:
                 probe.bind((LOOPBACK, self._port))
             except OSError as error:
                 raise InputError(
-                    f"Rerun can't be served at port {self._port}: {_reason(error)}; choose "
-                    f"another one, as in rerun:=serve:{self._port + 1}"
+                    f"Rerun can't use port {self._port}: {reason_of(error)}; choose another port, "
+                    f"as in rerun:=serve:{self._port + 1}"
                 ) from error
         recording = _recording(self._id, flush_s=0.5)
         server = rerun.GrpcServerSink(LOOPBACK, self._port, server_memory_limit=_SERVER_MEMORY)
@@ -128,7 +130,7 @@ class ViewerTarget:
         match = re.fullmatch(r"rerun\+https?://(\[[^\]]+\]|[^:/\s]+):(\d{1,5})/proxy", url)
         if match is None:
             raise SettingsError(
-                f"{url!r} is no viewer's URL; write it as in "
+                f"{url!r} is not the URL of a viewer; write it as in "
                 f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy"
             )
         self._url, self._id = url, recording_id
@@ -182,8 +184,8 @@ def sinks_for(value: str, file: Path, recording_id: str) -> list[Sink]:
     if kind == "connect":
         return [kept, ViewerTarget(where, recording_id)]
     raise SettingsError(
-        f"rerun can't be {value!r}; it is none, file, serve, serve:PORT or "
-        f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy"
+        "rerun must be none, file, serve, serve:PORT or "
+        f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy, not {value!r}"
     )
 
 
@@ -196,7 +198,3 @@ def _recording(recording_id: str, flush_s: float) -> Any:
     )
     recording.set_log_time_enabled(False)
     return recording
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()

@@ -91,7 +91,7 @@ class DrawingThread:
     """
 
     def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:
-        """Begin; the sink is opened by the thread, since that may take long.
+        """Create it; the sink is opened by the thread, since that may take long.
 
         Args:
             sink: Where it goes.
@@ -120,7 +120,7 @@ class DrawingThread:
             self.dropped += 1
 
     def end(self) -> None:
-        """Begin to end, and don't wait for it."""
+        """Stop, and don't wait for it."""
         self._closing.set()
 
     def close(self) -> bool:

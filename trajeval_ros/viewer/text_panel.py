@@ -17,12 +17,22 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.viewer import colours
+from trajeval_ros.viewer.legend import shortened
 
 if TYPE_CHECKING:
     from trajeval_ros.online.reports import Snapshot
 
 Row = tuple[str, list[str]]  # a label, and a value for each name
-_POSITION = "Position error, rmse (ATE)"
+_POSITION = "Position error, RMSE (ATE)"
+_MOST_COLUMNS, _LONGEST_NAME = 2, 20
+_SHORT = {
+    _POSITION: "ATE",
+    "of the newest window": "newest",
+    "Rotation error, RMSE": "Rotation",
+    "Rotation error of the window": "Rotation",
+    "Estimate covered": "Estimate",
+    "Groundtruth covered": "Groundtruth",
+}
 
 
 def of_evaluations(
@@ -39,7 +49,7 @@ def of_evaluations(
     rows: list[Row] = [
         (_POSITION, [metres(rmse_of(each.ate, "position_m")) for each in evaluations]),
         (
-            "Rotation error, rmse",
+            "Rotation error, RMSE",
             [degrees(rmse_of(each.ate, "rotation_deg")) for each in evaluations],
         ),
         *_scales(gauge, alignments),
@@ -49,7 +59,7 @@ def of_evaluations(
         _aligned_by(gauge, alignments),
     ]
     if any(consistencies):
-        rows.append(("As sure as it should be?", [_verdict(each) for each in consistencies]))
+        rows.append(("Consistency", [_verdict(each) for each in consistencies]))
         rows.append(("NEES / dof", [_nees(each) for each in consistencies]))
     return _text(names, rows, full_m, remarks)
 
@@ -85,13 +95,13 @@ def of_snapshots(
 
 
 def origin_in_words(origin: Floats) -> str:
-    """Say where the picture's origin is, (3,), metres."""
-    return "coordinates are drawn from (" + ", ".join(f"{each:.0f}" for each in origin) + ") m"
+    """State where the picture's origin is, (3,), metres."""
+    return "origin of the drawing: (" + ", ".join(f"{each:.0f}" for each in origin) + ") m"
 
 
 def gap_in_words(name: str, step_ns: int) -> str:
-    """Say that an estimate had no pair for so many nanoseconds."""
-    return f"{name}: no pair of poses for {step_ns / NANOSECONDS:.1f} s"
+    """State that an estimate had no pair for so many nanoseconds."""
+    return f"{name}: no pairs for {step_ns / NANOSECONDS:.1f} s"
 
 
 def rmse_of(statistics: Mapping[str, Statistics | None], metric: str) -> float | None:
@@ -137,9 +147,9 @@ def _nees(consistency: Consistency | None) -> str:
     if consistency.joint is not None:
         low, high = consistency.joint.band_95
         share = consistency.joint.nees / consistency.joint.dof
-        return f"{share:.3g} (honest: {low:.2f} to {high:.2f})"
+        return f"{share:.3g} (consistent: {low:.2f} to {high:.2f})"
     worst = consistency.per_pose
-    limit = "" if worst.limit_95 is None else f" (honest: under {worst.limit_95:.2f})"
+    limit = "" if worst.limit_95 is None else f" (consistent: below {worst.limit_95:.2f})"
     return f"{worst.max:.3g} at most{limit}"
 
 
@@ -168,22 +178,33 @@ def _text(
         remarks: One sentence each.
         is_growing: Whether the newest part of the path is not coloured yet.
     """
-    table = markdown_table(
-        ["", *(MarkedText(each, BOLD) for each in names)],
-        [[label, *values] for label, values in rows],
-    )
+    labels = [label for label, _ in rows]
+    if len(names) > _MOST_COLUMNS:
+        # A row for each estimate: columns of numbers are narrow, those of names are not.
+        table = markdown_table(
+            ["", *(_SHORT.get(each, each) for each in labels)],
+            [
+                [MarkedText(shortened(name, _LONGEST_NAME), BOLD), *values]
+                for name, *values in zip(names, *(values for _, values in rows), strict=True)
+            ],
+        )
+    else:
+        table = markdown_table(
+            ["", *(MarkedText(each, BOLD) for each in names)],
+            [[label, *values] for label, values in rows],
+        )
     meaning = ["The grey line is the groundtruth."]
     if full_m is not None:
         meaning.append(
-            "The other line is the estimate, aligned with it."
+            "The other line is the aligned estimate."
             if len(names) == 1
-            else "The other lines are the estimates, aligned with it."
+            else "The other lines are the aligned estimates."
         )
         what = "The estimate is" if len(names) == 1 else "Lines from estimate to groundtruth are"
         meaning.append(f"{what} {colours.in_words(full_m)}.")
         if is_growing and len(names) == 1:
-            meaning.append("Its newest part gets its colours later.")
+            meaning.append("The colours of the newest part follow later.")
     else:
-        meaning.append("The other line is the estimate in its own frame: no alignment yet.")
+        meaning.append("The other line is the estimate in its own frame (not aligned yet).")
     said = (f"* {markdown_text(each)}" for each in remarks)
     return "\n".join([*table, "", " ".join(meaning), "", *said])

@@ -16,7 +16,7 @@ from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, tran
 from trajeval_ros.visual_inertial.keyframe_selection import KeyframeSelection
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 _TOLERANCE = 1e-9
 _FEWEST_PER_HALF = 20
@@ -31,14 +31,15 @@ def groundtruth_nees(
     Args:
         truth: Groundtruth of the keyframes.
         state: The estimate, in any gauge.
-        covariance: (9N, 9N) of the estimate, in any gauge.
+        covariance: (wN, wN) of the estimate, in any gauge.
         noise: Standard deviations of groundtruth: position (m), rotation (rad), velocity (m/s)
             per axis, white.
     """
     carried, moved = transform(covariance, state, truth.rotations[0], truth.positions[0])
     reference = truth.referred_to(truth.rotations[0], truth.positions[0])
     # Groundtruth's own noise is in the gauge of nothing: aligned, it becomes Q N Q'.
-    basis = moved.gauge_basis[: len(carried)]
+    motion = moved.motion_places
+    carried, basis = carried[np.ix_(motion, motion)], moved.gauge_basis[motion]
     project = np.eye(len(carried))
     project[:, GAUGE_INDICES] -= basis @ np.linalg.inv(basis[GAUGE_INDICES])
     variances = np.tile(np.repeat(np.square(noise), 3), len(truth.positions))
@@ -68,8 +69,8 @@ def _split_nees(
     first = generator.permutation(selection.landmarks) < selection.landmarks // 2
     if selection.landmarks // 2 < _FEWEST_PER_HALF:
         raise InputError(
-            f"{selection.landmarks} landmarks are too few to be split into halves; "
-            f"{2 * _FEWEST_PER_HALF} are needed"
+            f"{selection.landmarks} landmarks are too few for two halves; at least "
+            f"{2 * _FEWEST_PER_HALF} are required"
         )
     estimates, covariances, jacobians = [], [], []
     for chosen in (first, ~first):
@@ -85,16 +86,23 @@ def _split_nees(
     ours, theirs = covariances
     # Each with its own Jacobian of the IMU: with one for both, rounding makes it indefinite.
     common = (ours @ jacobians[0].T) @ (jacobians[1] @ theirs)
-    return _nees(_difference(*estimates), ours + theirs - common - common.T)
+    motion = state.motion_places
+    difference = (ours + theirs - common - common.T)[np.ix_(motion, motion)]
+    return _nees(_difference(*estimates), difference)
 
 
 def _inertial_jacobian(problem: Problem, state: State) -> Floats:
-    """Return the derivative (9N - 9, 9N) of the IMU's residuals by the motion."""
+    """Return the derivative (wN - 9, wN) of what the IMU and its biases say by the keyframes."""
     _, before, after = problem.inertial(state)
-    jacobian = np.zeros((len(before), 9, problem.keyframes, 9))
+    width = problem.width
+    jacobian = np.zeros((len(before), width, problem.keyframes, width))
     each = np.arange(len(before))
     jacobian[each, :, each], jacobian[each, :, each + 1] = before, after
-    return jacobian.reshape(9 * len(before), -1)
+    first = np.zeros((width - MOTION_WIDTH, problem.keyframes, width))
+    first[:, 0, MOTION_WIDTH:] = np.diag(problem.first_biases(state)[1])
+    return np.concatenate(
+        [part.reshape(-1, width * problem.keyframes) for part in (jacobian, first)]
+    )
 
 
 def _difference(state: State, reference: State) -> Floats:

@@ -48,13 +48,14 @@ class Simulation:
     estimate: Trajectory
 
 
-def simulate(seed: int, duration_s: float = 120.0) -> Simulation:
+def simulate(seed: int, duration_s: float = 120.0, *, drives: bool = False) -> Simulation:
     """Simulate a flight and its odometry; the same arguments give the same arrays.
 
     Args:
         seed: Chooses the flight, the frames, the clocks' jitter and the drift.
         duration_s: Length of the flight, 5 s to a day. Near its middle the odometry is silent
             for two seconds.
+        drives: Whether it is a drive of some hundred metres instead of a flight of some ten.
 
     Raises:
         SettingsError: A flight too short for what is in it, or too long for memory.
@@ -69,9 +70,9 @@ def simulate(seed: int, duration_s: float = 120.0) -> Simulation:
             f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}"
         )
     if seed < 0:
-        raise SettingsError(f"the seed must be a number from 0 on, not {seed}")
+        raise SettingsError(f"the seed must be at least 0, not {seed}")
     generator = np.random.default_rng(seed)
-    flight = _Flight.random(generator)
+    flight = (_Flight.drive if drives else _Flight.random)(generator)
     return Simulation(
         groundtruth=_groundtruth(generator, flight, duration_s),
         estimate=_odometry(generator, flight, duration_s),
@@ -100,12 +101,23 @@ class _Flight:
 
     @classmethod
     def random(cls, generator: np.random.Generator) -> _Flight:
-        speeds = np.array([[1.8, 1.8, 0.05], [0.35, 0.35, 0.2], [0.2, 0.2, 0.25], [0.1, 0.1, 0.1]])
-        slowest = np.array([[0.3, 0.6, 0.25], [0.1, 0.1, 0.1], [0.4, 0.4, 0.4], [1.1, 1.1, 1.1]])
+        speeds = [[1.8, 1.8, 0.05], [0.35, 0.35, 0.2], [0.2, 0.2, 0.25], [0.1, 0.1, 0.1]]
+        slowest = [[0.3, 0.6, 0.25], [0.1, 0.1, 0.1], [0.4, 0.4, 0.4], [1.1, 1.1, 1.1]]
+        return cls._of_waves(generator, np.array(speeds), np.array(slowest))
+
+    @classmethod
+    def drive(cls, generator: np.random.Generator) -> _Flight:
+        """Return a wide eight on the ground, of 4 to 12 m/s."""
+        speeds = [[6.0, 6.0, 0.1], [1.8, 1.8, 0.1], [0.5, 0.5, 0.05], [0.1, 0.1, 0.02]]
+        slowest = [[0.03, 0.06, 0.03], [0.05, 0.05, 0.05], [0.1, 0.1, 0.1], [0.3, 0.3, 0.3]]
+        return cls._of_waves(generator, np.array(speeds), np.array(slowest))
+
+    @classmethod
+    def _of_waves(cls, generator: np.random.Generator, speeds: Floats, slowest: Floats) -> _Flight:
         frequencies = slowest * generator.uniform(1.0, 1.3, slowest.shape)
         phases = generator.uniform(-np.pi, np.pi, slowest.shape)
         # Twice the frequency and twice the phase: an eight, whichever way it is entered.
-        frequencies[0, :2] = [0.3, 0.6]
+        frequencies[0, :2] = slowest[0, :2]
         phases[0, 1] = 2.0 * phases[0, 0]
         centre = np.append(generator.uniform(-2.0, 2.0, 2), 3.5)
         return cls(centre, speeds, frequencies, phases)
@@ -161,20 +173,20 @@ def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float
     yaw_step = np.radians(_YAW_DEG_PER_SQRT_S) * np.sqrt(step_s)
     yaw = np.cumsum(yaw_step * generator.standard_normal(len(times)))
     turned = _yaw_rotations(yaw - yaw[0])
-    stretch = 1.0 + _SCALE * _wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
+    stretch = 1.0 + _SCALE * wandering(generator, len(times), 1, 30.0 * ESTIMATE_RATE_HZ)
     disturbance = (
-        _VELOCITY_SHARE * speed * _wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
+        _VELOCITY_SHARE * speed * wandering(generator, len(times), 3, 2.0 * ESTIMATE_RATE_HZ)
     )
     steps = np.diff(flight.positions(times), axis=0)
     drifting_steps = stretch[1:] * turned[1:].apply(steps) + disturbance[1:] * step_s
     positions = np.concatenate([np.zeros((1, 3)), np.cumsum(drifting_steps, axis=0)])
 
-    level = _wandering(generator, len(times), 2, 2.0 * ESTIMATE_RATE_HZ)
+    level = wandering(generator, len(times), 2, 2.0 * ESTIMATE_RATE_HZ)
     tilt = np.zeros((len(times), 3))
     tilt[:, :2] = np.radians(TILT_DEG) * 2.0 * np.tanh(level / 2.0)
     rotations = turned * Rotation.from_rotvec(tilt) * flight.rotations(times)
 
-    # The odometry's world begins where the flight does, at an arbitrary yaw.
+    # The odometry's world starts where the flight does, at an arbitrary yaw.
     frame = _yaw_rotations(np.array(generator.uniform(-np.pi, np.pi)))
     delay = np.minimum(generator.exponential(_STAMP_DELAY_S, len(times)), _LONGEST_STAMP_DELAY_S)
     gap_start_s = generator.uniform(0.4, 0.6) * duration_s - _GAP_S / 2.0
@@ -194,7 +206,7 @@ def _yaw_rotations(angle: Floats) -> Rotation:
     return Rotation.from_rotvec(angle[..., None] * np.array([0.0, 0.0, 1.0]))
 
 
-def _wandering(
+def wandering(
     generator: np.random.Generator, count: int, columns: int, correlation: float
 ) -> Floats:
     """Return noise (count, columns) of variance 1 that forgets itself after that many rows."""

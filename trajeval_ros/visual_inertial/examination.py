@@ -10,6 +10,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.covariance_tests import groundtruth_nees, split_half_nees
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
+from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 from trajeval_ros.visual_inertial.keyframe_selection import select
 from trajeval_ros.visual_inertial.measured_scene import MeasuredScene
 from trajeval_ros.visual_inertial.outliers import Rejection, reject_outliers
@@ -20,6 +21,7 @@ from trajeval_ros.visual_inertial.residual_groups import (
     track_correlation,
 )
 from trajeval_ros.visual_inertial.sensor_recording import SensorRecording
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH
 
 LAGS = (1, 2, 5, 10)
 # Noise of groundtruth per axis, which nobody knows: m, deg, m/s.
@@ -38,6 +40,7 @@ class MeasurementModel:
         keyframes: So many at most.
         pixel_noise: Standard deviation of a measured coordinate, pixels.
         imu_noise: Densities.
+        bias_noise: To estimate biases; None to take groundtruth's.
         gravity: m/s^2.
         is_split: Whether to test the covariance by halves of the landmarks.
     """
@@ -46,6 +49,7 @@ class MeasurementModel:
     keyframes: int
     pixel_noise: float
     imu_noise: ImuNoise
+    bias_noise: BiasNoise | None
     gravity: float
     is_split: bool
 
@@ -64,6 +68,8 @@ class Examination:
         groups: Chi-square by group of residuals.
         correlation: (lags,) of reprojection errors along tracks.
         nees: NEES of the poses over its degrees of freedom, for each of `GROUNDTRUTH_NOISES`.
+        biases_sigma: (6,) standard deviations of the last keyframe's biases; (0,) where biases are
+            known.
         split_half: (splits,) the same of the difference of two halves, without groundtruth; None
             if nobody asked.
     """
@@ -77,6 +83,7 @@ class Examination:
     groups: list[ResidualGroup]
     correlation: Floats
     nees: list[float]
+    biases_sigma: Floats
     split_half: Floats | None
 
 
@@ -91,16 +98,22 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
     """
     gravity = np.array([0.0, 0.0, -model.gravity])
     whole = select(
-        recording, model.every, model.keyframes, model.pixel_noise, model.imu_noise, gravity
+        recording,
+        model.every,
+        model.keyframes,
+        model.pixel_noise,
+        model.imu_noise,
+        gravity,
+        model.bias_noise,
     )
     felt = whole.gravity_felt
     off = abs(float(np.linalg.norm(felt)) - model.gravity)
     tilt_deg = tilt_of(felt)
     if off > _GRAVITY_TOLERANCE or tilt_deg > _TILT_TOLERANCE_DEG:
         raise InputError(
-            f"{recording.name}: groundtruth and IMU give gravity of {np.linalg.norm(felt):.3f} "
-            f"m/s^2, {tilt_deg:.1f} deg from the vertical, instead of {model.gravity:g}; check "
-            "biases, extrinsics and frames"
+            f"{recording.name}: gravity from groundtruth and IMU is {np.linalg.norm(felt):.3f} "
+            f"m/s^2, {tilt_deg:.1f} deg from the vertical, expected {model.gravity:g} m/s^2; "
+            "check biases, extrinsics and frames"
         )
     duration_s = float(whole.preintegrated.durations_s.sum())
     drift_deg = whole.drift_against_gyroscope_deg
@@ -129,6 +142,7 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
             groundtruth_nees(scene.truth, state, covariance, (p, float(np.radians(phi)), v))
             for p, phi, v in GROUNDTRUTH_NOISES
         ],
+        biases_sigma=np.sqrt(np.diagonal(covariance)[-state.width :][MOTION_WIDTH:]),
         split_half=split_half,
     )
 

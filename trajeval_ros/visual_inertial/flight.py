@@ -89,16 +89,15 @@ def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
     """
     if not SHORTEST_S <= duration_s <= LONGEST_S:
         raise SettingsError(
-            f"an estimator's simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not "
-            f"{duration_s:g}: memory grows with the length, time with its square; the drift model "
-            "flies longer"
+            f"a simulated flight takes {SHORTEST_S:g} to {LONGEST_S:g} s, not {duration_s:g}; "
+            "use the drift model for longer flights, since memory grows with the length"
         )
     keyframes = round(duration_s * KEYFRAME_RATE_HZ) + 1
     if not profile.honest and keyframes > MOST_SOLVED:
         longest = (MOST_SOLVED - 1) / KEYFRAME_RATE_HZ
         raise SettingsError(
-            f"a dishonest run can't be sampled, it has to be solved, which takes too long for "
-            f"{duration_s:g} s; use --duration {longest:g} or less"
+            f"an overconfident run of {duration_s:g} s takes too long to solve; use --duration "
+            f"{longest:g} or less"
         )
     # The spline's end must not hang in the air: fly a little longer than is evaluated.
     truth = simulate(seed, duration_s + 1.0).groundtruth

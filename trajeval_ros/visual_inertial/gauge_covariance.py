@@ -1,7 +1,7 @@
 """Covariances of the motion in a gauge, and the way from one to another: gauge paper, section VI.
 
-(9N, 9N), for each keyframe position, rotation, velocity; the first rotation in the coordinates
-of eq. (9).
+(wN, wN), for each keyframe position, rotation, velocity and, where they are estimated, biases; the
+first rotation in the coordinates of eq. (9).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def free_covariance(problem: Problem, state: State) -> Floats:
     basis, _ = np.linalg.qr(state.gauge_basis)
     of_motion, of_landmarks = basis[:motion], basis[motion:]
     # G times the basis, block by block, with G = [[F, -F Y], [-Y' F, V^-1 + Y' F Y]], Y = W V^-1.
-    poses = _pose_rows(motion)
+    poses = _pose_rows(motion, problem.width)
     onto = of_motion.copy()
     half_landmarks = _by_factor(reduced, of_landmarks)
     onto[poses] -= reduced.half @ half_landmarks
@@ -88,7 +88,7 @@ def transform(
     """Bring a covariance into the gauge of fixation: eq. (12) to (15).
 
     Args:
-        covariance: (9N, 9N) in any gauge: free, prior, or fixed elsewhere.
+        covariance: (wN, wN) in any gauge: free, prior, or fixed elsewhere.
         state: The estimate that it belongs to.
         rotation: (3, 3) reference of the first rotation in the gauge of fixation.
         position: (3,) first position in that gauge.
@@ -102,7 +102,9 @@ def transform(
     moved = state.transformed(turn, position - turn @ state.positions[0])
     moved = moved.referred_to(rotation, position)
     # Appendix A. For the first rotation its J_r^-1 J_r holds only if the reference stays.
-    blocks = np.broadcast_to(turn, (len(covariance) // 3, 3, 3)).copy()
+    # Biases are in the body, which turns with the rest.
+    blocks = np.tile(np.eye(3), (len(covariance) // 3, 1, 1))
+    blocks[state.motion_places[::3] // 3] = turn
     blocks[1] = (
         lie.inverse_left_jacobian(moved.first_turn) @ turn @ lie.left_jacobian(state.first_turn)
     )
@@ -128,7 +130,7 @@ def _undamped(problem: Problem, state: State) -> ReducedSystem:
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
     return reduce_landmarks(
-        normal, np.zeros(9 * problem.keyframes), np.zeros((problem.landmarks, 3))
+        normal, np.zeros(problem.width * problem.keyframes), np.zeros((problem.landmarks, 3))
     )
 
 
@@ -142,8 +144,8 @@ def _fixed(reduced: ReducedSystem) -> Floats:
     smallest, largest = np.linalg.eigvalsh(scaled)[[0, -1]]
     if not smallest > _ROUNDING * largest:
         raise DegenerateGeometryError(
-            "the measurements leave directions open besides position and yaw, which the gauge "
-            "accounts for; add landmarks, or keyframes that see them from elsewhere"
+            "the measurements do not determine all directions except position and yaw; add "
+            "landmarks, or keyframes with other viewpoints"
         )
     inverse = scipy.linalg.cho_solve((np.linalg.cholesky(scaled), True), np.eye(len(kept)))
     inverse = (inverse + inverse.T) / 2.0 * units * units[:, None]
@@ -159,6 +161,6 @@ def _by_factor(reduced: ReducedSystem, columns: Floats) -> Floats:
     return product.reshape(columns.shape)
 
 
-def _pose_rows(motion: int) -> NDArray[np.int64]:
+def _pose_rows(motion: int, width: int) -> NDArray[np.int64]:
     """Return the indices of positions and rotations among the motion's parameters."""
-    return (np.arange(0, motion, 9)[:, None] + np.arange(6)).ravel()
+    return (np.arange(0, motion, width)[:, None] + np.arange(6)).ravel()

@@ -15,9 +15,9 @@ from trajeval_ros.visual_inertial.state import State
 
 
 def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
-    """Return H_mm - W V^-1 W^T (9N, 9N), undamped; keyframes couple as far as tracks reach.
+    """Return H_mm - W V^-1 W^T (wN, wN), undamped; keyframes couple as far as tracks reach.
 
-    Its rank is 9N - 4, whatever the gauge.
+    Its rank is wN - 4, whatever the gauge.
 
     Raises:
         DegenerateGeometryError: A landmark's position is not determined.
@@ -27,20 +27,23 @@ def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
     half = sparse_half(normal, inverse_landmark_factors(normal, 0.0))
     shared = (half @ half.T).tocoo()
     direct = _motion_blocks(normal)
-    rows, columns = (9 * (index // 6) + index % 6 for index in (shared.row, shared.col))
+    rows, columns = (
+        problem.width * (index // 6) + index % 6 for index in (shared.row, shared.col)
+    )
     eliminated = scipy.sparse.coo_matrix((shared.data, (rows, columns)), shape=direct.shape)
     information = (direct - eliminated).tocsr()
     return (information + information.T).tocsr() / 2.0
 
 
 def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
-    """Return H_mm (9N, 9N): what couples keyframes directly."""
-    count = len(normal.diagonal)
+    """Return H_mm (wN, wN): what couples keyframes directly."""
+    count, width, _ = normal.diagonal.shape
     diagonal = scipy.sparse.bsr_matrix(
-        (normal.diagonal, np.arange(count), np.arange(count + 1)), shape=(9 * count, 9 * count)
+        (normal.diagonal, np.arange(count), np.arange(count + 1)),
+        shape=(width * count, width * count),
     )
     starts = np.minimum(np.arange(count + 1), count - 1)
     coupling = scipy.sparse.bsr_matrix(
-        (normal.coupling, np.arange(1, count), starts), shape=(9 * count, 9 * count)
+        (normal.coupling, np.arange(1, count), starts), shape=(width * count, width * count)
     )
     return (diagonal + coupling + coupling.T).tocsr()

@@ -13,7 +13,7 @@ _VELOCITY_MPS, _LANDMARK_M = 0.05, 0.075
 
 
 def initial_state(truth: State, generator: np.random.Generator) -> State:
-    """Return keyframes and landmarks that are as far off as the paper's."""
+    """Return keyframes and landmarks that are as far off as the paper's, with true biases."""
     count = len(truth.positions)
     turns = np.radians(_ROTATION_DEG) * _directions(generator, count)
     rotations = lie.exp(turns) @ truth.rotations
@@ -22,7 +22,7 @@ def initial_state(truth: State, generator: np.random.Generator) -> State:
     landmarks = truth.landmarks + generator.uniform(
         -_LANDMARK_M, _LANDMARK_M, truth.landmarks.shape
     )
-    return State.at(positions, rotations, velocities, landmarks)
+    return State.at(positions, rotations, velocities, landmarks, truth.biases)
 
 
 def _directions(generator: np.random.Generator, count: int) -> Floats:

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 from trajeval_ros.visual_inertial.landmarks import FEWEST_VIEWS
 from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
@@ -46,6 +48,7 @@ class KeyframeSelection:
         landmarks: K.
         preintegrated: Of the N - 1 intervals.
         gravity: (3,) in the world, m/s^2.
+        bias_noise: If biases are estimated.
         notes: What was left out, one sentence each.
     """
 
@@ -60,6 +63,7 @@ class KeyframeSelection:
     landmarks: int
     preintegrated: Preintegrated
     gravity: Floats
+    bias_noise: BiasNoise | None
     notes: tuple[str, ...]
 
     def problem(self) -> Problem:
@@ -75,6 +79,7 @@ class KeyframeSelection:
             lever_arm=self.lever_arm,
             weights=self.weights,
             gravity=self.gravity,
+            bias_noise=self.bias_noise,
         )
 
     def with_noise(self, pixel_noise: float) -> KeyframeSelection:
@@ -131,6 +136,7 @@ def select(
     pixel_noise: float,
     imu_noise: ImuNoise,
     gravity: Floats,
+    bias_noise: BiasNoise | None = None,
 ) -> KeyframeSelection:
     """Return keyframes of a recording with all tracks that at least three of them see.
 
@@ -141,6 +147,7 @@ def select(
         pixel_noise: Standard deviation of a measured coordinate, pixels.
         imu_noise: Densities.
         gravity: (3,) in the world, m/s^2.
+        bias_noise: To estimate biases beyond groundtruth's mean; None to take groundtruth's.
 
     Raises:
         InputError: Too few images, no groundtruth at a keyframe, or a gap in the IMU's samples.
@@ -149,9 +156,9 @@ def select(
     chosen = images[::every][:most]
     if len(chosen) < FEWEST_KEYFRAMES:
         raise InputError(
-            f"{recording.name}: {len(images)} of {len(recording.image_stamps)} images lie in the "
-            f"time of IMU and groundtruth, and every {every}. of them makes {len(chosen)} "
-            f"keyframes; at least {FEWEST_KEYFRAMES} are needed"
+            f"{recording.name}: only {counted(len(chosen), 'keyframe')} ({len(images)} of "
+            f"{len(recording.image_stamps)} images are within the time span of IMU and "
+            f"groundtruth, one in {every} is used); at least {FEWEST_KEYFRAMES} are required"
         )
     stamps = recording.image_stamps[chosen]
     groundtruth = recording.groundtruth
@@ -160,7 +167,8 @@ def select(
     assert poses.quaternions is not None
     assert poses.velocities is not None
     rotations = lie.to_matrix(poses.quaternions)
-    truth = State.at(poses.positions, rotations, poses.velocities, np.zeros((0, 3)))
+    biases = np.zeros((len(poses.positions), 0 if bias_noise is None else 6))
+    truth = State.at(poses.positions, rotations, poses.velocities, np.zeros((0, 3)), biases)
 
     order = np.full(len(recording.image_stamps), -1)
     order[chosen] = np.arange(len(chosen))
@@ -177,14 +185,12 @@ def select(
     invertible: Booleans = np.isfinite(plane[:, 0])
     notes = []
     if joined:
-        notes.append(
-            f"keyframes whose stamps differ from those of groundtruth by less than 1 us: {joined}"
-        )
+        notes.append(f"keyframes with timestamps less than 1 us from the groundtruth: {joined}")
     if outside:
-        notes.append(f"images outside of the time of IMU or groundtruth, left out: {outside}")
+        notes.append(f"images outside the time span of IMU or groundtruth, dropped: {outside}")
     if not invertible.all():
         notes.append(
-            "observations where the distortion can't be inverted, left out: "
+            "observations without invertible distortion, dropped: "
             f"{np.count_nonzero(~invertible)} of {len(plane)}"
         )
     whole = KeyframeSelection(
@@ -197,8 +203,9 @@ def select(
         keyframe_of=keyframe_of[at_keyframe],
         landmark_of=landmark_of,
         landmarks=len(names),
-        preintegrated=_between(recording, stamps, imu_noise),
+        preintegrated=_between(recording, stamps, imu_noise, is_mean=bias_noise is not None),
         gravity=gravity,
+        bias_noise=bias_noise,
         notes=tuple(notes),
     )
     return whole.kept(invertible)[0]
@@ -214,11 +221,14 @@ def _usable_images(recording: SensorRecording) -> tuple[Indices, int]:
     return inside, len(stamps) - len(inside)
 
 
-def _between(recording: SensorRecording, keyframes: Stamps, noise: ImuNoise) -> Preintegrated:
+def _between(
+    recording: SensorRecording, keyframes: Stamps, noise: ImuNoise, *, is_mean: bool
+) -> Preintegrated:
     """Return the IMU's samples between keyframes, without biases, as one measurement each.
 
     Over a step it measures the mean of the samples at both ends: half a step of delay is visible
-    in the residuals. Keyframes between samples have steps of their own.
+    in the residuals. Keyframes between samples have steps of their own. Groundtruth's biases are
+    interpolated, or their mean over the keyframes' time.
     """
     stamps = recording.imu_stamps
     begin, end = keyframes[:-1], keyframes[1:]
@@ -234,19 +244,24 @@ def _between(recording: SensorRecording, keyframes: Stamps, noise: ImuNoise) -> 
     gaps = np.diff(during) / NANOSECONDS
     if gaps.max() > _LONGEST_GAP_S:
         raise InputError(
-            f"{recording.name}: the IMU is silent for {gaps.max():.2f} s after "
-            f"{during[gaps.argmax()]} ns; choose another part"
+            f"{recording.name}: IMU gap of {gaps.max():.2f} s after {during[gaps.argmax()]} ns; "
+            "choose another part"
         )
     sampled = (stamps - keyframes[0]) / NANOSECONDS
     truth = recording.groundtruth
     known = (truth.stamps - keyframes[0]) / NANOSECONDS
+    during_keyframes = slice(*at_instants(truth.stamps, keyframes[[0, -1]], "groundtruth"))
     held = []
     for samples, biases in (
         (recording.angular_velocities, truth.gyroscope_biases),
         (recording.accelerations, truth.accelerometer_biases),
     ):
         if biases is not None:
-            samples = samples - _interpolated(sampled, known, biases)
+            samples = samples - (
+                biases[during_keyframes].mean(axis=0)
+                if is_mean
+                else _interpolated(sampled, known, biases)
+            )
         nodes = _interpolated(seconds.ravel(), sampled, samples).reshape(*seconds.shape, 3)
         held.append((nodes[:, :-1] + nodes[:, 1:]) / 2.0)
     return preintegrate(held[0], held[1], np.diff(seconds, axis=1), noise)

@@ -50,7 +50,7 @@ def draw_landmarks(
     """
     if layout not in LAYOUTS:
         raise SettingsError(
-            f"there is no layout of landmarks {layout!r}; use one of {', '.join(LAYOUTS)}"
+            f"unknown layout of landmarks {layout!r}; use one of {', '.join(LAYOUTS)}"
         )
     keyframes = len(positions)
     found: list[tuple[Floats, Booleans, Indices]] = []
@@ -75,9 +75,8 @@ def draw_landmarks(
             break
     else:
         raise DegenerateGeometryError(
-            f"only {kept} of {count} landmarks are seen by {FEWEST_VIEWS} keyframes: the others "
-            "would leave null directions besides the gauge's; take keyframes that are closer to "
-            "each other or a wider camera"
+            f"only {kept} of {count} landmarks are observed by {FEWEST_VIEWS} keyframes; use "
+            "closer keyframes or a wider camera"
         )
     points, seen, near = (np.concatenate(columns)[:count] for columns in zip(*found, strict=True))
     landmark_of, place = np.nonzero(seen)

@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -86,7 +87,7 @@ def shape(name: str, length_m: float = 5.0) -> Motion:
         SettingsError: Unknown shape.
     """
     if name not in SHAPES:
-        raise SettingsError(f"there is no shape {name!r}; use one of {', '.join(SHAPES)}")
+        raise SettingsError(f"unknown shape {name!r}; use one of {', '.join(SHAPES)}")
     s = np.linspace(0.0, 1.0, _WAYPOINTS)
     turn = 2.0 * np.pi * s
     if name == "sine":
@@ -125,8 +126,8 @@ def recorded(trajectory: Trajectory, start_s: float, duration_s: float) -> Motio
     """
     if not (0.0 <= start_s < np.inf and 0.0 < duration_s < np.inf):
         raise SettingsError(
-            f"a motion can't begin at {start_s:g} s and take {duration_s:g} s: give a start from "
-            "0 s on and a duration above 0 s"
+            f"a motion can't start at {start_s:g} s and last {duration_s:g} s; give a start of "
+            "at least 0 s and a duration greater than 0 s"
         )
     seconds = trajectory.seconds - trajectory.seconds[0] - start_s
     part = trajectory[(seconds >= 0.0) & (seconds <= duration_s)]
@@ -137,16 +138,16 @@ def recorded(trajectory: Trajectory, start_s: float, duration_s: float) -> Motio
     name = trajectory.name or "the trajectory"
     if quaternions is None or len(part) < fewest or times[-1] < 0.98 * duration_s:
         raise InputError(
-            f"{name} can't give a motion of {duration_s:g} s from {start_s:g} s on: it needs "
-            f"orientations and {fewest} states throughout that time, and has {len(part)} there"
+            f"no motion of {duration_s:g} s from {start_s:g} s in {name}: orientations and "
+            f"{fewest} states are required, found {counted(len(part), 'state')}"
         )
     gaps = np.diff(times, prepend=0.0)
     if gaps.max() > _LONGEST_GAP_S:
         before_s = start_s + times[gaps.argmax()] - gaps.max()
         raise InputError(
-            f"{name} can't give a motion of {duration_s:g} s from {start_s:g} s on: it has a gap "
-            f"of {gaps.max():.2f} s at {before_s:.2f} s, and at most {_LONGEST_GAP_S:g} s can be "
-            "bridged; choose another part"
+            f"no motion of {duration_s:g} s from {start_s:g} s in {name}: gap of "
+            f"{gaps.max():.2f} s at {before_s:.2f} s, limit {_LONGEST_GAP_S:g} s; choose "
+            "another part"
         )
     fitted = _fitted(
         times - times[0], part.positions, quaternions, inner, FORWARD, trajectory.name
@@ -161,8 +162,8 @@ def recorded(trajectory: Trajectory, start_s: float, duration_s: float) -> Motio
     speed_mps = np.linalg.norm(np.cross(in_body, up), axis=1).mean()
     if speed_mps < _SLOWEST_MPS:
         raise InputError(
-            f"{name} can't give a motion of {duration_s:g} s from {start_s:g} s on: the body "
-            f"doesn't travel there, at {speed_mps:.3f} m/s along the ground; choose another part"
+            f"no motion of {duration_s:g} s from {start_s:g} s in {name}: the body is too slow, "
+            f"{speed_mps:.3f} m/s; choose another part"
         )
     ahead /= np.linalg.norm(ahead)
     camera = np.stack([np.cross(ahead, up), -up, ahead], axis=1)

@@ -66,10 +66,10 @@ def reject_outliers(selection: KeyframeSelection) -> Rejection:
         state = dataclasses.replace(state, landmarks=state.landmarks[left])
         if judged.landmarks < FEWEST_LANDMARKS:
             raise InputError(
-                f"of {rounds[0][1]} tracks only {judged.landmarks} are left that at least three "
-                f"keyframes see, with parallax and without outliers, and {FEWEST_LANDMARKS} are "
-                f"needed (median reprojection error at groundtruth: {np.median(errors_px):.1f} "
-                "px); check calibration and stamps, or take more keyframes"
+                f"only {judged.landmarks} of {rounds[0][1]} tracks have three keyframes, "
+                f"parallax and no outliers, at least {FEWEST_LANDMARKS} are required (median "
+                f"reprojection error at groundtruth: {np.median(errors_px):.1f} px); check "
+                "calibration and timestamps, or use more keyframes"
             )
         rounds.append((len(judged.pixels), judged.landmarks))
         if rounds[-1] == rounds[-2] and limit == CHI2_LIMIT:

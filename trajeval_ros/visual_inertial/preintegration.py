@@ -40,6 +40,8 @@ class Preintegrated:
         velocities: (I, 3), change of velocity in body i without gravity's, m/s.
         positions: (I, 3), change of position in body i without gravity's and v_i's, metres.
         covariances: (I, 9, 9) of (rotation about the body's axes, velocity, position).
+        by_biases: (I, 9, 6), their derivative by biases of gyroscope (rad/s) and accelerometer
+            (m/s^2), which the samples are taken without.
     """
 
     durations_s: Floats
@@ -47,6 +49,7 @@ class Preintegrated:
     velocities: Floats
     positions: Floats
     covariances: Floats
+    by_biases: Floats
 
 
 def preintegrate(
@@ -84,7 +87,7 @@ def preintegrate(
 
     rotation = np.broadcast_to(np.eye(3), (intervals, 3, 3))
     velocity, position = np.zeros((intervals, 3)), np.zeros((intervals, 3))
-    covariance = np.zeros((intervals, 9, 9))
+    covariance, by_biases = np.zeros((intervals, 9, 9)), np.zeros((intervals, 9, 6))
     transition = np.broadcast_to(np.eye(9), covariance.shape).copy()
     input_ = np.zeros((intervals, 9, 6))
     densities = np.repeat([noise.gyroscope**2, noise.accelerometer**2], 3)
@@ -105,8 +108,9 @@ def preintegrate(
             input_[:, rows, 3:6] = turned * factor
         covariance = transition @ covariance @ np.swapaxes(transition, 1, 2)
         covariance += (input_ * variances) @ np.swapaxes(input_, 1, 2)
+        by_biases = transition @ by_biases - input_
         force = np.einsum("nij,nj->ni", rotation, forces[:, k])
         position = position + velocity * step_s[:, 0] + force * (step_s[:, 0] ** 2 / 2.0)
         velocity = velocity + force * step_s[:, 0]
         rotation = rotation @ steps[:, k]
-    return Preintegrated(held.sum(axis=1), rotation, velocity, position, covariance)
+    return Preintegrated(held.sum(axis=1), rotation, velocity, position, covariance, by_biases)

@@ -16,8 +16,13 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
+from trajeval_ros.visual_inertial.inertial_errors import (
+    BiasNoise,
+    InertialErrors,
+    InertialMeasurements,
+)
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 
 class ReprojectionErrors(NamedTuple):
@@ -37,33 +42,21 @@ class ReprojectionErrors(NamedTuple):
     rays: Floats
 
 
-class InertialErrors(NamedTuple):
-    """The N - 1 preintegration errors (rotation, velocity, position) and their Jacobians.
-
-    Attributes:
-        residuals: (N - 1, 9).
-        by_before: (N - 1, 9, 9), by (position, rotation, velocity) of the earlier keyframe.
-        by_after: (N - 1, 9, 9), by those of the later one.
-    """
-
-    residuals: Floats
-    by_before: Floats
-    by_after: Floats
-
-
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
     """J^T J and J^T r by blocks, for N keyframes, K landmarks and M observations.
 
+    A keyframe has w parameters: 9, or 15 with biases (`State.moved`).
+
     Attributes:
         cost: Half the squared length of all residuals.
         reprojection_px: Mean length of the reprojection errors, pixels.
-        diagonal: (N, 9, 9), each keyframe with itself.
-        coupling: (N - 1, 9, 9), each keyframe (rows) with the next one (columns).
+        diagonal: (N, w, w), each keyframe with itself.
+        coupling: (N - 1, w, w), each keyframe (rows) with the next one (columns).
         cross: (M, 6, 3), position and rotation of the observation's keyframe (rows) with its
             landmark (columns).
         landmark: (K, 3, 3), each landmark with itself.
-        motion_gradient: (N, 9).
+        motion_gradient: (N, w).
         landmark_gradient: (K, 3).
         keyframe_of: (M,).
         landmark_of: (M,).
@@ -97,6 +90,7 @@ class Problem:
         lever_arm: Floats | None = None,
         weights: Floats | None = None,
         gravity: Floats = GRAVITY,
+        bias_noise: BiasNoise | None = None,
     ) -> None:
         """Keep the measurements.
 
@@ -112,37 +106,46 @@ class Problem:
             weights: (M, r, r) multiply each reprojection error before it is divided by the
                 camera's noise; None for errors that weigh the same.
             gravity: (3,) in the world, along z, m/s^2.
+            bias_noise: To estimate biases at each keyframe; None where they are known.
 
         Raises:
             InputError: Nothing was observed, or from one keyframe alone.
         """
         if not len(pixels) or not len(preintegrated.durations_s):
             raise InputError(
-                f"{len(pixels)} observations from {len(preintegrated.durations_s) + 1} keyframes "
-                "leave nothing to estimate; select more keyframes, or more tracks"
+                f"too few observations ({len(pixels)}) from {len(preintegrated.durations_s) + 1} "
+                "keyframes; select more keyframes or more tracks"
             )
         self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
         self.keyframe_of, self.landmark_of = keyframe_of, landmark_of
         self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
+        self._between = InertialMeasurements(preintegrated, gravity, bias_noise)
+        # Parameters of a keyframe.
+        self.width = self._between.width
         self.preintegrated = preintegrated
         self.weights, self.gravity = weights, gravity
         # Where the camera's centre is in its own axes.
         self._offset = np.zeros(3) if lever_arm is None else camera_in_body.T @ lever_arm
-        self._whiten = np.linalg.inv(np.linalg.cholesky(preintegrated.covariances))
         self.longest_track = _longest_track(keyframe_of, landmark_of, landmarks)
         # Products with these sum over the observations of a keyframe, and of a landmark.
         self._of_keyframe = _indicator(keyframe_of, self.keyframes)
         self._of_landmark = _indicator(landmark_of, landmarks)
 
     def residuals(self, state: State) -> tuple[Floats, Floats]:
-        """Return the whitened errors of camera (M, r) and IMU (N - 1, 9)."""
+        """Return the whitened errors of camera (M, r) and between keyframes (N - 1, w)."""
         _, points = self._points(state)
-        return self._reprojection(points), self._inertial_errors(state)[0]
+        return self._reprojection(points), self._between.residuals(state)
+
+    def first_biases(self, state: State) -> tuple[Floats, Floats]:
+        """Return the whitened errors of the first biases and their derivative, (w - 9,)."""
+        return self._between.first_bias_errors(state), self._between.first_bias_weights
 
     def cost(self, state: State) -> float:
         """Return half the squared length of all residuals, eq. (1)."""
-        visual, inertial = self.residuals(state)
-        return 0.5 * float(np.vdot(visual, visual) + np.vdot(inertial, inertial))
+        return 0.5 * sum(
+            float(np.vdot(errors, errors))
+            for errors in (*self.residuals(state), self.first_biases(state)[0])
+        )
 
     def visual(self, state: State) -> ReprojectionErrors:
         """Return the reprojection errors with their Jacobians."""
@@ -161,23 +164,8 @@ class Problem:
         return ReprojectionErrors(self._reprojection(points), by_point, rays)
 
     def inertial(self, state: State) -> InertialErrors:
-        """Return the preintegration errors with their Jacobians."""
-        residuals, turn, speed, shift = self._inertial_errors(state)
-        into = np.swapaxes(state.rotations[:-1], 1, 2)
-        durations = self.preintegrated.durations_s[:, None, None]
-        before, after = np.zeros((2, len(residuals), 9, 9))
-        after[:, 0:3, 3:6] = lie.inverse_left_jacobian(-turn) @ np.swapaxes(
-            state.rotations[1:], 1, 2
-        )
-        before[:, 0:3, 3:6] = -after[:, 0:3, 3:6]
-        before[:, 3:6, 3:6] = into @ lie.skew(speed)
-        before[:, 3:6, 6:9], after[:, 3:6, 6:9] = -into, into
-        before[:, 6:9, 3:6] = into @ lie.skew(shift)
-        before[:, 6:9, 0:3], after[:, 6:9, 0:3] = -into, into
-        before[:, 6:9, 6:9] = -into * durations
-        # The first rotation is Exp(Dphi) R_ref: d phi = J_l(Dphi) d Dphi.
-        before[0, :, 3:6] = before[0, :, 3:6] @ lie.left_jacobian(state.first_turn)
-        return InertialErrors(residuals, self._whiten @ before, self._whiten @ after)
+        """Return the errors between keyframes with their Jacobians."""
+        return self._between.linearised(state)
 
     def normal_equations(self, state: State) -> NormalEquations:
         """Return J^T J and J^T r, all blocks at once."""
@@ -208,16 +196,22 @@ class Problem:
 
         errors, before, after = self.inertial(state)
         before_t, after_t = np.swapaxes(before, 1, 2), np.swapaxes(after, 1, 2)
-        diagonal, gradient = np.zeros((count, 9, 9)), np.zeros((count, 9))
+        first_errors, first_weights = self.first_biases(state)
+        diagonal = np.zeros((count, self.width, self.width))
+        gradient = np.zeros((count, self.width))
         diagonal[:, :6, :6] = visual_diagonal
         diagonal[:-1] += before_t @ before
         diagonal[1:] += after_t @ after
         gradient[:, :6] = visual_gradient
         gradient[:-1] += np.einsum("nij,ni->nj", before, errors)
         gradient[1:] += np.einsum("nij,ni->nj", after, errors)
+        biases = np.arange(MOTION_WIDTH, self.width)
+        diagonal[0, biases, biases] += np.square(first_weights)
+        gradient[0, biases] += first_weights * first_errors
         lengths = np.sqrt(np.einsum("mi,mi->m", residuals, residuals))
         return NormalEquations(
-            cost=0.5 * float(lengths @ lengths + np.vdot(errors, errors)),
+            cost=0.5
+            * float(lengths @ lengths + np.vdot(errors, errors) + first_errors @ first_errors),
             reprojection_px=float(lengths.mean()) * self.camera.noise_px,
             diagonal=diagonal,
             coupling=before_t @ after,
@@ -246,26 +240,6 @@ class Problem:
     def _reprojection(self, points: Floats) -> Floats:
         errors: Floats = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
         return errors if self.weights is None else np.einsum("mij,mj->mi", self.weights, errors)
-
-    def _inertial_errors(self, state: State) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the whitened errors, and the unwhitened terms that Jacobians need."""
-        measured = self.preintegrated
-        durations = measured.durations_s[:, None]
-        earlier, later = state.rotations[:-1], state.rotations[1:]
-        fall = self.gravity * durations
-        speed = np.diff(state.velocities, axis=0) - fall
-        shift = np.diff(state.positions, axis=0) - (state.velocities[:-1] + fall / 2.0) * durations
-        into = np.swapaxes(earlier, 1, 2)
-        turn = lie.log(np.swapaxes(measured.rotations, 1, 2) @ into @ later)
-        errors = np.concatenate(
-            [
-                turn,
-                np.einsum("nij,nj->ni", into, speed) - measured.velocities,
-                np.einsum("nij,nj->ni", into, shift) - measured.positions,
-            ],
-            axis=1,
-        )
-        return np.einsum("nij,nj->ni", self._whiten, errors), turn, speed, shift
 
 
 def _longest_track(keyframe_of: Indices, landmark_of: Indices, landmarks: int) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse
 
 from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations
 
@@ -22,8 +23,8 @@ class ReducedSystem:
     """The normal equations of the motion alone, and the way back to the landmarks.
 
     Attributes:
-        matrix: (9N, 9N), H_mm - W V^-1 W^T.
-        gradient: (9N,), g_m - W V^-1 g_l.
+        matrix: (wN, wN), H_mm - W V^-1 W^T.
+        gradient: (wN,), g_m - W V^-1 g_l.
         half: (6N, 3K), W L^-T with V = L L^T; rows are positions and rotations. Sparse if few
             landmarks are seen from each keyframe.
         inverse: (K, 3, 3), L^-1.
@@ -37,8 +38,9 @@ class ReducedSystem:
     pull: Floats
 
     def landmarks_after(self, motion_step: Floats) -> Floats:
-        """Return the landmarks' step (3K,), V^-1 (-g_l - W^T dm), that goes with (9N,)."""
-        pose_step = motion_step.reshape(-1, 9)[:, :6].ravel()
+        """Return the landmarks' step (3K,), V^-1 (-g_l - W^T dm), that goes with (wN,)."""
+        keyframes = self.half.shape[0] // 6
+        pose_step = motion_step.reshape(keyframes, -1)[:, :6].ravel()
         return self.by_inverse(-self.pull - self.half.T @ pose_step)
 
     def by_inverse(self, columns: Floats) -> Floats:
@@ -49,14 +51,14 @@ class ReducedSystem:
 
 
 def motion_matrix(normal: NormalEquations) -> Floats:
-    """Return H_mm (9N, 9N): what couples keyframes directly."""
-    count = len(normal.diagonal)
-    matrix = np.zeros((count, 9, count, 9))
+    """Return H_mm (wN, wN): what couples keyframes directly."""
+    count, width, _ = normal.diagonal.shape
+    matrix = np.zeros((count, width, count, width))
     each, next_ = np.arange(count), np.arange(1, count)
     matrix[each, :, each, :] = normal.diagonal
     matrix[each[:-1], :, next_, :] = normal.coupling
     matrix[next_, :, each[:-1], :] = np.swapaxes(normal.coupling, 1, 2)
-    return matrix.reshape(9 * count, 9 * count)
+    return matrix.reshape(width * count, width * count)
 
 
 def reduce_landmarks(
@@ -66,24 +68,27 @@ def reduce_landmarks(
 
     Args:
         normal: The normal equations.
-        motion_damping: (9N,) added to the motion's diagonal.
+        motion_damping: (wN,) added to the motion's diagonal.
         landmark_damping: (K, 3) added to the landmarks' diagonal.
     """
-    count, landmarks = len(normal.diagonal), len(normal.landmark)
+    count, width, _ = normal.diagonal.shape
+    landmarks = len(normal.landmark)
     inverse = inverse_landmark_factors(normal, landmark_damping)
+    matrix = motion_matrix(normal)
+    by_keyframe = matrix.reshape(count, width, count, width)
     if len(normal.cross) < _SPARSE_SHARE * count * landmarks:
         half = sparse_half(normal, inverse)
-        product = (half @ half.T).toarray()
+        product = half @ half.T
+        # What isn't touched of the matrix costs nothing: only keyframes that share landmarks are.
+        rows = np.repeat(np.arange(count), np.diff(product.indptr))
+        by_keyframe[rows, :6, product.indices, :6] -= product.data
     else:
         by_block = np.zeros((count, landmarks, 6, 3))
         by_block[normal.keyframe_of, normal.landmark_of] = _half_blocks(normal, inverse)
         half = by_block.transpose(0, 2, 1, 3).reshape(6 * count, 3 * landmarks)
-        product = half @ half.T
+        by_keyframe[:, :6, :, :6] -= (half @ half.T).reshape(count, 6, count, 6)
     pull = np.einsum("kij,kj->ki", inverse, normal.landmark_gradient).ravel()
-    matrix = motion_matrix(normal)
-    poses = matrix.reshape(count, 9, count, 9)[:, :6, :, :6]
-    poses -= product.reshape(count, 6, count, 6)
-    matrix[np.diag_indices(9 * count)] += motion_damping
+    matrix[np.diag_indices(width * count)] += motion_damping
     gradient = normal.motion_gradient.copy()
     gradient[:, :6] -= (half @ pull).reshape(count, 6)
     return ReducedSystem(matrix, gradient.ravel(), half, inverse, pull)
@@ -125,6 +130,6 @@ def require_seen_landmarks(normal: NormalEquations) -> None:
     open_ = np.flatnonzero(eigenvalues[:, 0] <= _ROUNDING * eigenvalues[:, 2])
     if len(open_):
         raise DegenerateGeometryError(
-            f"landmark {open_[0]} (of {len(open_)} such) is seen once or without parallax, which "
-            "leaves null directions besides the gauge's four; drop it"
+            f"{counted(len(open_), 'landmark')} without parallax or with one observation, the "
+            f"first is {open_[0]}; remove them"
         )

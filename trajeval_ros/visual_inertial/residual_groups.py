@@ -40,15 +40,18 @@ class ResidualGroup:
 
 
 def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
-    """Return camera, and rotation, velocity and position of the IMU, at a minimum.
+    """Return camera, rotation, velocity and position of the IMU, and biases, at a minimum.
+
+    Biases have their change between keyframes and their start in one group.
 
     Raises:
         DegenerateGeometryError: More than the gauge's four directions are open.
     """
     visual, _ = problem.residuals(state)
     errors, before, after = problem.inertial(state)
-    count = problem.keyframes
-    covariance = fixed_covariance(problem, state).reshape(count, 9, count, 9)
+    first_errors, first_weights = problem.first_biases(state)
+    count, width = problem.keyframes, problem.width
+    covariance = fixed_covariance(problem, state).reshape(count, width, count, width)
     each, next_ = np.arange(count - 1), np.arange(1, count)
     shared = np.concatenate([before, after], axis=2)
     joint = np.block(
@@ -58,9 +61,10 @@ def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
         ]
     )
     used = np.einsum("nij,njk,nik->ni", shared, joint, shared)
+    first_used = np.diagonal(covariance[0, 9:, 0, 9:]) * np.square(first_weights)
     # The hat matrix's trace is the number of parameters, without the gauge's four.
-    parameters = 9 * count + 3 * problem.landmarks - 4
-    by_camera = visual.size - (parameters - float(used.sum()))
+    parameters = width * count + 3 * problem.landmarks - 4
+    by_camera = visual.size - (parameters - float(used.sum() + first_used.sum()))
     groups = [ResidualGroup("pixels", visual.size, by_camera, float(np.vdot(visual, visual)))]
     for place, name in enumerate(("IMU rotation", "IMU velocity", "IMU position")):
         rows = slice(3 * place, 3 * place + 3)
@@ -68,6 +72,12 @@ def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
         redundancy = of_kind.size - float(used[:, rows].sum())
         chi2 = float(np.vdot(of_kind, of_kind))
         groups.append(ResidualGroup(name, of_kind.size, redundancy, chi2))
+    if first_errors.size:
+        changes = errors[:, 9:]
+        number = changes.size + first_errors.size
+        redundancy = number - float(used[:, 9:].sum() + first_used.sum())
+        chi2 = float(np.vdot(changes, changes) + first_errors @ first_errors)
+        groups.append(ResidualGroup("IMU biases", number, redundancy, chi2))
     return groups
 
 

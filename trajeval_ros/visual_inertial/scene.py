@@ -72,7 +72,7 @@ def profile_named(name: str) -> SensorProfile:
         SettingsError: There is none of that name.
     """
     if name not in PROFILES:
-        raise SettingsError(f"there is no profile {name!r}; use one of {', '.join(PROFILES)}")
+        raise SettingsError(f"unknown profile {name!r}; use one of {', '.join(PROFILES)}")
     return PROFILES[name]
 
 
@@ -176,12 +176,14 @@ def make_scene(
     if keyframes < 3 or samples < 1:
         raise SettingsError(
             f"{keyframes} keyframes in {motion.duration_s:g} s are "
-            f"{'too many for the IMU' if samples < 1 else 'too few'}; take at least 3, and less "
+            f"{'too many for the IMU' if samples < 1 else 'too few'}; use at least 3 and fewer "
             f"than {int(motion.duration_s * IMU_RATE_HZ)}"
         )
     wanted = profile.landmarks if landmarks is None else landmarks
     if wanted < 8:
-        raise SettingsError(f"{wanted} landmarks are too few to hold a camera; take at least 8")
+        raise SettingsError(
+            f"{wanted} landmarks are too few to determine a camera pose; use at least 8"
+        )
     times = np.arange((keyframes - 1) * samples + 1) / IMU_RATE_HZ
     rates, forces = _perfect_samples(motion, times, honest=profile.honest)
     rates, forces = (column.reshape(keyframes - 1, samples, 3) for column in (rates, forces))

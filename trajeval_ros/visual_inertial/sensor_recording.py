@@ -86,7 +86,7 @@ def at_instants(stamps: Stamps, instants: Stamps, what: str) -> Indices:
         worst = int(away.argmax())
         raise InputError(
             f"{int(np.count_nonzero(away > SAME_INSTANT_NS))} of {len(instants)} keyframes have "
-            f"no {what}: at {instants[worst]} ns the nearest is {away[worst] / 1e6:.3g} ms away; "
-            f"give {what} at every image, to 1 us"
+            f"no {what}: at {instants[worst]} ns the nearest is {away[worst] / 1e6:.3g} ms "
+            f"away; give {what} for every image, within 1 us"
         )
     return nearest

@@ -89,7 +89,7 @@ def solve(
 
     Args:
         problem: The measurements.
-        initial: Where to begin; also where the gauge is fixed, or has its prior.
+        initial: Where to start; also where the gauge is fixed, or has its prior.
         handling: Of the gauge freedom.
         prior_weight: w of the gauge prior, eq. (11), for the three metres and the radian alike.
         function_tolerance: Stop once a step changes the cost by a smaller share.
@@ -152,7 +152,7 @@ class _Linearised:
 
     @property
     def curvature(self) -> Floats:
-        """Diagonal of J^T J, (9N + 3K,)."""
+        """Diagonal of J^T J, (wN + 3K,)."""
         motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2).ravel()
         motion[GAUGE_INDICES] += self.weight
         landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
@@ -160,7 +160,7 @@ class _Linearised:
 
     @property
     def gradient(self) -> Floats:
-        """J^T r, (9N + 3K,)."""
+        """J^T r, (wN + 3K,)."""
         motion = self.normal.motion_gradient.ravel().copy()
         motion[GAUGE_INDICES] += self.prior
         return np.concatenate([motion, self.normal.landmark_gradient.ravel()])
@@ -176,7 +176,7 @@ class _Descent:
 
     def __init__(self, problem: Problem, handling: GaugeHandling, weight: float) -> None:
         self.problem, self.weight = problem, weight
-        self.free = np.ones(9 * problem.keyframes, dtype=bool)
+        self.free = np.ones(problem.width * problem.keyframes, dtype=bool)
         if handling is GaugeHandling.FIXATION:
             self.free[GAUGE_INDICES] = False
 
@@ -223,7 +223,7 @@ class _Descent:
 
     def _by_cholesky(self, matrix: Floats, right: Floats) -> Floats:
         """Solve with a positive definite matrix: banded, if tracks are short."""
-        below = min(9 * self.problem.longest_track, len(matrix)) - 1
+        below = min(self.problem.width * self.problem.longest_track, len(matrix)) - 1
         if below > _BANDED_SHARE * len(matrix):
             factor = scipy.linalg.cho_factor(
                 matrix, lower=True, overwrite_a=True, check_finite=False
@@ -247,5 +247,5 @@ def _from_reference(state: State) -> Floats:
 
 def _size(state: State) -> float:
     """Return the length of all parameters; each quaternion counts 1."""
-    parts = (state.positions, state.velocities, state.landmarks)
+    parts = (state.positions, state.velocities, state.landmarks, state.biases)
     return float(np.sqrt(sum(np.vdot(part, part) for part in parts) + len(state.positions)))

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, Indices
+
+# Parameters of a keyframe besides biases: position, rotation, velocity.
+MOTION_WIDTH = 9
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """Keyframes and landmarks; eq. (2) of the gauge paper.
 
-    A step is (9N + 3K,): for each keyframe position, rotation and velocity, then the landmarks.
+    A step is (wN + 3K,): for each keyframe position, rotation, velocity and biases, then the
+    landmarks. w is 9 where the biases are known, and 15 where they are estimated.
     Rotations move on the left, R <- Exp(dphi) R (eq. 8), all but the first: that is
     Exp(Dphi) R_ref with the vector Dphi itself moved (eq. 9), so that its yaw can be held.
 
@@ -23,6 +27,8 @@ class State:
         rotations: (N, 3, 3), body to world.
         velocities: (N, 3), m/s, in the world.
         landmarks: (K, 3), metres.
+        biases: (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), beyond those that the
+            samples were taken without; (N, 0) where they are not estimated.
         first_turn: (3,), Dphi of eq. (9), rad.
         reference_rotation: (3, 3), R_ref, the first rotation's initial value.
         reference_position: (3,), the first position's initial value.
@@ -32,31 +38,58 @@ class State:
     rotations: Floats
     velocities: Floats
     landmarks: Floats
+    biases: Floats
     first_turn: Floats
     reference_rotation: Floats
     reference_position: Floats
 
     @classmethod
     def at(
-        cls, positions: Floats, rotations: Floats, velocities: Floats, landmarks: Floats
+        cls,
+        positions: Floats,
+        rotations: Floats,
+        velocities: Floats,
+        landmarks: Floats,
+        biases: Floats | None = None,
     ) -> State:
-        """Return a state that is its own reference."""
+        """Return a state that is its own reference, with known biases if none are given."""
+        if biases is None:
+            biases = np.zeros((len(positions), 0))
         return cls(
-            positions, rotations, velocities, landmarks, np.zeros(3), rotations[0], positions[0]
+            positions,
+            rotations,
+            velocities,
+            landmarks,
+            biases,
+            np.zeros(3),
+            rotations[0],
+            positions[0],
         )
 
+    @property
+    def width(self) -> int:
+        """Parameters of a keyframe: 9, or 15 with biases."""
+        return MOTION_WIDTH + int(self.biases.shape[1])
+
+    @property
+    def motion_places(self) -> Indices:
+        """Where in a step (wN + 3K,) position, rotation and velocity are, (9N,)."""
+        first = self.width * np.arange(len(self.positions))
+        return (first[:, None] + np.arange(MOTION_WIDTH)).ravel()
+
     def moved(self, step: Floats) -> State:
-        """Return the state after a step (9N + 3K,)."""
-        count = len(self.positions)
-        motion = step[: 9 * count].reshape(count, 9)
+        """Return the state after a step (wN + 3K,)."""
+        count, width = len(self.positions), self.width
+        motion = step[: width * count].reshape(count, width)
         rotations = lie.exp(motion[:, 3:6]) @ self.rotations
         first_turn = self.first_turn + motion[0, 3:6]
         rotations[0] = lie.exp(first_turn) @ self.reference_rotation
         return State(
             self.positions + motion[:, :3],
             rotations,
-            self.velocities + motion[:, 6:],
-            self.landmarks + step[9 * count :].reshape(-1, 3),
+            self.velocities + motion[:, 6:9],
+            self.landmarks + step[width * count :].reshape(-1, 3),
+            self.biases + motion[:, 9:],
             first_turn,
             self.reference_rotation,
             self.reference_position,
@@ -69,6 +102,7 @@ class State:
             rotation @ self.rotations,
             self.velocities @ rotation.T,
             self.landmarks @ rotation.T + translation,
+            self.biases,
             self.first_turn,
             self.reference_rotation,
             self.reference_position,
@@ -81,6 +115,7 @@ class State:
             self.rotations,
             self.velocities,
             self.landmarks,
+            self.biases,
             lie.log(self.rotations[0] @ rotation.T),
             rotation,
             position,
@@ -88,10 +123,11 @@ class State:
 
     @property
     def gauge_basis(self) -> Floats:
-        """U of eq. (15), (9N + 3K, 4): how yaw about the origin and translation move the state."""
-        count = len(self.positions)
-        basis = np.zeros((3 * count + len(self.landmarks), 3, 4))
-        motion, landmarks = basis[: 3 * count].reshape(count, 9, 4), basis[3 * count :]
+        """U of eq. (15), (wN + 3K, 4): how yaw about the origin and translation move the state."""
+        count, width = len(self.positions), self.width
+        rows = width * count // 3
+        basis = np.zeros((rows + len(self.landmarks), 3, 4))
+        motion, landmarks = basis[:rows].reshape(count, width, 4), basis[rows:]
         motion[:, 0:3, 0] = _gravity_cross(self.positions)
         motion[:, 3:6, 0] = [0.0, 0.0, 1.0]
         motion[0, 3:6, 0] = lie.inverse_left_jacobian(self.first_turn)[:, 2]

@@ -74,7 +74,7 @@ class Trials:
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """The motion's covariances of one trial, (9N, 9N) each: Fig. 9.
+    """The motion's covariances of one trial, without biases, (9N, 9N) each: Fig. 9.
 
     Attributes:
         free: Of the free gauge.
@@ -139,6 +139,8 @@ def covariances(scene: StudiedScene, *, is_converged: bool) -> Covariances:
     )
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
+    motion = np.ix_(free.motion_places, free.motion_places)
+    of_free, transformed, of_fixed = (each[motion] for each in (of_free, transformed, of_fixed))
     difference = np.linalg.norm(transformed - of_fixed) / np.linalg.norm(of_fixed)
     return Covariances(of_free, transformed, of_fixed, float(difference))
 

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.bags import foxglove
 from trajeval_ros.io.bags.bag_folder import BagFolder
 from trajeval_ros.io.bags.blocks import Block, in_order, merged
@@ -203,7 +205,9 @@ class Bag:
         if done == total or None in counts:
             return []
         names = ", ".join(topic.name for topic in topics)
-        return [f"{self.path} counts {total} messages on {names}, but {done} were read"]
+        return [
+            f"{self.path} declares {counted(total, 'message')} on {names}, but {done} were read"
+        ]
 
     def find(self, name: str) -> list[Topic]:
         """Return the topics of that name, one per type.
@@ -214,7 +218,8 @@ class Bag:
         found = [topic for topic in self.topics if topic.name == name]
         if any(topic.lacks_protobuf for topic in found):
             raise InputError(
-                f"{self.path}: {name} is in protobuf, which needs pip install '{foxglove.EXTRA}'"
+                f"{self.path}: {name} is in protobuf, which needs an extra; install it: "
+                f"{extra_command(foxglove.EXTRA)}"
             )
         if found:
             return found
@@ -257,7 +262,7 @@ class Bag:
                 raise
             self._unread.append(error)
             said = str(error) if isinstance(error, InputError) else _sentence(error)
-            self.damage.append(f"{file.name} was not read: {said}")
+            self.damage.append(f"{file.name} skipped: {said}")
             return
         self._stack.callback(container.close)
         self._containers.append(container)
@@ -281,8 +286,8 @@ def _one_sentence(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise InputError(
-            f"{path} can't be read as a bag: {_sentence(error)}; if its recording was cut short, "
-            "`mcap recover`, `ros2 bag reindex` or `rosbag reindex` may save it"
+            f"{path} can't be read as a bag: {_sentence(error)}; if the recording was "
+            "interrupted, try `mcap recover`, `ros2 bag reindex` or `rosbag reindex`"
         ) from error
 
 

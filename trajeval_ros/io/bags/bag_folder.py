@@ -14,6 +14,11 @@ _COMPRESSED = ".zstd"
 _ENDINGS = (".mcap", ".db3", f".mcap{_COMPRESSED}", f".db3{_COMPRESSED}")
 
 
+def holds_bag(folder: Path) -> bool:
+    """Return whether a directory is a bag: it has a description, or files of one."""
+    return any(each.name == _METADATA or each.name.endswith(_ENDINGS) for each in folder.iterdir())
+
+
 @dataclass(frozen=True)
 class BagFolder:
     """What a directory holds, and what it should hold.
@@ -48,7 +53,7 @@ class BagFolder:
             try:
                 metadata = read_metadata(described)
             except InputError as error:
-                notes = (f"{error}; {described.name} was not used",)
+                notes = (f"{error}; {described.name} ignored",)
         listed: set[str] = set()
         if metadata is not None:
             said, damage = _judged(path, metadata)
@@ -59,12 +64,12 @@ class BagFolder:
         kept = _without_copies(files, listed)
         if metadata is None:
             notes += tuple(
-                f"{file} was not read, since {file.name}{_COMPRESSED} holds the same"
+                f"{file} skipped, since {file.name}{_COMPRESSED} has the same data"
                 for file in files
                 if file not in kept
             )
         if not kept:
-            why = "; ".join(damage) or "it holds no *.mcap or *.db3"
+            why = "; ".join(damage) or "it has no *.mcap or *.db3"
             raise InputError(f"{path} is a directory without a bag: {why}")
         return cls(tuple(kept), metadata, notes, damage)
 
@@ -88,12 +93,12 @@ def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[st
     missing = [each.written for each in metadata.files if _plain(each.name) not in there]
     outside = [each.written for each in metadata.files if each.leads_out]
     notes = [
-        f"{folder / _METADATA} names {each}, which is outside of the bag's folder; only files in "
-        "the folder are read"
+        f"{folder / _METADATA} lists {each}, which is outside the bag's folder; move it into the "
+        "folder"
         for each in outside[:1]
     ]
     return tuple(notes), tuple(
-        f"{folder / _METADATA} names {each}, which is missing" for each in missing
+        f"{folder / _METADATA} lists {each}, which is missing" for each in missing
     )
 
 

@@ -135,7 +135,7 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
         name for step in steps for name in _found(step, wanted or frozenset())
     }
     if missing:
-        raise UnplannedError(f"there is no field {', '.join(sorted(missing))} of one kind")
+        raise UnplannedError(f"no field {', '.join(sorted(missing))} of a single type")
     return tuple(steps)
 
 
@@ -161,7 +161,7 @@ def _elements(path: str, kind: Repeated, wanted: frozenset[str] | None, limit: i
     is_delimited = isinstance(kind.kind, tuple) or kind.kind == TEXT
     smallest = sum(_smallest(step) for step in steps)
     if not smallest:
-        raise UnplannedError(f"{path} is made of nothing")
+        raise UnplannedError(f"{path} has no fields")
     is_wanted = inside is None or bool(inside)
     return Elements(path if is_wanted else None, steps, kind.count, is_delimited, smallest)
 

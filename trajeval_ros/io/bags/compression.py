@@ -35,7 +35,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
         return _zstd(data, limit)
     if kind == "lz4":
         return _lz4(data, limit)
-    raise ValueError(f"compression {kind[:20]!r} is unknown; zstd, lz4 and none are read")
+    raise ValueError(f"unknown compression {kind[:20]!r}; use zstd, lz4 or none")
 
 
 def _zstd(data: bytes | memoryview, limit: int) -> bytes:
@@ -94,15 +94,15 @@ def decompress_file(path: Path, folder: Path) -> Path:
                 plain.write(piece)
                 if plain.tell() > limit:
                     raise InputError(
-                        f"{path} becomes more than {LARGEST_RATIO} times its size, which no "
-                        "recording does; if you trust it, decompress it with `zstd -d`"
+                        f"{path} has a compression ratio above {LARGEST_RATIO}; if you trust the "
+                        "file, decompress it with `zstd -d`"
                     )
         except zstandard.ZstdError as error:
             if not plain.tell():
                 raise InputError(f"{path} can't be decompressed: {error}") from error
         except OSError as error:
             raise InputError(
-                f"{path} has no room to be decompressed in {folder}: {error.strerror}; set TMPDIR "
-                "to where there is more"
+                f"no space in {folder} to decompress {path}: {error.strerror}; set TMPDIR to a "
+                "larger disk"
             ) from error
     return copy

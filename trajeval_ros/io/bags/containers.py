@@ -85,9 +85,9 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         return McapReader(source, strict=strict)
     source.close()
     if isinstance(source, RemoteFile):
-        raise InputError(f"{path} is no MCAP; only those are read in place, so copy it here first")
+        raise InputError(f"{path} is not MCAP; copy it to this machine first")
     if not beginning:
-        raise InputError(f"{path} is empty; was the recording stopped before it was written?")
+        raise InputError(f"{path} is empty; check that the recording has data")
     if beginning.startswith(_ROS1):
         from trajeval_ros.io.bags.ros1_bag import Ros1Reader
 
@@ -96,4 +96,4 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 
         return SqliteReader(plain, source.name)
-    raise InputError(f"{path} is no bag: it begins as neither MCAP, sqlite3 nor ROS 1")
+    raise InputError(f"{path} is not a bag: neither MCAP, sqlite3 nor ROS 1")

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 Messages = NDArray[np.uint8]
+_GPS = 1  # of the services in sensor_msgs/NavSatStatus
 _ENCAPSULATION = np.array([0, 1, 0, 0], dtype=np.uint8)  # little-endian CDR
 
 
@@ -92,6 +94,22 @@ def encode_odometry(
     return rows
 
 
+def encode_fixes(stamps: Stamps, fixes: Fixes, frame: str) -> Messages:
+    """Return sensor_msgs/NavSatFix (N, size) of N fixes of an antenna's frame."""
+    layout = _with_header(frame)
+    layout.add("status", "i1", alignment=1)
+    layout.add("service", "<u2", alignment=2)
+    layout.add("place", "<f8", (3,), alignment=8)
+    layout.add("covariance", "<f8", (9,), alignment=8)
+    layout.add("type", "u1", alignment=1)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["status"], fields["place"] = _times(stamps), fixes.status, fixes.places
+    fields["service"] = _GPS
+    fields["covariance"] = fixes.covariances.reshape(-1, 9)
+    fields["type"] = fixes.covariance_types
+    return rows
+
+
 def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
     """Return tf2_msgs/TFMessage (N, size) with one transform each, of poses (N, 7).
 
@@ -102,11 +120,68 @@ def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) ->
     """
     layout = _MessageLayout()
     layout.add("count", "<u4")
-    layout = _with_header(frames[0], layout)
+    rows, fields = _transforms(stamps, poses, frames, layout)
+    fields["count"] = 1
+    return rows
+
+
+def encode_transform_stamped(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
+    """Return geometry_msgs/TransformStamped (N, size), as `encode_transforms`."""
+    return _transforms(stamps, poses, frames, _MessageLayout())[0]
+
+
+def encode_vector_stamped(stamps: Stamps, vectors: Floats, frame: str) -> Messages:
+    """Return geometry_msgs/Vector3Stamped (N, size) of vectors (N, 3)."""
+    layout = _with_header(frame)
+    layout.add("vector", "<f8", (3,), alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["vector"] = _times(stamps), vectors
+    return rows
+
+
+def encode_numbers(numbers: Floats) -> Messages:
+    """Return std_msgs/Float64 (N, size) of numbers (N,)."""
+    layout = _MessageLayout()
+    layout.add("data", "<f8", alignment=8)
+    rows, fields = layout.messages(len(numbers))
+    fields["data"] = numbers
+    return rows
+
+
+def _transforms(
+    stamps: Stamps, poses: Floats, frames: tuple[str, str], before: _MessageLayout
+) -> tuple[Messages, NDArray[np.void]]:
+    layout = _with_header(frames[0], before)
     layout.add_text("child", frames[1])
     layout.add("pose", "<f8", (7,), alignment=8)
     rows, fields = layout.messages(len(stamps))
-    fields["count"], fields["stamp"], fields["pose"] = 1, _times(stamps), poses
+    fields["stamp"], fields["pose"] = _times(stamps), poses
+    return rows, fields
+
+
+def encode_imu(stamps: Stamps, rates: Floats, accelerations: Floats, frame: str) -> Messages:
+    """Return sensor_msgs/Imu (N, size) without orientations, which their covariance says.
+
+    Args:
+        stamps: (N,).
+        rates: (N, 3), rad/s.
+        accelerations: (N, 3), m/s^2.
+        frame: Of the sensor.
+    """
+    layout = _with_header(frame)
+    for name, size in (
+        ("orientation", 4),
+        ("orientation covariance", 9),
+        ("rate", 3),
+        ("rate covariance", 9),
+        ("acceleration", 3),
+        ("acceleration covariance", 9),
+    ):
+        layout.add(name, "<f8", (size,), alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["rate"], fields["acceleration"] = _times(stamps), rates, accelerations
+    fields["orientation"][:, 3] = 1.0
+    fields["orientation covariance"][:, 0] = -1.0
     return rows
 
 

@@ -1,4 +1,4 @@
-"""Poses and transforms by Foxglove's own schemas, in JSON and protobuf.
+"""Poses, transforms and GNSS fixes by Foxglove's own schemas, in JSON and protobuf.
 
 Neither has fields at a place that could be known before, so that messages are parsed one by one,
 and then become columns as those of ROS do.
@@ -17,15 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.io.bags.blocks import block_of
 from trajeval_ros.io.bags.cdr import Buffer, Columns, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
 TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")
-TYPES = (POSE_TYPE, *TRANSFORM_TYPES)
+FIX_TYPE = "foxglove.LocationFix"
+TYPES = (POSE_TYPE, *TRANSFORM_TYPES, FIX_TYPE)
 ENCODINGS = ("json", "protobuf")
-EXTRA = "trajeval-ros[foxglove]"
+EXTRA = "foxglove"
 
 _SECONDS = range(-(2**31), 2**32)  # as many as those of either ROS
 _NANOSECONDS = range(2**32)
@@ -42,7 +43,9 @@ _TRANSFORM = attrgetter(
     *(f"translation.{axis}" for axis in "xyz"),
     *(f"rotation.{axis}" for axis in "xyzw"),
 )
-# Stamp (s, ns), frames (only a transform has two), and seven numbers.
+_FIX = attrgetter("frame_id", "latitude", "longitude", "altitude", "position_covariance_type")
+_FIX_NUMBERS = 13  # place, type of covariance, covariance
+# Stamp (s, ns), frames (only a transform has two), and numbers: seven, or those of a fix.
 _Row = tuple[tuple[int, ...], tuple[str, ...], tuple[float, ...]]
 
 
@@ -60,7 +63,7 @@ class FoxglovePlan:
         """Prepare to decode.
 
         Args:
-            message_type: `POSE_TYPE` or one of `TRANSFORM_TYPES`.
+            message_type: One of `TYPES`.
             encoding: One of `ENCODINGS` that `is_decodable`.
         """
         self._parse = _from_json if encoding == "json" else _from_protobuf(message_type)
@@ -86,7 +89,7 @@ class FoxglovePlan:
         rows = np.array(good, dtype=np.int64)
         owners = np.repeat(np.arange(len(good)), [len(each) for each in found])
         elements = self._columns(owners, list(chain.from_iterable(found)))
-        if self._type == POSE_TYPE:
+        if self._type not in TRANSFORM_TYPES:
             return replace(elements, rows=rows)
         return Columns(rows, {}, {}, {"transforms": elements})
 
@@ -99,6 +102,12 @@ class FoxglovePlan:
         """
         if self._type == POSE_TYPE:
             return [self._row(message, _POSE, 1)]
+        if self._type == FIX_TYPE:
+            covariance = tuple(message.position_covariance) or (0.0,) * 9
+            row = self._row(message, lambda each: (*_FIX(each), *covariance), 1)
+            if len(row[2]) != _FIX_NUMBERS:
+                raise ValueError("a covariance has a wrong size")
+            return [row]
         several = message.transforms if self._type == TRANSFORM_TYPES[1] else [message]
         return [self._row(each, _TRANSFORM, 2) for each in several]
 
@@ -112,29 +121,40 @@ class FoxglovePlan:
             and all(type(each) is str for each in names)
             and all(type(each) in (int, float) for each in numbers)
         ):
-            raise ValueError("a field is of the wrong kind")
+            raise ValueError("a field has a wrong type")
         return stamp, names, tuple(map(float, numbers))
 
     def _columns(self, owners: Indices, rows: list[_Row]) -> Columns:
+        width = _FIX_NUMBERS if self._type == FIX_TYPE else 7
         stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64).reshape(-1, 2)
-        numbers = np.array([numbers for _, _, numbers in rows], dtype=np.float64).reshape(-1, 7)
-        place = ("transform.translation", "transform.rotation")
-        if self._type == POSE_TYPE:
-            place = ("pose.position", "pose.orientation")
+        numbers = np.array([numbers for _, _, numbers in rows], dtype=np.float64)
+        numbers = numbers.reshape(-1, width)
         texts = {"header.frame_id": _texts([names[0] for _, names, _ in rows])}
-        if self._type != POSE_TYPE:
+        if self._type in TRANSFORM_TYPES:
             texts["child_frame_id"] = _texts([names[1] for _, names, _ in rows])
         return Columns(
             owners,
             {
                 "header.stamp.sec": stamps[:, 0],
                 "header.stamp.nanosec": stamps[:, 1],
-                place[0]: numbers[:, :3],
-                place[1]: numbers[:, 3:],
+                **self._numbers(numbers),
             },
             texts,
             {},
         )
+
+    def _numbers(self, numbers: Floats) -> dict[str, Floats]:
+        """Return the columns of numbers by the names of their counterparts in ROS."""
+        if self._type == FIX_TYPE:
+            return {
+                **dict(zip(("latitude", "longitude", "altitude"), numbers.T, strict=False)),
+                "status.status": np.zeros(len(numbers)),  # the schema has none
+                "position_covariance_type": numbers[:, 3],
+                "position_covariance": numbers[:, 4:],
+            }
+        if self._type == POSE_TYPE:
+            return {"pose.position": numbers[:, :3], "pose.orientation": numbers[:, 3:]}
+        return {"transform.translation": numbers[:, :3], "transform.rotation": numbers[:, 3:]}
 
 
 def _texts(column: list[str]) -> StringColumn:
@@ -152,16 +172,17 @@ def _from_json(payload: bytes) -> Any:
 def _from_protobuf(message_type: str) -> Callable[[bytes], Any]:
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+    from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
     from google.protobuf.message import DecodeError
 
-    kinds: tuple[Any, ...] = (PoseInFrame, FrameTransform, FrameTransforms)
+    kinds: tuple[Any, ...] = (PoseInFrame, FrameTransform, FrameTransforms, LocationFix)
     kind = dict(zip(TYPES, kinds, strict=True))[message_type]
 
     def parse(payload: bytes) -> Any:
         try:
             return kind.FromString(payload)
         except DecodeError as error:
-            raise ValueError("it is no message of that type") from error
+            raise ValueError("it is not a message of this type") from error
 
     return parse

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trajeval_ros.io.bags.blocks import ROWS
 from trajeval_ros.io.bags.pose_messages import PoseColumns
 
-_COLUMNS = ("stamps", "positions", "quaternions", "body_velocities", "covariances")
+_COLUMNS = ("stamps", "positions", "quaternions", "body_velocities", "covariances", "fix_quality")
 
 
 class GrowingPoses:
@@ -56,6 +56,7 @@ class GrowingPoses:
             columns.get("quaternions"),
             columns.get("body_velocities"),
             columns.get("covariances"),
+            columns.get("fix_quality"),
             changes,
             columns["rows"],
             self._undecodable,

@@ -45,13 +45,13 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
     for channel, at in places.items():
         at -= begin
         if at + HEAD + 6 > len(data):
-            raise DamagedError("a message index is cut off")
+            raise DamagedError("a message index is truncated")
         opcode, length = head_of(data, at)
         own, size = struct.unpack_from("<HI", data, at + HEAD)
         if opcode != MESSAGE_INDEX or own != channel or size + 6 != length or size % 16:
-            raise DamagedError("a message index isn't where it should be")
+            raise DamagedError("a message index is misplaced")
         if at + HEAD + length > len(data):
-            raise DamagedError("a message index is cut off")
+            raise DamagedError("a message index is truncated")
         entries = np.frombuffer(data, "<i8", size // 8, at + HEAD + 6).reshape(-1, 2)
         channels.append(np.full(len(entries), channel))
         log_times.append(entries[:, 0])
@@ -64,7 +64,7 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
     )
     found = found[np.argsort(found.offsets, kind="stable")]
     if len(found) and (found.offsets[0] < 0 or found.offsets[-1] + RECORD_HEAD > chunk.size):
-        raise DamagedError("a message index points out of its chunk")
+        raise DamagedError("a message index points outside its chunk")
     return found
 
 
@@ -98,7 +98,7 @@ def measured(data: bytes, messages: MessageIndex, limit: int, shift: int = 0) ->
         & (heads["time"] == messages.log_times)
     )
     if not (fits & are_right).all():
-        raise DamagedError("a message isn't where its index says")
+        raise DamagedError("a message is not at its indexed position")
     return MessageIndex(
         messages.channels, messages.log_times, messages.offsets, lengths - MESSAGE_HEAD
     )
@@ -134,7 +134,7 @@ def partial(
     begins, sizes, total = [], [], 0
     for number, (begin, end) in enumerate(runs):
         if len(pieces[number]) != end - begin:
-            raise DamagedError("a chunk is cut off")
+            raise DamagedError("a chunk is truncated")
         inside = messages
         if len(runs) > 1:
             inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
@@ -143,7 +143,7 @@ def partial(
         if last > end:
             pieces[number] += source.read(base + end, last - end)
             if len(pieces[number]) != last - begin:
-                raise DamagedError("a chunk is cut off")
+                raise DamagedError("a chunk is truncated")
         begins.append(found.offsets + (RECORD_HEAD - begin + total))
         sizes.append(found.sizes)
         total += len(pieces[number])

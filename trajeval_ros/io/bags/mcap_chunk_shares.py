@@ -138,7 +138,7 @@ class _Reading:
         found = of_channels(messages, selection.connections)
         yield Share([selection], block_in(data, found, chunk.first))
         if not is_whole and not chunk.is_cut:
-            yield Share([selection], "a chunk's records can't be followed to their end")
+            yield Share([selection], "a chunk has incomplete records")
 
     def _data(self) -> bytes:
         """Return the records of the whole chunk, decompressed and verified once."""

@@ -86,22 +86,19 @@ def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = Fal
         (count,) = _LENGTH.unpack_from(head, HEAD + _TIMES.size)
         place = HEAD + _TIMES.size + 4
         if count > 32:
-            raise DamagedError("a chunk's compression has no name")
+            raise DamagedError("a chunk has no compression name")
         compression = head[place : place + count].decode()
     except (struct.error, UnicodeDecodeError) as error:
-        raise DamagedError("a chunk has no beginning") from error
+        raise DamagedError("a chunk has no header") from error
     return Chunk(offset, length, first, last, compression, size, is_cut=is_cut)
 
 
 def require_size(chunk: Chunk) -> None:
     """Raise DamagedError if a chunk is, or becomes, larger than any that a recorder writes."""
     if chunk.length > LARGEST or chunk.size > LARGEST:
-        raise DamagedError("a chunk's size can't be right")
+        raise DamagedError("a chunk has an invalid size")
     if chunk.compression and chunk.size > most_of(chunk.length, _LARGE):
-        raise DamagedError(
-            f"a chunk becomes more than {LARGEST_RATIO} times its size, which none of a recording "
-            "does"
-        )
+        raise DamagedError(f"a chunk has a compression ratio above {LARGEST_RATIO}")
 
 
 def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
@@ -113,8 +110,8 @@ def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
             total += chunk.size if chunk.compression else 0
     if total > most_of(source.size, LARGEST):
         raise InputError(
-            f"{source.name} becomes more than {LARGEST_RATIO} times its size, which no recording "
-            "does; if you trust it, decompress it with `mcap decompress`"
+            f"{source.name} has a compression ratio above {LARGEST_RATIO}; if you trust the "
+            "file, decompress it with `mcap decompress`"
         )
 
 
@@ -128,14 +125,14 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     record = memoryview(source.read(chunk.offset, chunk.length))
     place = chunk.data_offset - chunk.offset
     if len(record) < place:
-        raise DamagedError("a chunk is cut off")
+        raise DamagedError("a chunk is truncated")
     opcode, length = head_of(bytes(record[:HEAD]))
     if opcode != CHUNK or (length + HEAD != chunk.length and not chunk.is_cut):
-        raise DamagedError("a chunk isn't where it should be")
+        raise DamagedError("a chunk is misplaced")
     _, _, size, checksum = _TIMES.unpack_from(record, HEAD)
     (stored,) = _SIZE.unpack_from(record, place - 8)
     if size != chunk.size:
-        raise DamagedError("a chunk's size can't be right")
+        raise DamagedError("a chunk has an invalid size")
     try:
         data = decompress(chunk.compression, record[place : place + stored], size)
     except ValueError as error:
@@ -145,7 +142,7 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     if len(data) != size:
         raise DamagedError("a chunk can't be decompressed")
     if checksum and zlib.crc32(data) != checksum:
-        raise DamagedError("a chunk isn't what its checksum is of")
+        raise DamagedError("a chunk does not match its checksum")
     return data
 
 

@@ -74,7 +74,7 @@ class McapReader:
             if found.damage or not isinstance(error, NoIndexError):
                 self.damage.append(
                     f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
-                    f"record as far as byte {found.end} of {source.size}"
+                    f"record up to byte {found.end} of {source.size}"
                 )
         if strict and len(found.messages):
             self._verify_data()
@@ -162,8 +162,8 @@ class McapReader:
                     isinstance(each, Chunk) and selection in own for _, each, own in pieces
                 )
                 selection.notes.append(
-                    f"{partial[selection]} of {count} chunks were read in part, so that their "
-                    "checksums couldn't be verified; --strict reads all of them"
+                    f"{partial[selection]} of {count} chunks were read in part and their "
+                    "checksums not verified; to verify them, use --strict"
                 )
 
     def _load(self, piece: Piece) -> list[Share]:
@@ -199,7 +199,7 @@ class McapReader:
             runs, self._source.read_all(ranges), ranges, strict=True
         ):
             if len(data) != size:
-                raise DamagedError("messages are cut off")
+                raise DamagedError("messages are truncated")
             places[run] = begins[run] - first + total
             pieces.append(data)
             total += size
@@ -220,7 +220,7 @@ class McapReader:
             data = self._source.read(offset, min(BYTES, end - offset))
             checksum, offset = zlib.crc32(data, checksum), offset + len(data)
         if checksum != expected:
-            self.damage.append(f"{self._source.name}: it isn't what its checksum is of")
+            self.damage.append(f"{self._source.name}: checksum mismatch")
 
 
 def _room_of(piece: Piece) -> int:

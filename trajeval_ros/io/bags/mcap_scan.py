@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.bags.byte_source import ByteSource
 from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
@@ -93,7 +94,7 @@ class _Walk:
             if opcode == FOOTER and found.end + FOOTER_SIZE + len(MAGIC) == self._source.size:
                 return
             if opcode in (0, FOOTER):
-                found.damage.append(f"what follows byte {found.end} is no record")
+                found.damage.append(f"no valid record after byte {found.end}")
                 return
             is_cut = found.end + HEAD + length > end
             try:
@@ -104,9 +105,9 @@ class _Walk:
                 break
             found.end += HEAD + length
         if end < self._source.size and found.end < end:
-            found.damage.append(f"records from byte {found.end} on can't be followed")
+            found.damage.append(f"records after byte {found.end} are not readable")
         elif end == self._source.size:
-            found.damage.append("it was cut short")
+            found.damage.append("it is truncated")
 
     def _add(self, opcode: int, head: bytes, size: int, *, is_cut: bool) -> None:
         """Add what a record says; one of a kind that isn't known is passed over."""
@@ -145,7 +146,7 @@ class _Walk:
         found.messages = found.messages[np.isin(found.messages.channels, known)]
         unknown = sum(count for each, count in counts.items() if each not in known)
         if unknown:
-            found.damage.append(f"{unknown} messages are of channels that nothing describes")
+            found.damage.append(f"{counted(unknown, 'message')} of undefined channels")
         found.counts = found.counts or counts
 
 

@@ -39,7 +39,7 @@ def read_summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
         InputError: It is no MCAP at all.
     """
     if source.read(0, len(MAGIC)) != MAGIC:
-        raise InputError(f"{source.name} is no MCAP")
+        raise InputError(f"{source.name} is not MCAP")
     tail = source.read(max(0, source.size - END_SIZE), END_SIZE)
     if len(tail) < END_SIZE or not tail.endswith(MAGIC) or head_of(tail) != (FOOTER, 20):
         raise DamagedError("it has no footer")
@@ -49,10 +49,10 @@ def read_summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
     if not start:
         raise NoIndexError()
     if not len(MAGIC) <= start <= end or end - start > LARGEST:
-        raise DamagedError("the summary isn't where its footer says")
+        raise DamagedError("the summary is not at the position in the footer")
     data = source.read(start, end - start)
     if checksum and zlib.crc32(tail[: HEAD + 16], zlib.crc32(data)) != checksum:
-        raise DamagedError("the summary isn't what its checksum is of")
+        raise DamagedError("the summary does not match its checksum")
     found, span = _parsed(data, source.size)
     add_unlisted(source, found, start)
     return found, span
@@ -79,14 +79,14 @@ def _parsed(data: bytes, size: int) -> tuple[Scan, tuple[int, int] | None]:
         except Exception as error:  # of half a dozen kinds, by what is damaged
             raise DamagedError("the summary is damaged") from error
     if any(chunk.offset + chunk.length > size for chunk in found.chunks):
-        raise DamagedError("the summary names chunks that aren't there")
+        raise DamagedError("the summary lists missing chunks")
     if len({chunk.offset for chunk in found.chunks}) < len(found.chunks):
-        raise DamagedError("the summary names a chunk twice")
+        raise DamagedError("the summary lists a chunk twice")
     if statistics is None:
         raise NoIndexError()
     found.counts.update(statistics.channel_message_counts)
     if found.counts and found.counts.total() != statistics.message_count:
-        raise DamagedError("the summary contradicts itself")
+        raise DamagedError("the summary is inconsistent")
     channels = found.registry.channels
     used = {channel for channel, count in found.counts.items() if count}
     used |= {channel for chunk in found.chunks for channel in chunk.indexes}

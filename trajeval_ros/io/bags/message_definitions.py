@@ -57,11 +57,29 @@ STANDARD: dict[str, Fields] = {
         ("pose", (("pose", _POSE), _COVARIANCE)),
     ),
     "geometry_msgs/msg/TransformStamped": _TRANSFORM_STAMPED,
+    "sensor_msgs/msg/NavSatFix": (
+        ("header", _HEADER),
+        ("status", (("status", "i1"), ("service", "u2"))),
+        ("latitude", "f8"),
+        ("longitude", "f8"),
+        ("altitude", "f8"),
+        ("position_covariance", Repeated("f8", 9)),
+        ("position_covariance_type", "u1"),
+    ),
     "nav_msgs/msg/Odometry": (
         ("header", _HEADER),
         ("child_frame_id", TEXT),
         ("pose", (("pose", _POSE), _COVARIANCE)),
         ("twist", (("twist", _TWIST), _COVARIANCE)),
+    ),
+    "sensor_msgs/msg/Imu": (
+        ("header", _HEADER),
+        ("orientation", _XYZW),
+        ("orientation_covariance", Repeated("f8", 9)),
+        ("angular_velocity", _XYZ),
+        ("angular_velocity_covariance", Repeated("f8", 9)),
+        ("linear_acceleration", _XYZ),
+        ("linear_acceleration_covariance", Repeated("f8", 9)),
     ),
     "nav_msgs/msg/Path": (("header", _HEADER), ("poses", Repeated(_POSE_STAMPED))),
     "tf2_msgs/msg/TFMessage": (("transforms", Repeated(_TRANSFORM_STAMPED)),),
@@ -196,7 +214,7 @@ def _kind_of(types: Typesdict, description: Any) -> Kind:
         if name == "string":
             return TEXT
         if name not in _NUMBERS:
-            raise UnplannedError(f"{name} can't be decoded by column")
+            raise UnplannedError(f"{name} has an unsupported layout")
         return _NUMBERS[name]
     kind, count = content
     return Repeated(_kind_of(types, kind), count if node == Nodetype.ARRAY else None)

@@ -79,7 +79,7 @@ def read_metadata(path: Path) -> Metadata:
         AttributeError,
         OverflowError,
     ) as error:  # a wrong structure
-        raise InputError(f"{path} holds no information about a bag") from error
+        raise InputError(f"{path} has no bag information") from error
     return Metadata(files, counts)
 
 

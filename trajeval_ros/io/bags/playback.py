@@ -125,9 +125,9 @@ class Playback:
             self.notes.append(f"{', '.join(left_out)} not played: {reason}")
         if not channels:
             why = f": {'; '.join(self.notes)}" if self.notes else ""
-            raise InputError(f"{path} has no topic that can be played{why}")
+            raise InputError(f"{path} has no playable topic{why}")
         self.notes += [
-            f"{each.topic.name} is published as {each.name}, a name that ROS 2 allows"
+            f"{each.topic.name} is published as {each.name}, a valid ROS 2 name"
             for each in channels
             if each.name != each.topic.name
         ]
@@ -144,16 +144,16 @@ class Playback:
         """Return how a topic is published, or None and the reason why it can't be."""
         kind = ros2_type(topic.type)
         if with_clock and topic.name == CLOCK_TOPIC:
-            return None, f"{CLOCK_TOPIC} is made anew; --no-clock plays the recorded one"
+            return None, f"{CLOCK_TOPIC} is generated; to play the recorded one, use --no-clock"
         if any(each.topic.name == topic.name for each in others):
-            return None, "a topic of that name with another type is played"
+            return None, "another topic of this name has a different type"
         if not is_known(kind):
             return None, f"{kind} is not installed; install the ROS package {kind.split('/')[0]}"
         convert = None
         if is_ros1(topic):
             convert = converter(topic)
             if convert is None:
-                return None, f"{kind} has other fields in ROS 1 than in ROS 2"
+                return None, f"{kind} has different fields in ROS 1 and ROS 2"
         name = allowed_name(topic.name, {each.name for each in others})
         return Channel(topic, name, kind, _is_latched(topic), convert), ""
 
@@ -197,9 +197,11 @@ def _window(first: int, last: int, start_s: float, end_s: float | None) -> tuple
     """Return the first and the last log time that are played, ns."""
     length = (last - first) / NANOSECONDS
     if not (math.isfinite(start_s) and start_s >= 0.0):
-        raise SettingsError(f"--start {start_s:g} is no time after the bag's beginning")
+        raise SettingsError(f"--start {start_s:g} must be at least 0 s")
     if start_s > length:
-        raise SettingsError(f"--start {start_s:g} is after the bag's end: it lasts {length:.3f} s")
+        raise SettingsError(
+            f"--start {start_s:g} is after the end of the bag, which lasts {length:.3f} s"
+        )
     if end_s is None or end_s >= length:
         end_s = None
     elif not end_s > start_s:

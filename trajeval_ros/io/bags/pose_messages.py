@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -15,6 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 PATH_TYPE = "nav_msgs/msg/Path"
 
@@ -25,10 +26,12 @@ class PoseColumns:
 
     Attributes:
         stamps: (N,) int64, nanoseconds, of the headers.
-        positions: (N, 3), metres.
+        positions: (N, 3), metres; of fixes latitude and longitude, degrees, and height, metres.
         quaternions: (N, 4), xyzw, or None if the type has none.
         body_velocities: (N, 3), m/s, in the body, or None.
         covariances: (N, 6, 6), position first, or None.
+        fix_quality: (N, 11) of fixes: status, type of covariance, and the covariance about east,
+            north and up, m^2, row by row; else None.
         frames: (frame, child frame) as they follow each other, and the first row of each.
         rows: (N,) int64, which message each pose is from.
         undecodable: Number of messages that can't be decoded.
@@ -39,6 +42,7 @@ class PoseColumns:
     quaternions: Floats | None
     body_velocities: Floats | None
     covariances: Floats | None
+    fix_quality: Floats | None
     frames: list[tuple[int, str, str]]
     rows: NDArray[np.int64]
     undecodable: int
@@ -61,17 +65,20 @@ class TransformColumns:
 
 @dataclass(frozen=True)
 class _Paths:
-    """Where a type keeps what a pose is made of; "" is nowhere."""
+    """Where a type keeps what a pose is made of; "" or () is nowhere."""
 
-    position: str
+    position: str | tuple[str, ...]
     quaternion: str = ""
     body_velocity: str = ""
     covariance: str = ""
     child_frame: str = ""
+    fix_quality: tuple[str, ...] = ()
 
     def wanted(self, *, covariance: bool) -> list[str]:
         """Return the fields to decode."""
-        own = [self.position, self.quaternion, self.body_velocity, self.child_frame]
+        position = (self.position,) if isinstance(self.position, str) else self.position
+        own = [*position, self.quaternion, self.body_velocity, self.child_frame]
+        own += self.fix_quality
         own += [self.covariance] if covariance else []
         return [*_HEADER, *(path for path in own if path)]
 
@@ -93,6 +100,10 @@ _PATHS = {
         "transform.translation", "transform.rotation", child_frame="child_frame_id"
     ),
     "geometry_msgs/msg/PointStamped": _Paths("point"),
+    "sensor_msgs/msg/NavSatFix": _Paths(
+        ("latitude", "longitude", "altitude"),
+        fix_quality=("status.status", "position_covariance_type", "position_covariance"),
+    ),
 }
 POSE_TYPES = (*_PATHS, PATH_TYPE)
 COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
@@ -180,7 +191,9 @@ def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColum
         message_type: One of `POSE_TYPES`.
         undecodable: Number of messages that weren't.
     """
-    paths = _PATHS.get(message_type, _OF_A_PATH)
+    # Foxglove's types have the fields of their counterparts.
+    counterpart = _PATHS[FIX_TYPE] if "latitude" in columns.numbers else _OF_A_PATH
+    paths = _PATHS.get(message_type, counterpart)
     if message_type == PATH_TYPE:
         inner = columns.sequences["poses"]
         columns = replace(inner, rows=columns.rows[inner.rows])
@@ -188,10 +201,11 @@ def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColum
     covariances = numbers.get(paths.covariance)
     return PoseColumns(
         _stamps_of(columns),
-        _floats(numbers[paths.position]),
+        _joined(numbers, paths.position),
         _floats(numbers[paths.quaternion]) if paths.quaternion else None,
         _floats(numbers[paths.body_velocity]) if paths.body_velocity else None,
         None if covariances is None else _floats(covariances).reshape(-1, 6, 6),
+        _joined(numbers, paths.fix_quality) if paths.fix_quality else None,
         _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
         columns.rows,
         undecodable,
@@ -203,6 +217,13 @@ def _stamps_of(columns: Columns) -> NDArray[np.int64]:
     seconds = columns.numbers["header.stamp.sec"].astype(np.int64)
     stamps: NDArray[np.int64] = seconds * NANOSECONDS + columns.numbers["header.stamp.nanosec"]
     return stamps
+
+
+def _joined(numbers: Mapping[str, NDArray[Any]], paths: str | tuple[str, ...]) -> Floats:
+    """Return the numbers of one field, or those of several beside each other."""
+    if isinstance(paths, str):
+        return _floats(numbers[paths])
+    return _floats(np.column_stack([numbers[path] for path in paths]))
 
 
 def _floats(column: NDArray[Any]) -> Floats:
@@ -232,7 +253,7 @@ def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
     """Return decoded transforms of TF messages by edge (parent, child)."""
     elements = columns.sequences["transforms"]
     stamps = _stamps_of(elements)
-    translations = elements.numbers[_OF_TRANSFORMS.position]
+    translations = _joined(elements.numbers, _OF_TRANSFORMS.position)
     rotations = elements.numbers[_OF_TRANSFORMS.quaternion]
     numbers = _floats(np.concatenate([translations, rotations], axis=1))
     rows = columns.rows[elements.rows]

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.io.bags import foxglove
 from trajeval_ros.io.bags.containers import Container
-from trajeval_ros.io.bags.pose_messages import POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.pose_2d import POSE_2D
+from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_TYPES, TRANSFORM_TYPES
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -41,7 +42,13 @@ class Topic:
     @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
-        return self.type in (*POSE_TYPES, foxglove.POSE_TYPE) and self._is_readable
+        own = (POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
+        return self.type in (*POSE_TYPES, *own) and self._is_readable
+
+    @property
+    def holds_fixes(self) -> bool:
+        """Whether its messages are GNSS fixes."""
+        return self.type in (FIX_TYPE, foxglove.FIX_TYPE)
 
     @property
     def holds_transforms(self) -> bool:

@@ -95,8 +95,8 @@ class Ros1Reader:
     def _sentence(self, error: Exception) -> str:
         said = " ".join(str(error).split()).rstrip(".")[:200]
         return (
-            f"{self._name} is damaged ({said or type(error).__name__}); "
-            "`rosbag reindex` or `rosbag fix` may save more"
+            f"{self._name} is damaged ({said or type(error).__name__}); to recover more, try "
+            "`rosbag reindex` or `rosbag fix`"
         )
 
 

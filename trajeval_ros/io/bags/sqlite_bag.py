@@ -63,13 +63,13 @@ class SqliteReader:
             self._database.close()
             if has_log:
                 raise InputError(
-                    f"{path} was not closed, and the messages that wait in {log.name} can't be "
-                    f"read ({error}); merge them, where you may write, with `sqlite3 {path} "
-                    "'PRAGMA wal_checkpoint(TRUNCATE)'`"
+                    f"{path} was not closed, and the messages in {log.name} can't be read "
+                    f"({error}); copy both to a writable folder and merge them with `sqlite3 "
+                    f"{path} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
                 ) from error
             raise
         if has_log and (lost := _lost_of(log)):
-            self.damage.append(f"{log}: {lost}, and what only they held is missing")
+            self.damage.append(f"{log}: {lost}, their messages are missing")
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -143,7 +143,7 @@ class SqliteReader:
         # A row has several bytes, so that larger ids than these are leaps, or damage as well.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last and last > most:
-            selection.damage.append(f"{self._name}: ids beyond {most} were not looked for")
+            selection.damage.append(f"{self._name}: ids beyond {most} ignored")
             last = most
         for key in range(1, (last or 0) + 1):
             yield from ((row[2], row[0]) for row in self._row(query, values, key))
@@ -176,7 +176,7 @@ class SqliteReader:
                 if encoding in formats and text.strip()
             }
         if not self._columns("topics") or not self._columns("messages"):
-            raise InputError(f"{self._name} is no bag: it lacks the tables of topics and messages")
+            raise InputError(f"{self._name} is not a bag: it has no tables of topics and messages")
         has_qos = "offered_qos_profiles" in self._columns("topics")
         rows = self._database.execute(
             f"SELECT id, {_text('name')}, {_text('type')}, {_text('serialization_format')}, "
@@ -300,6 +300,6 @@ def refuse_truncated(path: Path, name: str) -> None:
     size = path.stat().st_size
     if is_valid and size < pages * page_size:
         raise InputError(
-            f"{name} was cut short: it has {size} of {pages * page_size} bytes; copy it again, or "
-            "save what is left with sqlite3's command `.recover`"
+            f"{name} is truncated: it has {size} of {pages * page_size} bytes; copy it again, or "
+            "recover the data with the sqlite3 command `.recover`"
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.cdr import CdrPlan, Columns
@@ -16,6 +17,7 @@ from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.growing_columns import GrowingPoses
 from trajeval_ros.io.bags.message_definitions import recorded_fields
+from trajeval_ros.io.bags.pose_2d import POSE_2D, pose_2d_plan, poses_2d_of
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
     PoseColumns,
@@ -26,6 +28,7 @@ from trajeval_ros.io.bags.pose_messages import (
 )
 from trajeval_ros.io.bags.recorded_topic import Reading, Topic, encoding_of
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
+from trajeval_ros.io.checks import times
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -64,12 +67,13 @@ class TransformReader:
     Attributes:
         reading: The topic, and what was found wrong while it was read.
         undecodable: Number of messages that can't be decoded.
+        lone: Number of transforms of all edges whose stamps stand alone.
     """
 
     def __init__(self, topic: Topic) -> None:
         """Prepare to read a topic that holds transforms."""
         self.reading = Reading(topic)
-        self.undecodable = 0
+        self.undecodable = self.lone = 0
         self._decoders = _Decoders(topic, covariances=False)
         self._parts: dict[EdgeKey, list[tuple[TransformColumns, NDArray[np.int64]]]] = {}
 
@@ -88,12 +92,16 @@ class TransformReader:
         edges = {}
         while self._parts:
             key, parts = self._parts.popitem()
-            order = np.argsort(np.concatenate([times for _, times in parts]), kind="stable")
-            edges[key] = Edge.from_columns(
-                np.concatenate([own.stamps for own, _ in parts])[order],
-                np.concatenate([own.numbers for own, _ in parts])[order],
-                is_static=is_static,
-            )
+            order = np.argsort(np.concatenate([logged for _, logged in parts]), kind="stable")
+            stamps = np.concatenate([own.stamps for own, _ in parts])[order]
+            numbers = np.concatenate([own.numbers for own, _ in parts])[order]
+            if not is_static:
+                timed = times(stamps)
+                stamps, numbers = stamps[timed], numbers[timed]
+                rows, trust = trusted_states(stamps)
+                stamps, numbers = stamps[rows], numbers[rows]
+                self.lone += trust.lone
+            edges[key] = Edge.from_columns(stamps, numbers, is_static=is_static)
         return edges
 
 
@@ -140,6 +148,8 @@ class _Decoders:
         encoding = encoding_of(connection)
         if self.topic.type in FOXGLOVE_TYPES:
             return FoxglovePlan(self.topic.type, encoding)
+        if self.topic.type == POSE_2D:
+            return pose_2d_plan(is_ros1=encoding == "ros1")
         return plan_of(
             recorded_fields(connection),
             self.topic.type,
@@ -165,15 +175,19 @@ class _Poses:
 
     def add(self, key: Key, block: Block) -> None:
         """Add the messages of a connection."""
-        columns = self._decoders.decode(key, block)
-        undecodable = len(block) - len(columns.rows)
-        poses = poses_of(columns, self._decoders.topic.type, undecodable)
-        self._poses.add(poses, block.log_times)
+        self._add(self._decoders.decode(key, block), block.log_times)
+
+    def _add(self, columns: Columns, log_times: NDArray[np.int64]) -> None:
+        undecodable, kind = len(log_times) - len(columns.rows), self._decoders.topic.type
+        if kind == POSE_2D:
+            poses = poses_2d_of(columns, log_times, undecodable)
+        else:
+            poses = poses_of(columns, kind, undecodable)
+        self._poses.add(poses, log_times)
 
     def done(self) -> PoseColumns:
         """Return them in order of their log times."""
-        nothing = poses_of(self._decoders.nothing(), self._decoders.topic.type, 0)
-        self._poses.add(nothing, np.zeros(0, dtype=np.int64))
+        self._add(self._decoders.nothing(), np.zeros(0, dtype=np.int64))
         return self._poses.done()
 
 

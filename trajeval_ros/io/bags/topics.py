@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
+from trajeval_ros.geometry.trajectory import Trajectory, add_counts
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
+from trajeval_ros.io.bags.pose_2d import POSE_2D, POSE_2D_NOTE
 from trajeval_ros.io.bags.recorded_topic import Topic
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
@@ -22,8 +26,9 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_of,
     tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import compose_transforms
+from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
 from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.fix_rows import trajectory_of_rows
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ class _Plan:
             found = bag.find(source.topic)
             if not any(each.holds_transforms for each in found):
                 raise InputError(
-                    f"{bag.path}: {source.topic} holds {found[0].type}, no transforms"
+                    f"{bag.path}: {source.topic} has type {found[0].type}, not transforms"
                 )
             tree = [
                 self._transforms.setdefault(each, TransformReader(each))
@@ -113,11 +118,33 @@ class _Plan:
         return lambda: trajectory_of(bag, reader, notes)
 
 
+def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> HandEye:
+    """Return T_B_M as the static transforms of a bag have it.
+
+    Args:
+        path: Of the bag.
+        topic: Of transforms, such as `/tf_static`.
+        frames: The body's and the marker's.
+
+    Raises:
+        InputError: The bag can't be read, or no static transforms connect the frames.
+    """
+    body, marker = frames
+    with Bag(path) as bag:
+        tree = [TransformReader(each) for each in tree_topics(bag, topic)]
+        read_topics(bag, tree)
+        where = f"{bag.path}:{topic}:{body}.{marker}"
+        lever_m, quaternion = fixed_transform(tree_of(tree), body, marker, where)
+    return HandEye(quaternion, lever_m, body, marker)
+
+
 def _choose(bag: Bag, name: str) -> Topic:
     """Return the topic to read, or raise InputError with those that could be read."""
-    candidates = [topic for topic in bag.topics if topic.holds_poses]
+    posed = [topic for topic in bag.topics if topic.holds_poses]
+    # Fixes are meant where they are named, or alone.
+    candidates = [topic for topic in posed if not topic.holds_fixes] or posed
     transforms = [topic for topic in bag.topics if topic.holds_transforms]
-    listed = ", ".join([topic.name for topic in candidates])
+    listed = ", ".join([topic.name for topic in posed])
     if transforms:
         listed += (", " if listed else "") + f"{transforms[0].name}:PARENT.CHILD"
     if name:
@@ -127,10 +154,10 @@ def _choose(bag: Bag, name: str) -> Topic:
             return poses[0]
         types = " and ".join(topic.type for topic in found)
         if len(poses) > 1:
-            raise InputError(f"{bag.path}: {name} carries several types of poses ({types})")
+            raise InputError(f"{bag.path}: {name} has several types of poses ({types})")
         raise InputError(
-            f"{bag.path}: {name} holds {types}, no poses"
-            + (f"; poses are on {listed}" if listed else ", and no other topic does")
+            f"{bag.path}: {name} has type {types}, not poses"
+            + (f"; poses are on {listed}" if listed else ", and no other topic has poses")
         )
     if len(candidates) == 1:
         return candidates[0]
@@ -144,7 +171,7 @@ def _choose(bag: Bag, name: str) -> Topic:
         types = ", ".join(sorted({topic.type for topic in bag.topics}))
         raise InputError(f"{bag.path} has no topic with poses, only {types}")
     raise InputError(
-        f"{bag.path} is a bag with several topics; name one as in {bag.path}:TOPIC, of {listed}"
+        f"{bag.path} has several topics with poses; choose one as in {bag.path}:TOPIC, of {listed}"
     )
 
 
@@ -167,7 +194,7 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
         why = "; ".join(damage)
         if columns.undecodable:
             why = f"none of its {columns.undecodable} messages can be decoded"
-        raise InputError(f"{where} holds no pose" + (f": {why}" if why else ""))
+        raise InputError(f"{where} has no poses" + (f": {why}" if why else ""))
     are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
     timed = slice(None) if are_times.all() else are_times  # a mask would copy everything
     quaternions, judgement = judge_rotations(columns.quaternions)
@@ -181,8 +208,26 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
         f"{where}: frame_id changes from {before[1:]} to {after[1:]} at pose {after[0]}"
         for before, after in zip(columns.frames, columns.frames[1:], strict=False)
     ]
+    if topic.type == POSE_2D:
+        notes = (*notes, POSE_2D_NOTE)
     if len(changes) > 1:
-        changes = [f"{changes[0]}, and {len(changes) - 1} times more"]
+        changes = [f"{changes[0]}, and {counted(len(changes) - 1, 'more time')}"]
+    dropped = {
+        "undecodable": columns.undecodable,
+        "zero_stamp": int(np.count_nonzero(~are_times)),
+    }
+    if columns.fix_quality is not None:
+        return trajectory_of_rows(
+            where,
+            columns.stamps[timed],
+            columns.positions[timed],
+            columns.fix_quality[timed],
+            child_frame=columns.frames[0][1],
+            name=topic.name.strip("/"),
+            dropped=dropped,
+            notes=(f"format: {topic.type}", *notes, *found, *_receivers(where, columns.frames)),
+            damage=damage,
+        )
     everything = Trajectory.from_columns(
         columns.stamps[timed],
         columns.positions[timed],
@@ -193,14 +238,39 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
         up=UpAxis.of_frame(columns.frames[0][1]),
         child_frame=columns.frames[0][2],
         name=topic.name.strip("/"),
-        dropped={
-            "undecodable": columns.undecodable,
-            "zero_stamp": int(np.count_nonzero(~are_times)),
-        },
+        unturned=columns.quaternions is not None and quaternions is None,
+        dropped=dropped,
         notes=(f"format: {topic.type}", *notes, *found, *changes, *judgement),
         damage=damage,
     )
-    return _usable(everything, where, len(columns.stamps))
+    return _usable(_without_lone_stamps(everything), where, len(columns.stamps))
+
+
+def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
+    """Return the states whose stamps can be trusted, in order of arrival."""
+    rows, trust = trusted_states(trajectory.stamps)
+    if not trust.lone:
+        return trajectory
+    return replace(
+        trajectory[rows],
+        dropped=add_counts(trajectory.dropped, {LONE: trust.lone}),
+        notes=(*trajectory.notes, trust.said),
+    )
+
+
+def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[str, ...]:
+    """Refuse fixes of several receivers, whose antennas come and go; note a renamed one.
+
+    Raises:
+        InputError: They alternate.
+    """
+    names = list(dict.fromkeys(frame for _, frame, _ in frames))
+    if len(frames) > 2:
+        raise InputError(
+            f"{where} has fixes of several receivers (frame_id {', '.join(map(repr, names))}); "
+            "record one topic per receiver"
+        )
+    return (f"frame_id changes from {names[0]} to {names[1]}",) if len(names) > 1 else ()
 
 
 def _transform_trajectory(
@@ -220,7 +290,10 @@ def _transform_trajectory(
         up=UpAxis.of_frame(parent),
         child_frame=child,
         name=f"{parent}.{child}",
-        dropped={"undecodable": sum(each.undecodable for each in tree)},
+        dropped={
+            "undecodable": sum(each.undecodable for each in tree),
+            LONE: sum(each.lone for each in tree),
+        },
         notes=("format: TF", *notes),
         damage=damage,
     )
@@ -231,7 +304,7 @@ def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
     """Return the trajectory, or raise InputError if none of its poses was left."""
     if not len(trajectory):
         why = ", ".join(f"{number} {reason}" for reason, number in trajectory.dropped.items())
-        raise InputError(f"{where}: none of {count} messages is a pose ({why})")
+        raise InputError(f"{where}: no valid pose in {counted(count, 'message')} ({why})")
     return trajectory
 
 

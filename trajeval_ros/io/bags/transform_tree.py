@@ -114,16 +114,35 @@ def compose_transforms(
     span = common_span(edges, way)
     if span is None:
         raise InputError(
-            f"{where}: {child} never moves in {parent}, all transforms between them are static; "
-            "name a frame that moves"
+            f"{where}: all transforms between {parent} and {child} are static; choose a moving "
+            "frame"
         )
     if span[0] > span[1]:
         raise InputError(
-            f"{where}: the transforms between {parent} and {child} were never known at the same "
-            "time; name two frames closer to each other"
+            f"{where}: the transforms between {parent} and {child} have no common time span; "
+            "choose two frames closer in the tree"
         )
     stamps = edges[leading_edge(edges, way, span)].within(*span)
     return (stamps, *compose(edges, way, stamps))
+
+
+def fixed_transform(
+    edges: Mapping[EdgeKey, Edge], parent: str, child: str, where: str
+) -> tuple[Floats, Floats]:
+    """Return the pose of `child` in `parent`, which never changes: position (3,), xyzw (4,).
+
+    Args:
+        edges: Edges by (parent, child), of which those that move are passed over.
+        parent: A frame, without leading slash.
+        child: Another one; the edges between them may point either way.
+        where: What to call the source in an error.
+
+    Raises:
+        InputError: A frame is unknown, or they aren't connected.
+    """
+    way = find_way([key for key, edge in edges.items() if edge.is_static], parent, child, where)
+    position, quaternion = compose(edges, way, np.zeros(1, dtype=np.int64))
+    return position[0], quaternion[0]
 
 
 def common_span(edges: Mapping[EdgeKey, Edge], way: Way) -> tuple[int, int] | None:
@@ -182,7 +201,7 @@ def find_way(keys: Iterable[EdgeKey], parent: str, child: str, where: str) -> Wa
     for frame in (parent, child):
         if frame not in neighbours:
             known = nearest(frame, neighbours)
-            raise InputError(f"{where}: there is no frame {frame}; there are {known}")
+            raise InputError(f"{where}: unknown frame {frame}; use one of {known}")
     came_by: dict[str, tuple[str, EdgeKey, bool] | None] = {parent: None}
     waiting = deque([parent])
     while waiting:
@@ -193,9 +212,7 @@ def find_way(keys: Iterable[EdgeKey], parent: str, child: str, where: str) -> Wa
                 waiting.append(neighbour)
     if child not in came_by:
         connected = ", ".join(sorted(set(came_by) - {parent}))
-        raise InputError(
-            f"{where}: {child} is not connected to {parent}; connected to {parent} are {connected}"
-        )
+        raise InputError(f"{where}: {child} is not connected to {parent}; use one of {connected}")
     way = []
     step = came_by[child]
     while step is not None:

@@ -10,18 +10,22 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.encode_messages import (
+    encode_fixes,
+    encode_imu,
     encode_odometry,
     encode_pose_stamped,
     encode_transforms,
 )
-from trajeval_ros.io.bags.pose_messages import PATH_TYPE, encode_path
+from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE, encode_path
 from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+IMU = "sensor_msgs/msg/Imu"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TRANSFORM_TOPIC = "/tf"
 Storage = Literal["mcap", "sqlite3"]
@@ -34,6 +38,7 @@ def write_bag(
     topics: Mapping[str, tuple[Trajectory, str]],
     storage: Storage = "mcap",
     transforms: Sequence[Trajectory] = (),
+    inertial: Mapping[str, InertialReadings] | None = None,
 ) -> None:
     """Write a bag directory; it appears under its name when it is complete.
 
@@ -43,29 +48,34 @@ def write_bag(
         path: The directory, which must not exist yet; its parent must.
         topics: Trajectory and message type by topic. The type is `nav_msgs/msg/Odometry` (with
             velocity and covariance, zeros where the trajectory has none),
-            `geometry_msgs/msg/PoseStamped`, or `nav_msgs/msg/Path` (one message with all poses).
+            `geometry_msgs/msg/PoseStamped`, `nav_msgs/msg/Path` (one message with all poses), or
+            of a trajectory with fixes `sensor_msgs/msg/NavSatFix`.
         storage: The file format inside.
         transforms: Trajectories to write to `/tf`, of their child frames in their frames.
+        inertial: Readings of IMUs by topic.
 
     Raises:
         InputError: The path exists, a type is unknown, or a stamp is before 1970 or after 2038.
     """
     if path.exists():
-        raise InputError(f"{path} exists already; choose another name or remove it")
-    types = (ODOMETRY, POSE_STAMPED, PATH_TYPE)
-    for topic, (_, message_type) in topics.items():
-        if message_type not in types:
+        raise InputError(f"{path} exists; choose another name or remove it")
+    types = (ODOMETRY, POSE_STAMPED, PATH_TYPE, FIX_TYPE)
+    for topic, (each, message_type) in topics.items():
+        if message_type not in types or (message_type == FIX_TYPE and each.fixes is None):
             raise InputError(
                 f"{topic} can't be written as {message_type}; use {' or '.join(types)}"
             )
     written = {topic: trajectory for topic, (trajectory, _) in topics.items()}
     for topic, each in (*written.items(), *((TRANSFORM_TOPIC, each) for each in transforms)):
         if len(each) and not (each.stamps.min() >= 0 and each.stamps.max() < 2**31 * NANOSECONDS):
-            raise InputError(f"{topic} has stamps that ROS can't hold: before 1970 or after 2038")
+            raise InputError(
+                f"{topic} has timestamps before 1970 or after 2038, which ROS can't represent"
+            )
     try:
         with temporary_folder(path.name, path.parent) as folder:
             complete = folder / path.name
-            _write(complete, _serialised(topics, transforms), storage)
+            messages = [*_serialised(topics, transforms), *_serialised_imus(inertial or {})]
+            _write(complete, messages, storage)
             complete.rename(path)
     except OSError as error:
         raise InputError(f"{path} can't be written: {error.strerror or error}") from error
@@ -82,7 +92,7 @@ def write_mcap(
         InputError: As `write_bag`.
     """
     if path.exists():
-        raise InputError(f"{path} exists already; choose another name or remove it")
+        raise InputError(f"{path} exists; choose another name or remove it")
     with (
         refused_by_disk(str(path)),
         temporary_folder(path.name, path.parent) as folder,
@@ -128,7 +138,10 @@ def _serialised(
             )
             found.append((topic, message_type, stamps[-1:], [memoryview(payload)]))
             continue
-        if message_type == POSE_STAMPED:
+        if message_type == FIX_TYPE:
+            assert trajectory.fixes is not None
+            rows = encode_fixes(stamps, trajectory.fixes, trajectory.child_frame)
+        elif message_type == POSE_STAMPED:
             rows = encode_pose_stamped(stamps, _poses(trajectory), frame)
         else:
             covariances = trajectory.covariances
@@ -146,6 +159,16 @@ def _serialised(
             trajectory.stamps, _poses(trajectory), (trajectory.frame, trajectory.child_frame)
         )
         found.append((TRANSFORM_TOPIC, TRANSFORMS, trajectory.stamps, map(memoryview, rows)))
+    return found
+
+
+def _serialised_imus(inertial: Mapping[str, InertialReadings]) -> list[_Serialised]:
+    """Return topic, type, times and messages of IMUs."""
+    found: list[_Serialised] = []
+    for topic, readings in inertial.items():
+        assert readings.accelerations is not None
+        rows = encode_imu(readings.stamps, readings.rates, readings.accelerations, readings.frame)
+        found.append((topic, IMU, readings.stamps, map(memoryview, rows)))
     return found
 
 

@@ -1,25 +1,31 @@
 """What a live run leaves in its folder, evaluated as a recorded one.
 
-`NAME.pairs` holds the pairs of an estimate as they came. `NAME.revised.npz` holds the last message
-of an estimate that is a `nav_msgs/Path`: the trajectory as its estimator sees it in the end. Then
-the errors are of the revised trajectory, as they are of the recorded topic, and those of each pose
-as it was first published stand beside them.
+`NAME.pairs` holds the pairs of an estimate as they came, `NAME.2.pairs` those of its second
+segment: after a restart, or when time began anew. Each segment is a run of its own.
+
+`NAME.revised.npz` holds the last message of an estimate that is a `nav_msgs/Path`: the trajectory
+as its estimator sees it in the end. Then the errors are of the revised trajectory, as they are of
+the recorded topic, and those of each pose as it was first published stand beside them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes, FixRule
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import (
     LARGEST,
     NANOSECONDS,
@@ -30,28 +36,40 @@ from trajeval_ros.geometry.trajectory import (
 )
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.checks import judge_rotations
+from trajeval_ros.io.live.applied_hand_eye import AppliedHandEye
+from trajeval_ros.io.live.fix_file import NAME as FIXES
+from trajeval_ros.io.live.fix_file import read_fixes
 from trajeval_ros.io.live.pair_file import SUFFIX, RecordedPairs, read_pairs
 from trajeval_ros.io.live.run_state import require_run_state
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.io.results.result_json import statistics_json
-from trajeval_ros.metrics.association import Association, AssociationRule
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, AssociationRule
+from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
-from trajeval_ros.metrics.input_summary import InputSummary, fingerprint
+from trajeval_ros.metrics.input_summary import FixSummary, InputSummary, fingerprint
 from trajeval_ros.metrics.pair_steps import StampedPoses, StepMeter
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.pipeline import FailedRun, Outcome, Request, RunOutcome, run_pairs
+from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
+from trajeval_ros.pipeline.pipeline import run_pairs
+from trajeval_ros.pipeline.request import Request
+from trajeval_ros.pipeline.several_runs import with_own_errors
 
 REVISED_SUFFIX = ".revised.npz"
 
 
 @dataclass(frozen=True, eq=False)
 class _EvaluatedEstimate:
-    """One estimate of a folder: its place among those asked for, its groundtruth and its run."""
+    """A segment of an estimate: its place among those asked for, its groundtruth and its run.
+
+    `fixes` is how those of the groundtruth were used.
+    """
 
     place: int
+    segment: int
     groundtruth: InputSummary
     run: RunOutcome
+    fixes: FixRule
 
 
 def evaluate_folder(
@@ -72,8 +90,7 @@ def evaluate_folder(
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     if not paths:
         raise InputError(
-            f"{folder} holds no live run: there is no file that ends in {SUFFIX}; name the "
-            "evaluator's output folder"
+            f"no live run in {folder} (no file *{SUFFIX}); give the output folder of the evaluator"
         )
     found: list[_EvaluatedEstimate] = []
     failed: list[FailedRun] = []
@@ -89,9 +106,23 @@ def evaluate_folder(
         found.append(estimate)
     if not found:
         raise InputError("; ".join(each.reason for each in failed))
-    found.sort(key=lambda each: each.place)
-    runs = tuple(each.run for each in found)
+    found.sort(key=lambda each: (each.place, each.segment))
+    runs = tuple(_with_own_errors(found))
     return Outcome(request, found[0].groundtruth, runs, tuple(failed))
+
+
+def _with_own_errors(found: Sequence[_EvaluatedEstimate]) -> Iterator[RunOutcome]:
+    """Yield the runs, those by GNSS fixes with their errors without the noise of these.
+
+    Whose jumps they are, estimates tell that are beside each other in the same segment.
+    """
+    told: dict[int, RunOutcome] = {}
+    for segment in {each.segment for each in found}:
+        rows = [row for row, each in enumerate(found) if each.segment == segment]
+        runs = with_own_errors([found[row].run for row in rows], found[rows[0]].fixes)
+        told.update(zip(rows, runs, strict=True))
+    for row in range(len(found)):
+        yield told[row]
 
 
 def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
@@ -105,11 +136,11 @@ def _evaluate(path: Path, request: Request, align_with: str | None) -> _Evaluate
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
     if not len(recorded.stamps):
-        raise InputError(f"{name}: no pair of estimate and groundtruth was made")
+        raise InputError(f"{name}: no pairs of estimate and groundtruth")
     try:
         return _evaluate_pairs(path, name, recorded, request, align_with)
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
-        raise InputError(f"{path} isn't as this version writes it: {error!r}") from error
+        raise InputError(f"{path} is damaged or from another version: {error!r}") from error
 
 
 def _evaluate_pairs(
@@ -121,7 +152,7 @@ def _evaluate_pairs(
     try:
         protocol = protocol_from("default", **state["settings"])
     except SettingsError as error:  # not the user's: other estimates may have better ones
-        raise InputError(f"{path} isn't as this version writes it: {error}") from error
+        raise InputError(f"{path} is damaged or from another version: {error}") from error
     protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
     if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
@@ -130,31 +161,46 @@ def _evaluate_pairs(
     if request.up is not None:
         if protocol.gauge is Gauge.PLANAR and request.up != tuple(each.name for each in ups):
             raise SettingsError(
-                f"a live run of gauge planar keeps what lies in the plane across {ups[0].name}, "
-                "and another up axis needs the rest; evaluate a bag"
+                "a live run with gauge planar stores only the components perpendicular to "
+                f"{ups[0].name}; to use another vertical axis, evaluate a bag"
             )
         ups = [UpAxis(each) for each in request.up]
     pairs, truth_notes, notes = _association(recorded, protocol, ups)
+    rule = _fix_rule(state.get("fixes"))
+    whole = _all_groundtruth(pairs, recorded)
+    if rule.datum is not None:
+        stamps, fixes = read_fixes(path.parent, rule.datum)
+        whole, truth_notes = _with_fixes(whole, stamps, fixes), ()
+        truth_of_pairs = _with_fixes(pairs.groundtruth, stamps, fixes)
+        pairs = dataclasses.replace(pairs, groundtruth=truth_of_pairs)
     live, warnings = dict(state["live"]), list(state["warnings"])
     later = len(recorded.stamps) - recorded.pairs_at_state
     if later or recorded.torn:
         warnings.append(
-            "the live run ended without its last counts: what was lost and dropped is told as of "
-            f"{later} pairs before the end"
+            "the live run stopped before its last counts were written: counts of lost and "
+            f"dropped messages are from {counted(later, 'pair')} before the end"
         )
     if recorded.torn:
         warnings.append(
-            f"{path.name} is damaged, or was cut short: {recorded.torn} bytes at its end can't be "
-            "read, with the pairs in them"
+            f"{path.name} is damaged or truncated: the last {counted(recorded.torn, 'byte')} "
+            "can't be read"
         )
+    applied = AppliedHandEye.in_state(state, str(path))
+    named = truth, estimate
+    if applied is not None:
+        live_covariances = _covariances_of(state.get("covariances") or {})
+        applied.require_no_other(request, live_covariances.rotation_frame)
+        named = applied.renamed(truth, estimate)
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
-        causal = _run(pairs, request, truth, estimate, name).evaluation
+        causal = _run(pairs, request, *named, name).evaluation
         live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
         pairs, estimate = _revised(pairs, recorded, revised)
-    run = _run(pairs, request, truth, estimate, name)
+    run, why_not = _judged(pairs, request, *named, name, state.get("covariances"))
+    if applied is not None:
+        run = applied.told(run)
     evaluation = dataclasses.replace(
-        run.evaluation, warnings=(*run.evaluation.warnings, *warnings)
+        run.evaluation, warnings=(*run.evaluation.warnings, *warnings, *why_not)
     )
     summaries = [
         InputSummary(
@@ -162,20 +208,60 @@ def _evaluate_pairs(
             name=name,
             poses=counts["poses"],
             duration_s=counts["duration_s"],
-            path_length_m=counts.get("path_length_m", 0.0),
+            path_length_m=length_m,
             frame=counts["frame"],
             child_frame=counts["child_frame"],
             up=trajectory.up,
+            kind=trajectory.kind,
+            fixes=None
+            if trajectory.fixes is None or whole.fixes is None
+            else FixSummary.of(whole.fixes, counts["dropped"]),
             notes=(*counts["notes"], *said, *used.notes),
             fingerprint=fingerprint(trajectory),
         )
-        for side, counts, trajectory, said, used in (
-            ("groundtruth", truth, pairs.groundtruth, truth_notes, evaluation.groundtruth),
-            ("estimate", estimate, pairs.estimate, notes, evaluation.estimate),
+        for side, counts, trajectory, said, used, length_m in (
+            (
+                "groundtruth",
+                truth,
+                pairs.groundtruth,
+                truth_notes,
+                evaluation.groundtruth,
+                whole.path_length_m if pairs.is_at_groundtruth else truth["path_length_m"],
+            ),
+            ("estimate", estimate, pairs.estimate, notes, evaluation.estimate, 0.0),
         )
     ]
     run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
-    return _EvaluatedEstimate(description["place"], summaries[0], run)
+    place, segment = description["place"], description.get("segment", 1)
+    return _EvaluatedEstimate(place, segment, summaries[0], run, rule)
+
+
+def _fix_rule(words: dict[str, Any] | None) -> FixRule:
+    """Return how GNSS fixes were used; without a datum where the groundtruth is something else."""
+    if words is None:
+        return FixRule()
+    try:
+        return FixRule(datum=Datum(*words["datum"]), correlation_s=words["correlation_s"])
+    except SettingsError as error:  # not the user's
+        raise ValueError(str(error)) from error
+
+
+def _all_groundtruth(pairs: Association, recorded: RecordedPairs) -> Trajectory:
+    """Return the groundtruth's states in pairs, and those recorded beside them, in order."""
+    others = _usable(recorded.waypoints)
+    stamps = np.concatenate([pairs.groundtruth.stamps, others.stamps])
+    positions = np.concatenate([pairs.groundtruth.positions, others.poses[:, :3]])
+    stamps, first = np.unique(stamps, return_index=True)
+    return Trajectory(stamps, positions[first])
+
+
+def _with_fixes(truth: Trajectory, stamps: Stamps, fixes: Fixes) -> Trajectory:
+    """Return groundtruth with the fixes that it is made of, which are in order of their stamps."""
+    rows = stamps.searchsorted(truth.stamps).clip(max=len(stamps) - 1)
+    if not np.array_equal(stamps[rows], truth.stamps):
+        raise ValueError(f"{FIXES} lacks some of the fixes")
+    own = fixes[rows]
+    return dataclasses.replace(truth, fixes=own, covariances=own.pose_covariances())
 
 
 def _association(
@@ -190,17 +276,24 @@ def _association(
     later = len(recorded.stamps) - recorded.pairs_at_state
     groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
     estimate, notes = _trajectory(stamps, recorded.estimate[order])
-    rule = protocol.association
+    if recorded.covariances is not None:
+        estimate = dataclasses.replace(estimate, covariances=recorded.covariances[order])
+    first = recorded.state["estimate"].get("first_stamp_ns")
+    oriented = groundtruth.quaternions is not None
+    rule = protocol.association.for_kind("poses" if oriented else "points")
+    states = recorded.state["estimate"]["states"] + later - again
+    is_sparse = rule.method == AT_GROUNDTRUTH
     pairs = Association(
         rule=rule,
         groundtruth=dataclasses.replace(groundtruth, up=ups[0]),
         estimate=dataclasses.replace(estimate, up=ups[1]),
-        estimate_coverage=len(stamps) / (recorded.state["estimate"]["states"] + later - again),
+        estimate_coverage=None if is_sparse else len(stamps) / states,
         coverage=_coverage(groundtruth, recorded, rule),
         dropped=add_counts(
             recorded.state["dropped"],
             {"duplicate_stamp": again, "not_finite": len(recorded.stamps) - len(usable)},
         ),
+        from_the_start=is_sparse or first is None or first == int(stamps[0]),
     )
     return pairs, truth_notes, notes
 
@@ -213,6 +306,13 @@ def _are_states(rows: Floats) -> Booleans:
 
 def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule) -> Coverage:
     """Return what pairs cover, whose groundtruth's states these are."""
+    if rule.method == AT_GROUNDTRUTH:
+        missing = _usable(recorded.waypoints)
+        stamps = np.concatenate([groundtruth.stamps, missing.stamps])
+        positions = np.concatenate([groundtruth.positions, missing.poses[:, :3]])
+        order = np.argsort(stamps, kind="stable")
+        found = np.flatnonzero(order < len(groundtruth))
+        return completeness(Trajectory(stamps[order], positions[order]), found)
     max_gap_ns = round(rule.max_gap_s * NANOSECONDS)
     pairs = StampedPoses.of(groundtruth, np.arange(len(groundtruth)))
     sums = CoverageSums(rule.max_gap_s)
@@ -251,9 +351,11 @@ def _read_revised(path: Path) -> Trajectory:
         ("positions", "f", (count, 3)),
         ("quaternions", "f", (count, 4)),
     ]:
-        raise InputError(f"{path} holds no stamps, positions and quaternions, each as many")
+        raise InputError(
+            f"{path} must have equal numbers of timestamps, positions and quaternions"
+        )
     if not np.logical_and(*judge_poses(arrays["positions"], arrays["quaternions"])).all():
-        raise InputError(f"{path} holds poses that aren't finite")
+        raise InputError(f"{path} has poses that are not finite")
     return Trajectory(arrays["stamps"], arrays["positions"], lie.normalized(arrays["quaternions"]))
 
 
@@ -276,7 +378,7 @@ def _revised(
         causal,
         groundtruth=groundtruth,
         estimate=estimate,
-        estimate_coverage=len(rows) / len(stamps),
+        estimate_coverage=causal.estimate_coverage and len(rows) / len(stamps),
         coverage=_coverage(groundtruth, recorded, causal.rule),
         dropped=dropped,
     )
@@ -285,6 +387,42 @@ def _revised(
         "poses": len(stamps),
         "duration_s": float(stamps.max() - stamps.min()) / NANOSECONDS,
     }
+
+
+def _judged(
+    pairs: Association,
+    request: Request,
+    truth: dict[str, Any],
+    estimate: dict[str, Any],
+    name: str,
+    live: dict[str, Any] | None,
+) -> tuple[RunOutcome, list[str]]:
+    """Evaluate the pairs, and judge covariances as is asked for now, or was asked for live.
+
+    What can't be judged, and was asked for live, is a warning: the errors are what counts.
+    """
+    covariances = _covariances_of(live or {})
+    if request.covariances.source != "none" or covariances.source == "none":
+        return _run(pairs, request, truth, estimate, name), []
+    try:
+        asked = dataclasses.replace(request, covariances=covariances)
+        return _run(pairs, asked, truth, estimate, name), []
+    except TrajevalError as error:
+        run = _run(pairs, request, truth, estimate, name)
+        return run, [f"the consistency test is not possible: {error}"]
+
+
+def _covariances_of(words: dict[str, Any]) -> CovarianceRequest:
+    """Return what a live run was asked to judge; older ones couldn't be asked."""
+    noise = words.get("groundtruth_noise")
+    try:
+        return CovarianceRequest(
+            words.get("source", "none"),
+            rotation_frame=words.get("rotation_frame", "world"),
+            groundtruth_noise=None if noise is None else (float(noise[0]), float(noise[1])),
+        )
+    except SettingsError as error:  # not the user's
+        raise ValueError(str(error)) from error
 
 
 def _run(

@@ -1,20 +1,16 @@
 """The pairs of a live run on disk, written as they come: a killed process loses none.
 
-A file is a sequence of chunks, each of them a head, a JSON text and rows of pairs, all
-little-endian. The head holds a magic number, the number of rows, the length of the text and the
-CRC-32 of what follows. The first text describes the run, later ones what can't be told from pairs
-(the newest counts); most are empty. A row is a stamp, int64 nanoseconds, and the states of
-groundtruth and estimate, ten float64 each: position, quaternion xyzw, velocity, NaN where there is
-none. Chunks with a magic number of their own hold the groundtruth's waypoints between pairs: a
-stamp and seven float64 each, position and quaternion. What a kill or a full disk left behind of a
-last chunk is passed over.
+A file is a sequence of chunks (`chunk_file.py`). The first text describes the run, later ones what
+can't be told from pairs (the newest counts); most are empty. A row is a stamp, int64 nanoseconds,
+and the states of groundtruth and estimate, ten float64 each: position, quaternion xyzw, velocity,
+NaN where there is none. Chunks with magic numbers of their own hold other rows: pairs with the
+estimate's covariance behind them, 36 float64 as in its message; and the groundtruth's waypoints
+between pairs, or its fixes and points in no pair, a stamp and seven float64 each, position and
+quaternion. Version 2 had no covariances.
 """
 
 from __future__ import annotations
 
-import os
-import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,30 +19,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.io.json_file import json_text, mapping_in
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.metrics.pair_steps import StampedPoses
 
-FORMAT = "trajeval-pairs/2"
+FORMAT, _BEFORE = "trajeval-pairs/3", "trajeval-pairs/2"
 SUFFIX = ".pairs"
 
-_HEAD = struct.Struct("<4sIII")
 _ROW = np.dtype([("stamp", "<i8"), ("groundtruth", "<f8", 10), ("estimate", "<f8", 10)])
+_WIDE_ROW = np.dtype([*_ROW.descr, ("covariance", "<f8", 36)])
 _WAYPOINT = np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)])
-_KINDS = {b"TEPC": _ROW, b"TEWC": _WAYPOINT}  # of chunks, by their magic numbers
-_PAIRS, _WAYPOINTS = _KINDS
-# What waits for a disk that takes no more; beyond it, pairs are lost to the file.
-_MOST_WAITING = 64 * 1024 * 1024
+# Of chunks, by their magic numbers.
+_KINDS = {b"TEPC": _ROW, b"TEVC": _WIDE_ROW, b"TEWC": _WAYPOINT}
+_PAIRS, _WIDE_PAIRS, _WAYPOINTS = _KINDS
 
 
-class PairWriter:
-    """Appends to a pair file; a disk that fails is tried again with the next chunk.
+class PairWriter(ChunkWriter):
+    """Appends to a pair file.
 
     Attributes:
-        path: The file.
-        trouble: Why the last chunks are not on disk yet; empty if they are.
         lost: Number of pairs that will never be in the file.
         why_lost: Why the last of these won't.
     """
@@ -57,20 +50,9 @@ class PairWriter:
         Raises:
             InputError: It can't be made.
         """
-        self.path = path
-        self.trouble = self.why_lost = ""
-        self.lost = 0
-        self._waiting = bytearray()
-        self._length = 0  # of the whole chunks on disk
-        try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        except OSError as error:
-            raise InputError(f"{path} can't be written: {_reason(error)}") from error
-        none = np.empty((0, 10))
-        self.append(np.empty(0, np.int64), none, none, {"format": FORMAT, **description})
-        if self.trouble:
-            os.close(self._file)
-            raise InputError(f"{path} can't be written: {self.trouble}")
+        self.lost, self.why_lost = 0, ""
+        text = json_text({"format": FORMAT, **description}).encode()
+        super().__init__(path, _PAIRS, np.empty(0, _ROW), text)
 
     def append(
         self,
@@ -79,11 +61,15 @@ class PairWriter:
         estimate: Floats,
         state: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add pairs (N,), (N, 10), (N, 10), and what else is known by now."""
-        rows = np.empty(len(stamps), dtype=_ROW)
+        """Add pairs (N,), (N, 10), (N, 10) or (N, 46), and what else is known by now."""
+        estimate, covariances = estimate[:, :10], estimate[:, 10:]
+        magic = _WIDE_PAIRS if covariances.any() else _PAIRS  # zeros say nothing
+        rows = np.empty(len(stamps), dtype=_KINDS[magic])
         rows["stamp"], rows["groundtruth"], rows["estimate"] = stamps, groundtruth, estimate
+        if magic == _WIDE_PAIRS:
+            rows["covariance"] = covariances
         text = b"" if state is None else json_text(state).encode()
-        if not self._append(_PAIRS, rows, text):
+        if not self.add(magic, rows, text):
             self.lost += len(stamps)
             self.why_lost = self.trouble
         self.write()
@@ -92,46 +78,7 @@ class PairWriter:
         """Add the groundtruth's waypoints; they are written with what comes next."""
         rows = np.empty(len(waypoints.stamps), dtype=_WAYPOINT)
         rows["stamp"], rows["pose"] = waypoints
-        self._append(_WAYPOINTS, rows)
-
-    def _append(self, magic: bytes, rows: NDArray[Any], text: bytes = b"") -> bool:
-        """Let a chunk wait for the disk; returns whether there was room."""
-        body = text + rows.tobytes()
-        if len(self._waiting) + len(body) > _MOST_WAITING:
-            return False
-        self._waiting += _HEAD.pack(magic, len(rows), len(text), zlib.crc32(body)) + body
-        return True
-
-    def close(self) -> None:
-        """Have everything on disk, and end.
-
-        Raises:
-            InputError: The disk takes no more.
-        """
-        self.write()
-        try:
-            os.fsync(self._file)
-        except OSError as error:
-            self.trouble = self.trouble or _reason(error)
-        finally:
-            os.close(self._file)
-        if self.trouble:
-            raise InputError(f"{self.path} can't be written to its end: {self.trouble}")
-
-    def write(self) -> None:
-        """Write what waits, unbuffered: what the kernel has, a kill can't take."""
-        try:
-            written = os.write(self._file, self._waiting) if self._waiting else 0
-            while written < len(self._waiting):
-                written += os.write(self._file, memoryview(self._waiting)[written:])
-        except OSError as error:
-            self.trouble = _reason(error)
-            os.ftruncate(self._file, self._length)
-            os.lseek(self._file, self._length, os.SEEK_SET)
-            return
-        self._length += written
-        self._waiting = bytearray()
-        self.trouble = ""
+        self.add(_WAYPOINTS, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +92,8 @@ class RecordedPairs:
         stamps: (N,) nanoseconds, in order of arrival.
         groundtruth: (N, 10) states.
         estimate: (N, 10) states, in the estimate's own frame.
+        covariances: (N, 6, 6) of the estimate, zeros where a message said nothing; None where none
+            said anything.
         waypoints: (M,) of the groundtruth between pairs, in order of their stamps.
         torn: Number of bytes at the end that are no whole chunk.
     """
@@ -155,6 +104,7 @@ class RecordedPairs:
     stamps: Stamps
     groundtruth: Floats
     estimate: Floats
+    covariances: Floats | None
     waypoints: StampedPoses
     torn: int
 
@@ -165,16 +115,12 @@ def read_pairs(path: Path) -> RecordedPairs:
     Raises:
         InputError: It can't be read, or is none.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} can't be read: {_reason(error)}") from error
+    chunks, torn = read_chunks(path, _KINDS)
     texts: list[dict[str, Any]] = []
     rows: list[NDArray[Any]] = []
     waypoints = [np.empty(0, _WAYPOINT)]
-    place = count = pairs_at_state = 0
-    while (chunk := _chunk(content, place)) is not None:
-        text, found, place = chunk
+    count = pairs_at_state = 0
+    for text, found in chunks:
         if found.dtype == _WAYPOINT:
             waypoints.append(found)
             continue
@@ -184,39 +130,31 @@ def read_pairs(path: Path) -> RecordedPairs:
             texts.append(text)
             pairs_at_state = count
     schema = texts[0].get("format") if texts else None
-    require_schema(
-        path, schema, FORMAT, "pair file of a live run", "evaluate a recording of the run"
+    if schema != _BEFORE:
+        require_schema(
+            path, schema, FORMAT, "pair file of a live run", "evaluate a recording of the run"
+        )
+    passed = np.concatenate(waypoints)
+    stamps, groundtruth, estimate = (
+        np.concatenate([each[name] for each in rows])
+        for name in ("stamp", "groundtruth", "estimate")
     )
-    pairs, passed = np.concatenate(rows), np.concatenate(waypoints)
+    covariances = None
+    if any(each.dtype == _WIDE_ROW for each in rows):
+        known = [
+            each["covariance"] if each.dtype == _WIDE_ROW else np.zeros((len(each), 36))
+            for each in rows
+        ]
+        covariances = np.concatenate(known).astype(np.float64).reshape(-1, 6, 6)
     passed_stamps, passed_poses = (passed[name].copy() for name in ("stamp", "pose"))
     return RecordedPairs(
         description=texts[0],
         state=texts[-1] if len(texts) > 1 else {},
         pairs_at_state=pairs_at_state,
-        stamps=pairs["stamp"].astype(np.int64),
-        groundtruth=pairs["groundtruth"].astype(np.float64),
-        estimate=pairs["estimate"].astype(np.float64),
+        stamps=stamps.astype(np.int64),
+        groundtruth=groundtruth.astype(np.float64),
+        estimate=estimate.astype(np.float64),
+        covariances=covariances,
         waypoints=StampedPoses(passed_stamps, passed_poses),
-        torn=len(content) - place,
+        torn=torn,
     )
-
-
-def _chunk(content: bytes, place: int) -> tuple[dict[str, Any], NDArray[Any], int] | None:
-    """Return text, rows and end of the chunk at a place, None if there is no whole one."""
-    if place + _HEAD.size > len(content):
-        return None
-    magic, count, length, checksum = _HEAD.unpack_from(content, place)
-    begin = place + _HEAD.size
-    if (kind := _KINDS.get(magic)) is None:
-        return None
-    end = begin + length + count * kind.itemsize
-    if end > len(content) or zlib.crc32(content[begin:end]) != checksum:
-        return None
-    text = mapping_in(content[begin : begin + length]) if length else {}
-    if text is None:
-        return None
-    return text, np.frombuffer(content, kind, count, begin + length), end
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()

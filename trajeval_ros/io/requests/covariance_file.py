@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.joint_covariance import BLOCKS, JointCovariance
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations_jointly
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.io.writing import write_whole
@@ -72,20 +73,21 @@ def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
         name for name in ("stamps_ns", "positions", "quaternions", "block") if name not in arrays
     ]
     if missing:
-        raise InputError(f"the joint covariance lacks {', '.join(missing)}")
+        raise InputError(f"the joint covariance has no {', '.join(missing)}")
     for name in set(arrays) - {"block", "perturbation", "gauge"}:
         if arrays[name].dtype.kind not in "iuf":
-            raise InputError(f"the joint covariance's {name} holds no numbers")
+            raise InputError(f"the joint covariance's {name} has no numbers")
         if name in ("cov", "info") and arrays[name].ndim != 2:
-            raise InputError(f"the joint covariance's {name} is no matrix")
+            raise InputError(f"the joint covariance's {name} is not a matrix")
     stamps = np.asarray(arrays["stamps_ns"], dtype=np.int64).ravel()
     positions = np.asarray(arrays["positions"], dtype=np.float64)
     quaternions = np.asarray(arrays["quaternions"], dtype=np.float64)
     count = len(stamps)
     if positions.shape != (count, 3) or quaternions.shape != (count, 4) or not count:
         raise InputError(
-            f"the joint covariance has {count} stamps, positions of shape {positions.shape} and "
-            f"quaternions of shape {quaternions.shape}; they must be as many"
+            f"the joint covariance has {counted(count, 'timestamp')}, positions of shape "
+            f"{positions.shape} and quaternions of shape {quaternions.shape}; their numbers "
+            "must be equal"
         )
     block = BLOCKS.get(_word(arrays, "block", tuple(BLOCKS)))
     assert block is not None
@@ -126,7 +128,7 @@ def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr
         matrix.check_format(full_check=True)  # else wrong indices read what isn't theirs
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"info_data, info_indices and info_indptr are no {size} x {size} matrix in compressed "
-            "rows"
+            f"info_data, info_indices and info_indptr are not a {size} x {size} matrix in CSR "
+            "format"
         ) from error
     return matrix

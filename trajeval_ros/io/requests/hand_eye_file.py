@@ -34,7 +34,7 @@ def read_hand_eye(path: Path) -> HandEye:
         InputError: The file can't be read, or is no transform.
     """
     message = read_mapping(path, _WHAT)
-    return _transform(message, path)
+    return hand_eye_of(message, str(path))
 
 
 def read_similarity(path: Path) -> Similarity:
@@ -46,13 +46,18 @@ def read_similarity(path: Path) -> Similarity:
     message = read_mapping(path, _WHAT)
     scale = message.pop("scale", 1.0)
     if type(scale) not in (int, float) or not 0.0 < scale <= LARGEST:
-        raise InputError(f"{path}: scale must be a number above zero, not {scale!r}")
-    rigid = _transform(message, path)
+        raise InputError(f"{path}: scale must be a number greater than zero, not {scale!r}")
+    rigid = hand_eye_of(message, str(path))
     return Similarity(lie.to_matrix(rigid.rotation_xyzw), rigid.lever_m, float(scale))
 
 
-def _transform(message: dict[str, Any], path: Path) -> HandEye:
-    require_known(message, ("header", "child_frame_id", "transform"), str(path))
+def hand_eye_of(message: dict[str, Any], path: str) -> HandEye:
+    """Return T_B_M from the values of such a file.
+
+    Raises:
+        InputError: They are no transform; says so of `path`.
+    """
+    require_known(message, ("header", "child_frame_id", "transform"), path)
     header = _mapping(message.get("header", {}), f"{path}: header")
     require_known(header, ("stamp", "frame_id", "seq"), f"{path}: header")
     transform = _mapping(message.get("transform"), f"{path}: transform")
@@ -62,7 +67,7 @@ def _transform(message: dict[str, Any], path: Path) -> HandEye:
     length = float(np.linalg.norm(quaternion))
     if abs(length - 1.0) > _UNIT:
         raise InputError(
-            f"{path}: transform.rotation has length {length:.3g}, so it is no unit quaternion; "
+            f"{path}: transform.rotation has length {length:.3g} and is not a unit quaternion; "
             "give x, y, z, w"
         )
     return HandEye(
@@ -88,7 +93,7 @@ def hand_eye_json(hand_eye: HandEye) -> dict[str, Any]:
 def _mapping(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputError(
-            f"{where} is missing or no mapping; write it as in a geometry_msgs/TransformStamped"
+            f"{where} is missing or not a mapping; write it as in geometry_msgs/TransformStamped"
         )
     return value
 

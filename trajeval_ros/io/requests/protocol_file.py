@@ -11,7 +11,8 @@
     lengths: [40, 60, 80]              # metres; or [1s, 5s], [10%], none
     selection: {rule: nearest, every: 1, pairs: all, path: groundtruth, tolerance: 0.1}
     lever_m: [0.059, -0.00855, 0.1964]
-    score: {bounds_m: [0.01, 0.1], points: [10, 1], best: 100}
+    score: {bounds_m: [0.01, 0.1], points: [10, 1], best: 100, dimensions: 3}   # or knots_m
+    recall: {bounds_m: [1, 5], dimensions: 2}
 
 Whatever is left out is as in `base`.
 """
@@ -28,7 +29,7 @@ from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.score import PointTable
+from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 from trajeval_ros.metrics.settings import parse_states, protocol_named
 from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
 
@@ -37,7 +38,7 @@ _WORDS = ("align_with", "apply", "align_weights", "ate_form", "re_form", "nees_f
 _KNOWN = (
     *("base", "gauge", "modality", "align_states", "association", "in_order", "lengths"),
     *_WORDS,
-    *("selection", "lever_m", "score"),
+    *("selection", "lever_m", "score", "recall"),
 )
 
 
@@ -88,6 +89,8 @@ def _protocol(found: Mapping[str, Any], name: str) -> Protocol:
         changes["lever_m"] = None if lever is None else _numbers(lever, "lever_m", 3)
     if "score" in found:
         changes["score"] = _score(found["score"])
+    if "recall" in found:
+        changes["recall"] = _recall(found["recall"])
     return dataclasses.replace(base, **changes)
 
 
@@ -110,17 +113,29 @@ def _replaced(
     return dataclasses.replace(base, **found)
 
 
-def _score(found: Any) -> PointTable | None:
+def _score(found: Any) -> PointTable | KnotTable | None:
     if found is None:
         return None
     if not isinstance(found, dict):
         raise SettingsError(f"score must be a mapping, not {found!r}")
-    require_known(found, ("bounds_m", "points", "best"), "score")
+    require_known(found, ("bounds_m", "knots_m", "points", "best", "dimensions"), "score")
     (best,) = _numbers([found.get("best", 100.0)], "score.best", 1)
-    bounds_m, points = (
-        _numbers(found.get(name), f"score.{name}") for name in ("bounds_m", "points")
-    )
-    return PointTable(bounds_m, points, best)
+    table, places = (KnotTable, "knots_m") if "knots_m" in found else (PointTable, "bounds_m")
+    where, points = (_numbers(found.get(name), f"score.{name}") for name in (places, "points"))
+    return table(where, points, best, _dimensions(found))
+
+
+def _recall(found: Any) -> RecallRule | None:
+    if found is None:
+        return None
+    if not isinstance(found, dict):
+        raise SettingsError(f"recall must be a mapping, not {found!r}")
+    require_known(found, ("bounds_m", "dimensions"), "recall")
+    return RecallRule(_numbers(found.get("bounds_m"), "recall.bounds_m"), _dimensions(found))
+
+
+def _dimensions(found: Mapping[str, Any]) -> int:
+    return int(_numbers([found.get("dimensions", 3)], "dimensions", 1)[0])
 
 
 def _numbers(value: Any, where: str, count: int | None = None) -> Any:

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.geodesy import parse_datum
+from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.io.requests.protocol_file import is_protocol_file, read_protocol
+from trajeval_ros.io.sources import parse_source
 from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.metrics.states_table import FirstStates, parse_first_states
-from trajeval_ros.pipeline import Request
+from trajeval_ros.pipeline.request import Request
 
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.integrity import IntegrityRequest
+    from trajeval_ros.watchdog.limits import WatchLimits
+
+_LONGEST_LEVER_M = 1e3
 AUTO, NONE, MESSAGE = "auto", "none", "message"
 
 # The words, and what their values are. `_` stands where the command line has `-`.
@@ -31,6 +42,12 @@ WORDS: dict[str, type] = {
     "max_time_difference": float,
     "max_gap": float,
     "time_offset": str,
+    "lever_arm": str,
+    "align_weights": str,
+    "datum": str,
+    "min_fix_status": int,
+    "max_fix_sigma": float,
+    "fix_correlation": float,
     "hand_eye": str,
     "continuous_model": str,
     "groundtruth_noise": str,
@@ -40,9 +57,18 @@ WORDS: dict[str, type] = {
     "re_form": str,
     "covariance": str,
     "rotation_covariance_frame": str,
+    "integrity": bool,
+    "alert_limit": str,
+    "risk": float,
     "up": str,
     "start": str,
     "end": str,
+    "groundtruth_scale": float,
+    "estimate_scale": float,
+    "quaternion_order": str,
+    "inverse": str,
+    "estimate_axes": str,
+    "clock_rate": float,
 }
 
 
@@ -50,7 +76,8 @@ def request_from(words: Mapping[str, Any]) -> Request:
     """Return what words ask for; a word that is missing or None leaves the protocol's setting.
 
     Args:
-        words: By the names of `WORDS`, as texts that the command line takes.
+        words: By the names of `WORDS`, as texts that the command line takes,
+            and `watch_limits` (a path), `swap` and `fix`, which are of a single pair.
 
     Raises:
         SettingsError: Words that mean nothing, or nothing together.
@@ -63,23 +90,37 @@ def request_from(words: Mapping[str, Any]) -> Request:
     noise = None if noise is None else parse_noise(noise)
     covariance = given.pop("covariance", NONE)
     frame = given.pop("rotation_covariance_frame", "world")
+    lever = given.pop("lever_arm", None)
+    if lever is not None and (calibration.hand_eye or calibration.known is not None):
+        raise SettingsError("--lever-arm and --hand-eye exclude each other; give one of them")
+    fixes = _fix_rule(given)
+    integrity = _integrity(
+        given.pop("integrity", False), given.pop("alert_limit", None), given.pop("risk", None)
+    )
+    watch_limits = given.pop("watch_limits", None)
     up = given.pop("up", None)
+    fix = given.pop("fix", "")
+    mends = Mends.of(given)
+    for each in dataclasses.fields(mends):
+        given.pop(each.name, None)
     time_span = TimeSpan.parse(given.pop("start", None), given.pop("end", None))
     table: tuple[FirstStates, ...] = ()
     if any(mark in str(given.get("align_states", "")) for mark in ",%"):
         table = parse_first_states(given.pop("align_states"))
     name = given.pop("protocol", "default")
+    gauge_is_default = name == "default" and not given.keys() & {"gauge", "modality"}
     protocol = protocol_from(
         read_protocol(Path(name)) if is_protocol_file(name) else name,
         time_offset=None if offset == AUTO else _seconds(offset),
         groundtruth_noise=noise,
+        lever_m=None if lever is None else parse_lever(lever),
         **given,
     )
     continuous = protocol.association.method == "continuous"
     if noise is not None and covariance == NONE and not continuous:
         raise SettingsError(
-            "--groundtruth-noise is for likelihoods and for the consistency of covariances; "
-            "add --covariance message, --covariance FILE.npz or --association continuous"
+            "--groundtruth-noise needs a consistency test or likelihoods; add --covariance "
+            "message, --covariance FILE.npz or --association continuous"
         )
     covariances = _covariances(covariance, frame, None if continuous else noise)
     return Request(
@@ -89,16 +130,108 @@ def request_from(words: Mapping[str, Any]) -> Request:
         time_span=time_span,
         up=None if up is None else parse_up(up),
         states_table=table,
+        mends=mends,
+        fix=fix,
+        integrity=integrity,
+        watch_limits=None if watch_limits is None else _limits(watch_limits),
+        fixes=fixes,
+        gauge_is_default=gauge_is_default,
     )
+
+
+def _limits(path: Path) -> WatchLimits:
+    from trajeval_ros.io.requests.limits_file import read_limits
+
+    return read_limits(path)
+
+
+def _fix_rule(given: dict[str, Any]) -> FixRule:
+    """Take the words about GNSS fixes out of those that are given."""
+    datum = given.pop("datum", None)
+    words = {"min_status": "min_fix_status", "max_sigma_m": "max_fix_sigma"}
+    words["correlation_s"] = "fix_correlation"
+    return FixRule(
+        datum=None if datum is None else parse_datum(datum),
+        **{name: given.pop(word) for name, word in words.items() if word in given},
+    )
+
+
+def parse_lever(text: str) -> tuple[float, float, float]:
+    """Read "0.4,0.2,1.0": metres along the axes of the estimate's body.
+
+    Raises:
+        SettingsError: It isn't three numbers.
+    """
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not all(abs(each) < _LONGEST_LEVER_M for each in (x, y, z)):
+        raise SettingsError(
+            f"the lever arm {text!r} is not valid; give metres in the body frame, as in "
+            "--lever-arm 0.4,0.2,1.0"
+        )
+    return x, y, z
+
+
+def _integrity(
+    wanted: bool, alert_limit: str | None, risk: float | None
+) -> IntegrityRequest | None:
+    if not wanted:
+        if alert_limit is not None or risk is not None:
+            raise SettingsError("--alert-limit and --risk need --integrity; add it")
+        return None
+    if alert_limit is None:
+        raise SettingsError(
+            "--integrity needs an alert limit; give metres, as in --alert-limit 0.5, or metres "
+            "and degrees for the heading, as in --alert-limit 0.5,2"
+        )
+    return integrity_request(alert_limit, risk)
+
+
+def integrity_request(alert_limit: str, risk: float | None) -> IntegrityRequest:
+    """Return alert limits as they are written, metres and perhaps degrees, and a risk.
+
+    Raises:
+        SettingsError: They mean nothing.
+    """
+    from trajeval_ros.consistency.integrity import DEFAULT_RISK, IntegrityRequest
+
+    try:
+        metres, *degrees = (float(part) for part in alert_limit.split(","))
+        if len(degrees) > 1:
+            raise ValueError(alert_limit)
+    except ValueError:
+        raise SettingsError(
+            f"the alert limit {alert_limit!r} is not valid; give metres, and degrees for the "
+            "heading, as in 0.5,2"
+        ) from None
+    heading = degrees[0] if degrees else None
+    return IntegrityRequest(metres, heading, DEFAULT_RISK if risk is None else risk)
 
 
 def _calibration(time_offset: str | None, hand_eye: str) -> CalibrationRequest:
     offset = time_offset == AUTO
     if hand_eye in (NONE, AUTO):
         return CalibrationRequest(offset=offset, hand_eye=hand_eye == AUTO)
+    return CalibrationRequest(offset=offset, known=known_hand_eye(hand_eye), source=hand_eye)
+
+
+def known_hand_eye(text: str) -> HandEye:
+    """Read T_B_M from a file, or from BAG:/tf_static:BODY.MARKER.
+
+    Raises:
+        InputError: It can't be read, or is no transform.
+    """
+    if text.count(":") >= 2 and not Path(text).exists():
+        from trajeval_ros.io.bags.topics import read_hand_eye_of_bag
+
+        source = parse_source(text)
+        if source.frames is not None:
+            return read_hand_eye_of_bag(source.path, source.topic, source.frames)
     from trajeval_ros.io.requests.hand_eye_file import read_hand_eye
 
-    return CalibrationRequest(offset=offset, known=read_hand_eye(Path(hand_eye)), source=hand_eye)
+    return read_hand_eye(Path(text))
 
 
 def _seconds(text: str | float | None) -> float | None:
@@ -133,8 +266,8 @@ def parse_up(text: str) -> tuple[str, str]:
     axes = [each.strip() for each in text.split(",")]
     if len(axes) > 2:
         raise SettingsError(
-            f"can't read the up axes {text!r}; write one of {', '.join(UP_AXES)}, or the "
-            "groundtruth's and the estimates', as in --up=-y,z"
+            f"the vertical axes {text!r} are not valid; give one of {', '.join(UP_AXES)}, or one "
+            "for the groundtruth and one for the estimates, as in --up=-y,z"
         )
     return UpAxis(axes[0]).name, UpAxis(axes[-1]).name
 
@@ -151,12 +284,12 @@ def parse_noise(text: str) -> tuple[float, float]:
         position_m = rotation_deg = math.nan
     if min(position_m, rotation_deg) <= 0.0:
         raise SettingsError(
-            f"the groundtruth noise must be above zero, not {text}: against groundtruth that is "
-            "exactly right, every error is infinitely unlikely"
+            f"the groundtruth noise must be greater than zero, not {text}; give standard "
+            "deviations in metres and degrees"
         )
     if not (position_m < math.inf and rotation_deg < math.inf):
         raise SettingsError(
-            f"can't read the groundtruth noise {text!r}; write standard deviations in metres and "
-            "degrees, as in --groundtruth-noise 0.002,0.1"
+            f"the groundtruth noise {text!r} is not valid; give standard deviations in metres "
+            "and degrees, as in --groundtruth-noise 0.002,0.1"
         )
     return position_m, rotation_deg

@@ -1,66 +1,65 @@
-"""errors.npz: the errors of every pair and every sub-trajectory, as columns."""
+"""The errors of every pair as files: errors.npz, and errors.parquet where pyarrow is."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from trajeval_ros.io.npz_file import write_arrays
-from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
-from trajeval_ros.pipeline import RunOutcome
-
-if TYPE_CHECKING:  # it imports scipy.stats
-    from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.io.results.pair_columns import columns_of, component_columns, pair_columns
+from trajeval_ros.metrics.columns import have_pyarrow, write_parquet
+from trajeval_ros.pipeline.outcome import Outcome
 
 SCHEMA = "trajeval-errors/1"
+TABLE_SCHEMA = "trajeval-error-table/1"
+ARCHIVE, TABLE = "errors.npz", "errors.parquet"
 
 
-def write_errors(path: Path, runs: Sequence[RunOutcome]) -> None:
-    """Write stamps and errors of every pair and sub-trajectory, run by run, as an npz archive.
+def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
+    """Return what writes each file of errors, by the file's name; no table without pyarrow."""
+    files = {ARCHIVE: write_errors}
+    if have_pyarrow():
+        files[TABLE] = write_error_table
+    return {name: partial(write, outcome=outcome) for name, write in files.items()}
 
-    Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs, and
+
+def write_errors(path: Path, outcome: Outcome) -> None:
+    """Write what is known of every pair and sub-trajectory, run by run, as an npz archive.
+
+    Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs (`pair_columns`), and
     `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
-    Where consistency was asked for, `NAME.consistency.errors` and `.sigmas` (N, 6), `.nees`,
-    `.position_nees` and `.rotation_nees` (N,); where groundtruth was continuous,
-    `NAME.probabilistic.residuals` and others. `schema` names this layout.
+    `NAME.probabilistic.edges` are between two pairs. `schema` names this layout.
     """
     arrays: dict[str, Any] = {"schema": SCHEMA}
-    for run in runs:
-        name, evaluation = run.estimate.name, run.evaluation
-        arrays[f"{name}.stamps"] = evaluation.association.estimate.stamps
-        arrays |= _columns(name, evaluation.absolute)
-        if run.consistency is not None:
-            arrays |= {
-                f"{name}.consistency.{column}": values
-                for column, values in _consistency_columns(run.consistency).items()
-            }
-        if run.likelihood is not None:
-            arrays |= {
-                f"{name}.probabilistic.{column}": values
-                for column, values in probabilistic_columns(run.likelihood).items()
-            }
-        for segment in evaluation.segments or ():
-            arrays |= _columns(f"{name}.{segment.length}", segment.errors)
-    write_arrays(path, arrays)
+    for run in outcome.runs:
+        name = run.estimate.name
+        columns = pair_columns(run, outcome.groundtruth.up)
+        arrays |= {f"{name}.{column}": values for column, values in columns.items()}
+        if run.likelihood is not None and run.likelihood.edges is not None:
+            arrays[f"{name}.probabilistic.edges"] = run.likelihood.edges.edges
+        for segment in run.evaluation.segments or ():
+            errors = columns_of(segment.errors)
+            arrays |= {f"{name}.{segment.length}.{key}": each for key, each in errors.items()}
+    # Digits of errors hardly compress: it would take half of a long run's time, to save a fifth.
+    write_arrays(path, arrays, compressed=False)
 
 
-def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
-    columns: dict[str, Any] = {"errors": consistency.errors}
-    if consistency.pose_nees is not None:
-        columns |= {
-            "sigmas": consistency.sigmas,
-            "nees": consistency.pose_nees.pose,
-            "position_nees": consistency.pose_nees.position,
-            "rotation_nees": consistency.pose_nees.rotation,
-        }
-    return columns
+def write_error_table(path: Path, outcome: Outcome) -> None:
+    """Write a Parquet table with a row for each pair of each run.
 
+    Columns are `estimate`, the run's name, and `pair_columns` component by component; null where
+    a run has no such column. `trajeval.schema` in the metadata names this layout.
 
-def _columns(prefix: str, errors: Any) -> dict[str, Any]:
-    return {
-        f"{prefix}.{field.name}": column
-        for field in dataclasses.fields(errors)
-        if (column := getattr(errors, field.name)) is not None
-    }
+    Raises:
+        InputError: pyarrow can't be used.
+    """
+    tables = []
+    for run in outcome.runs:
+        columns = component_columns(pair_columns(run, outcome.groundtruth.up))
+        names = np.full(len(columns["stamps"]), run.estimate.name)
+        tables.append({"estimate": names, **columns})
+    write_parquet(path, tables, {"trajeval.schema": TABLE_SCHEMA})

@@ -46,17 +46,14 @@ def probabilistic_json(assessment: Assessment) -> dict[str, Any]:
 
 
 def probabilistic_columns(assessment: Assessment) -> dict[str, Any]:
-    """Return its columns by name: a value for each pair, of `edges` for each step between two."""
+    """Return its columns by name, a row for each pair."""
     error = assessment.error
-    columns = {
+    return {
         "residuals": error.residuals.at(error.mode.element),
         "mahalanobis2": error.mahalanobis2,
         "sigmas": np.sqrt(np.einsum("nii->ni", error.residuals.covariances)),
         "supported": assessment.ate.supported,
     }
-    if assessment.edges is not None:
-        columns["edges"] = assessment.edges.edges
-    return columns
 
 
 def _noise(position_m: float, rotation_rad: float) -> dict[str, float]:

@@ -40,7 +40,8 @@ class Requirement:
             return cls(match[1], match[2], float(match[3]))
         except ValueError:
             raise SettingsError(
-                f"can't read the requirement {text!r}; write it as 'ate.position_m.rmse < 0.3'"
+                f"the requirement {text!r} is not valid; write it as in 'ate.position_m.rmse < "
+                "0.3'"
             ) from None
 
     def __str__(self) -> str:
@@ -63,13 +64,13 @@ class Requirement:
                 break
             value = self._step(value, key, lengths)
         if value is None:
-            return f"{self} can't hold: {self.path} was not computed"
+            return f"{self} not met: {self.path} was not computed"
         if isinstance(value, bool) or not isinstance(value, int | float):
             keys = f"; add one of {', '.join(value)}" if isinstance(value, Mapping) else ""
-            raise SettingsError(f"{self.path} is no number{keys}")
+            raise SettingsError(f"{self.path} is not a number{keys}")
         if _COMPARISONS[self.comparison](value, self.bound):
             return ""
-        return f"{self} does not hold: it is {value:.6g}"
+        return f"{self} not met: {value:.6g}"
 
     def _step(self, value: Any, key: str, lengths: Sequence[str]) -> Any:
         known = value

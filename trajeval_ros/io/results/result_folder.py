@@ -1,18 +1,20 @@
-"""The files of an outcome: result.json and errors.npz."""
+"""The files of an outcome: result.json, errors.npz, errors.parquet."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.results.error_archive import write_errors
+from trajeval_ros.io.results.error_archive import TABLE, error_files
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.writing import refused_by_disk, write_text, write_whole
-from trajeval_ros.pipeline import Outcome
+from trajeval_ros.pipeline.outcome import Outcome
 
 
 def write_result(outcome: Outcome, folder: str | Path) -> Path:
-    """Write result.json (docs/result.md) and errors.npz, each whole or not at all.
+    """Write result.json, errors.npz and, with pyarrow, errors.parquet (docs/result.md).
+
+    Each is written whole or not at all.
 
     Args:
         outcome: What `run` returned.
@@ -37,6 +39,8 @@ def write_result(outcome: Outcome, folder: str | Path) -> Path:
     folder = Path(folder)
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / "errors.npz", lambda path: write_errors(path, outcome.runs))
+        (folder / TABLE).unlink(missing_ok=True)  # of another outcome, where pyarrow was
+    for name, write in error_files(outcome).items():
+        write_whole(folder / name, write)
     write_text(folder / "result.json", json_text(result_of(outcome), indent=2))
     return folder / "result.json"

@@ -13,10 +13,12 @@ from trajeval_ros import __version__
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.io.results.calibration_json import calibration_json
+from trajeval_ros.io.results.diagnosis_json import diagnosis_json, mended_json
+from trajeval_ros.io.results.integrity_json import integrity_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.pipeline import Outcome, RunOutcome
+from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.result import Consistency
@@ -28,6 +30,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
     """Return the result of evaluating one or more estimates against one groundtruth."""
     groundtruth, runs = outcome.groundtruth, outcome.runs
     protocol, time_span = runs[0].evaluation.protocol, outcome.request.time_span
+    mends = outcome.request.mends
     inputs = {
         each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
     }
@@ -41,6 +44,8 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "frame": groundtruth.frame,
             "child_frame": groundtruth.child_frame,
             "up": dataclasses.asdict(groundtruth.up),
+            "kind": groundtruth.kind,
+            "fixes": groundtruth.fixes and dataclasses.asdict(groundtruth.fixes),
             "notes": list(groundtruth.notes),
         },
         "runs": [_run(run, groundtruth.up) for run in runs],
@@ -57,6 +62,8 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
                 "selection": dataclasses.asdict(protocol.selection),
                 "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
                 "time_span": None if time_span is None else dataclasses.asdict(time_span),
+                "mends": dataclasses.asdict(mends) if mends.anything else None,
+                "fix": outcome.request.fix or None,
             },
             "inputs": inputs,
         },
@@ -118,6 +125,7 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
             "form": protocol.ate_form,
             **{metric: statistics_json(value) for metric, value in evaluation.ate.items()},
         },
+        "own_error": run.own_error and dataclasses.asdict(run.own_error),
         "re": None
         if evaluation.segments is None
         else {
@@ -126,9 +134,13 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
         "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
+        "recall": evaluation.recall and dataclasses.asdict(evaluation.recall),
         "calibration": None if run.calibrated is None else calibration_json(run.calibrated),
         "consistency": None if run.consistency is None else _consistency(run.consistency),
+        "integrity": None if run.integrity is None else integrity_json(run.integrity),
         "probabilistic": None if run.likelihood is None else probabilistic_json(run.likelihood),
+        "diagnosis": diagnosis_json(run.diagnosis),
+        "mended": mended_json(run.mended),
         "live": run.live,
         "warnings": list(evaluation.warnings),
     }
@@ -140,7 +152,7 @@ def _segment(segment: SubTrajectoryErrors) -> dict[str, Any]:
     }
     return {
         **{name: size for name, size in sizes.items() if size is not None},
-        "pairs": len(segment.errors.ends),
+        "pairs": segment.count,
         "mean_length_m": segment.mean_length_m,
         **{metric: statistics_json(value) for metric, value in segment.statistics.items()},
     }

@@ -13,17 +13,30 @@ are left to numpy's own conversion, which is slower and knows all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.io.text.stamps import POWERS_OF_TEN, ExactNumbers, billionths, exact_numbers
+from trajeval_ros.io.text.stamps import (
+    POWERS_OF_TEN,
+    ExactNumbers,
+    billionths,
+    exact_dates,
+    exact_numbers,
+)
+from trajeval_ros.io.text.tokens import (
+    Bytes,
+    RowError,
+    Tokens,
+    WordError,
+    characters_of,
+    line_of,
+    tokenize,
+    tokenize_fields,
+)
 
-Bytes = NDArray[np.uint8]
-
-_LONGEST_NUMBER = 400  # characters; nobody writes longer ones, and memory has an end
-_PADDING = b" " * _LONGEST_NUMBER  # so that words that reach beyond a number end in the block
 _MOST_DIGITS = 19  # of an integer that surely fits uint64
 _FLOAT_POWERS: Floats = POWERS_OF_TEN.astype(np.float64)
 # From this whole part on, `whole * 10**places + fraction` may be 2**53 or more.
@@ -34,24 +47,32 @@ _DIGIT_MASKS = np.array(
 )
 
 
-class RowError(ValueError):
-    """A row that can't be read: the index of its line in the block, and what is wrong with it."""
+@dataclass(frozen=True)
+class RowFormat:
+    """What the rows of a file are made of.
 
-    def __init__(self, line: int, reason: str) -> None:
-        """Remember the line, which the caller turns into a number within the file."""
-        super().__init__(reason)
-        self.line = line
-        self.reason = reason
+    Attributes:
+        columns: Number of columns.
+        time: Index of the column with stamps, or None.
+        values: Indices of the columns with the numbers that are wanted.
+        separator: As `Layout.separator`.
+        dates: Whether the stamps are calendar dates.
+        names: Of the columns, for messages.
+    """
 
+    columns: int
+    time: int | None
+    values: tuple[int, ...]
+    separator: str = ""
+    dates: bool = False
+    names: tuple[str, ...] = ()
 
-class WordError(ValueError):
-    """Something that is not a number: the index of its first character, and what it is."""
-
-    def __init__(self, start: int, reason: str) -> None:
-        """Remember where it is."""
-        super().__init__(reason)
-        self.start = start
-        self.reason = reason
+    @cached_property
+    def pick(self) -> slice | list[int]:
+        """What picks the values' columns; a slice if it can, since it is fast."""
+        if self.values == tuple(range(self.values[0], self.values[-1] + 1)):
+            return slice(self.values[0], self.values[-1] + 1)
+        return list(self.values)
 
 
 @dataclass(frozen=True)
@@ -61,7 +82,7 @@ class ParsedRows:
     Attributes:
         stamps: The N numbers of the time column, exactly; None if there is no such column.
         timed: (N,) bool, whether the stamp is a finite number.
-        values: (N, M) of the columns after it.
+        values: (N, M) of the columns that are wanted.
     """
 
     stamps: ExactNumbers | None
@@ -69,112 +90,32 @@ class ParsedRows:
     values: Floats
 
 
-@dataclass(frozen=True)
-class _Tokens:
-    """Where numbers begin and end.
-
-    Attributes:
-        text: (bytes,) of the padded block.
-        starts: Index of the first character, (N,) or (N, columns).
-        ends: Index after the last character.
-        dots: Index of the decimal point, or of the end if there is none; None if some number of
-            the block is more than digits with a sign and a point.
-    """
-
-    text: Bytes
-    starts: Indices
-    ends: Indices
-    dots: Indices | None
-
-    def __getitem__(self, pick: Indices | tuple[slice, slice | int]) -> _Tokens:
-        """Return some of the numbers, in one row."""
-        return _Tokens(
-            self.text,
-            np.ravel(self.starts[pick]),
-            np.ravel(self.ends[pick]),
-            None if self.dots is None else np.ravel(self.dots[pick]),
-        )
-
-
-def parse_rows(block: bytes, columns: int, time_column: int | None) -> ParsedRows:
-    """Read a block of whole lines with `columns` numbers each; empty lines are skipped.
-
-    Spaces, tabs, commas and semicolons separate numbers, alone or in groups.
+def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
+    """Read a block of whole lines; empty lines are skipped.
 
     Raises:
         RowError: A line has another number of columns, or something that is not a number.
     """
-    tokens = _tokenize(block, columns)
-    first = 0 if time_column is None else time_column + 1
+    if rows.separator:
+        tokens = tokenize_fields(block, rows.columns, rows.separator)
+    else:
+        tokens = tokenize(block, rows.columns)
     stamps, timed = None, np.ones(len(tokens.starts), dtype=bool)
+    every = slice(None)
     try:
-        values = _parse_numbers(tokens[:, first:]).reshape(len(timed), columns - first)
-        if time_column is not None:
-            stamps, timed = _parse_stamps(tokens[:, time_column])
+        values = np.empty((len(timed), 0))
+        if rows.values:
+            values = _parse_numbers(tokens[every, rows.pick]).reshape(len(timed), -1)
+        if rows.time is not None:
+            parse = _parse_dates if rows.dates else _parse_stamps
+            stamps, timed = parse(tokens[every, rows.time])
     except WordError as error:
-        raise RowError(_line_of(tokens, error.start), error.reason) from None
+        column = int(np.argwhere(tokens.starts == error.start)[0, 1])
+        named = f" ({rows.names[column]})" if rows.names else ""
+        raise RowError(
+            line_of(tokens, error.start), f"{error.reason}, in column {column + 1}{named}"
+        ) from None
     return ParsedRows(stamps, timed, values)
-
-
-def _tokenize(block: bytes, columns: int) -> _Tokens:
-    """Find the numbers of all lines and their decimal points."""
-    if b"\0" in block:
-        line = block.count(b"\n", 0, block.index(b"\0"))
-        raise RowError(line, "has zero bytes, as a crash leaves them behind")
-    text = np.frombuffer(b"".join((_PADDING, block, b"\n", _PADDING)), dtype=np.uint8)
-    separates = text <= ord(" ")
-    for separator in b",;":
-        if separator in block:
-            separates |= text == separator
-    edges = np.flatnonzero(separates[1:] != separates[:-1])
-    edges += 1
-    starts, ends = edges[0::2], edges[1::2]
-    _check_lines(text, starts, ends, columns)
-
-    dots = np.flatnonzero(text == ord("."))
-    first = text[starts]
-    signs = np.count_nonzero((first == ord("-")) | (first == ord("+")))
-    others = np.count_nonzero(text < ord("0")) - np.count_nonzero(separates)
-    plain = text.max() <= ord("9") and others == signs + len(dots)
-    dot_of_each = _dot_of_each(starts, ends, dots) if plain else None
-    shape = (-1, columns)
-    return _Tokens(
-        text,
-        starts.reshape(shape),
-        ends.reshape(shape),
-        None if dot_of_each is None else dot_of_each.reshape(shape),
-    )
-
-
-def _check_lines(text: Bytes, starts: Indices, ends: Indices, columns: int) -> None:
-    """Raise RowError unless each line has `columns` numbers, or none."""
-    is_newline = text == ord("\n")
-    last_ends = ends[columns - 1 :: columns]
-    if (
-        len(last_ends) * columns == len(starts)
-        and is_newline[last_ends].all()
-        and np.count_nonzero(is_newline) == len(last_ends) + 1  # one was appended
-    ):
-        return
-    newlines = np.flatnonzero(is_newline)
-    per_line = np.diff(np.searchsorted(starts, newlines), prepend=0)
-    wrong = np.flatnonzero((per_line != columns) & (per_line != 0))
-    if len(wrong):
-        line = int(wrong[0])
-        count = int(per_line[line])
-        raise RowError(line, f"has {count} column{'s' if count > 1 else ''} instead of {columns}")
-
-
-def _dot_of_each(starts: Indices, ends: Indices, dots: Indices) -> Indices | None:
-    """Return the index of each number's point, or its end; None if one has two points."""
-    if len(dots) == len(starts) and ((starts <= dots) & (dots < ends)).all():
-        return dots
-    owners = np.searchsorted(ends, dots, side="right")
-    if (np.diff(owners) == 0).any():
-        return None
-    dot_of_each = ends.copy()
-    dot_of_each[owners] = dots
-    return dot_of_each
 
 
 @dataclass(frozen=True)
@@ -190,7 +131,7 @@ class _Decimals:
     places: Indices
 
 
-def _parse_decimals(tokens: _Tokens) -> _Decimals | None:
+def _parse_decimals(tokens: Tokens) -> _Decimals | None:
     """Return the parts of the numbers; None if one needs a more general way of reading."""
     if tokens.dots is None:
         return None
@@ -210,7 +151,7 @@ def _parse_decimals(tokens: _Tokens) -> _Decimals | None:
     return _Decimals(negative, whole, fraction, places)
 
 
-def _parse_numbers(tokens: _Tokens) -> Floats:
+def _parse_numbers(tokens: Tokens) -> Floats:
     """Return the numbers (N,) as `float` reads them."""
     parts = _parse_decimals(tokens)
     if parts is None:
@@ -225,13 +166,35 @@ def _parse_numbers(tokens: _Tokens) -> Floats:
     return numbers
 
 
-def _parse_stamps(tokens: _Tokens) -> tuple[ExactNumbers, Booleans]:
+def _parse_stamps(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
     """Return the numbers (N,) exactly, and which of them are finite."""
     parts = _parse_decimals(tokens)
     if parts is None:
-        return exact_numbers(_characters(tokens)), np.isfinite(_convert(tokens))
+        return exact_numbers(characters_of(tokens)), np.isfinite(_convert(tokens))
     stamps = ExactNumbers(parts.negative, parts.whole, billionths(parts.fraction, parts.places))
     return stamps, np.ones(len(parts.whole), dtype=bool)
+
+
+def _parse_dates(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
+    """Return calendar dates (N,) as exact seconds since 1970, and which of them are none."""
+    words = _words(tokens)
+    empty = words == b""
+    try:
+        return exact_dates(np.where(empty, b"1970-01-01", words)), ~empty
+    except ValueError:
+        for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):
+            if word and not _is_date(word):
+                shown = word[:40].decode(errors="replace")
+                raise WordError(start, f"{shown!r} is not a date (UTC)") from None
+        raise
+
+
+def _is_date(word: bytes) -> bool:
+    try:
+        exact_dates(np.array([word]))
+    except ValueError:
+        return False
+    return True
 
 
 def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uint64]:
@@ -264,21 +227,30 @@ def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uin
     return integers
 
 
-def _convert(tokens: _Tokens) -> Floats:
+def _convert(tokens: Tokens) -> Floats:
     """Return the floats (N,) that `float` makes of the numbers, whatever their form."""
-    characters = _characters(tokens)
-    words = characters.view(f"S{characters.shape[1]}").ravel()
+    words = _words(tokens)
+    missing = words == b""
+    words[missing] = b"0"
     try:
-        if (characters == ord("_")).any():  # python reads 1_000, but no writer means it
+        if (words.view(np.uint8) == ord("_")).any():  # python reads 1_000, but no writer means it
             raise ValueError
         with np.errstate(over="ignore"):  # 1e400 is infinite
-            return words.astype(np.float64)
+            numbers = words.astype(np.float64)
     except ValueError:
         for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):
             if not _is_number(word):
                 shown = word[:40].decode(errors="replace")
-                raise WordError(start, f"has {shown!r} where a number should be") from None
+                raise WordError(start, f"{shown!r} is not a number") from None
         raise
+    numbers[missing] = np.nan
+    return numbers
+
+
+def _words(tokens: Tokens) -> NDArray[np.bytes_]:
+    characters = characters_of(tokens)
+    words: NDArray[np.bytes_] = characters.view(f"S{characters.shape[1]}").ravel()
+    return words
 
 
 def _is_number(word: bytes) -> bool:
@@ -287,22 +259,3 @@ def _is_number(word: bytes) -> bool:
     except ValueError:
         return False
     return b"_" not in word
-
-
-def _characters(tokens: _Tokens) -> Bytes:
-    """Return the numbers as characters (N, width), zeros after their end."""
-    lengths = tokens.ends - tokens.starts
-    width = int(lengths.max(initial=1))
-    if width > _LONGEST_NUMBER:
-        raise WordError(int(tokens.starts[lengths.argmax()]), f"has a word of {width} characters")
-    words: NDArray[np.bytes_] = np.ndarray(
-        (len(tokens.text) - width,), dtype=f"S{width}", buffer=tokens.text.data, strides=(1,)
-    )
-    characters = words[tokens.starts].view(np.uint8).reshape(-1, width)
-    characters *= np.arange(width) < lengths[:, None]
-    return characters
-
-
-def _line_of(tokens: _Tokens, index: int) -> int:
-    """Return the line in the block, from 0, of the character with that index."""
-    return int(np.count_nonzero(tokens.text[:index] == ord("\n")))

@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.text.layouts import Layout, recognise
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.io.text.header_names import SEPARATORS, from_header, separator_of
+from trajeval_ros.io.text.layouts import (
+    DATE,
+    EXAMPLE,
+    FRAME,
+    G2O,
+    IGNORED,
+    Layout,
+    by_count,
+    layout_of,
+)
 
 COMMENT = re.compile(rb"[#%][^\n]*")
+_DATE = re.compile(rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?")
 _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows that are looked at to recognise a layout
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_GRAPH = re.compile(rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s")
+_BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", re.compile("LEFT_PERTURBATION|ROTATION_TRANSLATION")
 
 
 @dataclass(frozen=True)
@@ -22,49 +38,136 @@ class TextFormat:
 
     Attributes:
         layout: The meaning of its columns.
-        columns: Number of its columns.
         start: Offset of the first row, bytes.
+        no_row: What matches all that is no part of a row.
     """
 
     layout: Layout
-    columns: int
     start: int
+    no_row: re.Pattern[bytes] = COMMENT
+
+    @property
+    def columns(self) -> int:
+        """Number of its columns."""
+        return len(self.layout.columns)
 
 
-def recognise_text(path: Path) -> TextFormat:
+def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
     """Return the layout of a file, from its first lines.
 
+    Args:
+        path: The file.
+        named: The names of its columns, if the user gives them; they are believed.
+
     Raises:
-        InputError: It is empty, not text, or of no known layout.
+        InputError: It is empty, not text, of no known layout, or has another number of columns
+            than are named.
     """
+    if named:
+        return _as_named(path, layout_of(named))
+    graph = _graph(path)
+    if graph is not None:
+        return graph
     head = read_head(path)
     try:
-        layout = recognise(head.header, head.sample, head.commas)
+        layout = head.table or _from_header(head) or by_count(head.sample, head.commas)
     except InputError as error:
-        raise InputError(f"{path} is no trajectory that can be read: {error}") from None
-    return TextFormat(layout, len(head.sample[0]), head.start)
+        raise InputError(f"{path} is not a readable trajectory: {error}") from None
+    if layout.name == "smfeval":
+        layout = _smfeval(layout, head.header)
+    return TextFormat(layout, head.start)
+
+
+def _as_named(path: Path, layout: Layout) -> TextFormat:
+    """Return how a file is read whose columns the user has named, from its first row on."""
+    data = _beginning(path)
+    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
+    count = 0
+    for line in data[start:].splitlines(keepends=True):
+        for separator in (*SEPARATORS, ""):
+            found = _of_row(dataclasses.replace(layout, separator=separator), line)
+            if found is not None:
+                return TextFormat(found, start)
+        count = count or len(_words(line))
+        start += len(line)
+    raise InputError(
+        f"{path} has no row of {counted(len(layout.columns), 'column')} as given with --columns "
+        f"(its first line has {count}); name all columns, and use {IGNORED} for columns to "
+        "ignore"
+    )
+
+
+def _of_row(layout: Layout, line: bytes) -> Layout | None:
+    """Return the layout, its time a date if it is one in this line; None if this is no row of it.
+
+    Empty fields are missing values.
+    """
+    if layout.separator:
+        fields = [each.strip(b' "\t\r\n') for each in line.split(layout.separator.encode())]
+    else:
+        fields = _words(line)
+    columns = layout.columns
+    if len(fields) != len(columns):
+        return None
+    wanted = {place for places in layout.groups.values() for place in places}
+    if not all(_to_float(fields[place] or b"nan") is not None for place in wanted):
+        return None
+    if layout.time is not None and _to_float(fields[layout.time]) is None:
+        if layout.time_name == FRAME or not _DATE.fullmatch(fields[layout.time]):
+            return None
+        columns = tuple(DATE if at == layout.time else each for at, each in enumerate(columns))
+    return dataclasses.replace(layout, columns=columns)
+
+
+def _from_header(head: Head) -> Layout | None:
+    layouts = (from_header(line, len(head.sample[0])) for line in reversed(head.header))
+    return next((layout for layout in layouts if layout is not None), None)
+
+
+def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
+    """Return the layout with what a SQUARE header says of its covariances."""
+    said = " ".join(header).upper()
+    if _OTHERS.search(said):
+        note = "covariances dropped: their axes or their order are not supported"
+        return dataclasses.replace(layout, columns=layout.columns[:8] + (IGNORED,) * 21, note=note)
+    return dataclasses.replace(layout, note="") if _BODY_TWISTS in said else layout
+
+
+def _graph(path: Path) -> TextFormat | None:
+    """Return how the vertices of a g2o file are read; None if it is none."""
+    with path.open("rb") as file:
+        found = _GRAPH.search(file.read(_HEAD))
+    if found is None:
+        return None
+    tag = found[1]
+    # Lines stay where they are, so that messages have their numbers.
+    no_row = re.compile(rb"(?m)^(?!%s\s)[^\n]*|^%s\s" % (tag, tag))
+    return TextFormat(G2O[tag.decode()], 0, no_row)
 
 
 @dataclass(frozen=True)
 class Head:
-    """The first lines: those that aren't rows, a few rows, and where the rows begin."""
+    """The first lines: those that aren't rows, a few rows, and where the rows begin.
+
+    Attributes:
+        header: Lines without their comment signs.
+        sample: The numbers of the first rows; none of a table.
+        commas: Whether commas separate columns.
+        start: Offset of the first row, bytes.
+        table: The layout, if the line above the rows names each of their columns and separates
+            them one by one, as CSV does.
+    """
 
     header: list[str]
     sample: list[list[float]]
     commas: bool
     start: int
+    table: Layout | None = None
 
 
 def read_head(path: Path) -> Head:
-    """Look at the beginning of a file, or raise InputError if it can't hold rows of numbers."""
-    with path.open("rb") as file:
-        data = file.read(_HEAD)
-    if not data.strip():
-        raise InputError(f"{path} is empty; was the recording stopped before the first pose?")
-    if data.startswith(_UTF16_MARKS):
-        raise InputError(f"{path} is UTF-16 text; save it as UTF-8")
-    if b"\0" in data.partition(b"\n")[0]:
-        raise InputError(f"{path} is a binary file of no known kind, neither text nor a bag")
+    """Look at the start of a file, or raise InputError if it can't hold rows of numbers."""
+    data = _beginning(path)
     start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
     lines = data[start:].splitlines(keepends=True)
     if len(data) == _HEAD and len(lines) > 1:
@@ -73,19 +176,47 @@ def read_head(path: Path) -> Head:
     named = False
     for index, line in enumerate(lines):
         words = _words(line)
+        table = _table(header, line) if words else None
+        if table is not None:
+            return Head(header, _sample(lines[index:]), True, start, table)
         numbers = [_to_float(word) for word in words]
         if words and None not in numbers:
             return Head(header, _sample(lines[index:]), b"," in line, start)
         if words and (named or numbers.count(None) < len(numbers)):
-            wrong = words[numbers.index(None)][:40].decode(errors="replace")
+            at = numbers.index(None)
+            wrong = words[at][:40].decode(errors="replace")
             raise InputError(
-                f"{path}, line {index + 1}: has {wrong!r} where a number should be; correct or "
-                "remove the line"
+                f"{path}, line {index + 1}, column {at + 1}: {wrong!r} is not a number; correct "
+                f"or remove the line, or name the columns in a header line or with {EXAMPLE}"
             )
         named = named or bool(words)
         header.append(line.decode(errors="replace").strip().lstrip("#%").strip())
         start += len(line)
-    raise InputError(f"{path} has no row of numbers in its first {len(lines)} lines")
+    raise InputError(f"{path} has no row of numbers in its first {counted(len(lines), 'line')}")
+
+
+def _table(header: Sequence[str], line: bytes) -> Layout | None:
+    """Return the layout of a table whose header is the last line; None if this is no row of it."""
+    separator = separator_of(header[-1]) if header else ""
+    if not separator:
+        return None
+    layout = from_header(header[-1], line.count(separator.encode()) + 1)
+    if layout is None:
+        return None
+    return _of_row(dataclasses.replace(layout, separator=separator), line)
+
+
+def _beginning(path: Path) -> bytes:
+    """Return the first bytes of a text file, or raise InputError if it is none."""
+    with path.open("rb") as file:
+        data = file.read(_HEAD)
+    if not data.strip():
+        raise InputError(f"{path} is empty; check that the recording has poses")
+    if data.startswith(_UTF16_MARKS):
+        raise InputError(f"{path} is UTF-16 text; convert it to UTF-8")
+    if b"\0" in data.partition(b"\n")[0]:
+        raise InputError(f"{path} is a binary file of unknown format, neither text nor a bag")
+    return data
 
 
 def _words(line: bytes) -> list[bytes]:

@@ -1,49 +1,83 @@
-"""Which column of a text file means what.
+"""Which column of a text file means what: the layouts that are known, as data.
 
-A header that names the columns is believed; without one, the number of columns decides, and
+A column has one of the names in `NAMES`, the same that `--columns` takes. A header that names
+the columns is believed (`header_names.py`); without one, the number of columns decides, and
 whatever is then a guess is said in the layout's note.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+import dataclasses
+import difflib
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
-_AXES = "xyz"
-_UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)")
-_NANOSECONDS = re.compile(r"[\[(]\s*ns(ec)?\s*[\])]", re.IGNORECASE)
-_TIME = re.compile(r"t|time.*|stamp.*|timestamp.*")
-# One pattern per group; the last letters tell which element of the group a column holds.
-_GROUPS = {
-    "position": (r"(?:t|p|pos|position|p_[a-z_]+)?[_.]?{}", _AXES),
-    "quaternion": (r"(?:q|quat|quaternion|orientation|q_[a-z_]+)[_.]?{}", "xyzw"),
-    "velocity": (r"(?:v|vel|velocity|v_[a-z_]+)[_.]?{}", _AXES),
-    "gyroscope_bias": (r"b_?[wg](?:_[a-z_]+)?[_.]?{}", _AXES),
-    "accelerometer_bias": (r"b_?a(?:_[a-z_]+)?[_.]?{}", _AXES),
+IGNORED = "_"
+# Nanoseconds of a unit of the time; of `t` it is recognised by its size.
+UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
+DATE, FRAME = "date", "frame"
+TIMES = (*UNITS, DATE, FRAME)
+_ANGLES = ("roll", "pitch", "yaw")
+_SIX = range(1, 7)
+UPPER = tuple(f"c{row}{column}" for row in _SIX for column in range(row, 7))
+LOWER = tuple(f"c{row}{column}" for row in _SIX for column in range(1, row + 1))
+# What columns are read as: a group is there if all of its columns are.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "position": ("x", "y", "z"),
+    "planar": ("x", "y"),
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "angles": _ANGLES,
+    "angles_deg": tuple(f"{each}_deg" for each in _ANGLES),
+    "heading": ("yaw",),
+    "heading_deg": ("yaw_deg",),
+    "velocity": ("vx", "vy", "vz"),
+    "body_velocity": ("body_vx", "body_vy", "body_vz"),
+    "gyroscope_bias": ("bwx", "bwy", "bwz"),
+    "accelerometer_bias": ("bax", "bay", "baz"),
+    "matrix": tuple(f"m{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4)),
+    "covariance": tuple(f"c{row}{column}" for row in _SIX for column in _SIX),
+    "covariance_upper": UPPER,
+    "covariance_lower": LOWER,
+    "variances": tuple(f"c{each}{each}" for each in _SIX),
+    "rotation_covariance": tuple(f"pr{each}" for each in (11, 12, 13, 22, 23, 33)),
+    "position_covariance": tuple(f"pt{each}" for each in (11, 12, 13, 22, 23, 33)),
+    "place": ("latitude", "longitude", "height"),
+    "level_place": ("latitude", "longitude"),
+    "place_sigma": ("sigma_east", "sigma_north", "sigma_up"),
+    "fix_status": ("fix_status",),
 }
-_UPPER_TRIANGLE = ("11", "12", "13", "22", "23", "33")
-_COVARIANCES = {
-    "rotation_covariance": (
-        [f"pr{element}" for element in _UPPER_TRIANGLE],
-        ["qrr", "qrp", "qry", "qpp", "qpy", "qyy"],
-    ),
-    "position_covariance": (
-        [f"pt{element}" for element in _UPPER_TRIANGLE],
-        ["pxx", "pxy", "pxz", "pyy", "pyz", "pzz"],
-    ),
+_METRES = ("position", "planar", "matrix")
+# What says where a state is.
+_PLACES = {*_METRES, "place", "level_place"}
+# Of several that say the same, the first is read.
+_INSTEAD = {
+    "planar": ("position",),
+    "angles": ("quaternion",),
+    "angles_deg": ("quaternion", "angles"),
+    "heading": ("quaternion", "angles", "angles_deg"),
+    "heading_deg": ("quaternion", "angles", "angles_deg", "heading"),
+    "covariance_upper": ("covariance",),
+    "covariance_lower": ("covariance",),
+    "variances": ("covariance", "covariance_upper", "covariance_lower"),
+    "place": _METRES,
+    "level_place": (*_METRES, "place"),
+    "place_sigma": _METRES,
+    "fix_status": _METRES,
 }
-# OpenVINS writes whole vectors under one name each: quaternion (xyzw) first.
-_OPENVINS_STATE = re.compile(r"\bq p v bg ba\b")
-
-KNOWN = (
-    "known are TUM (t x y z qx qy qz qw), KITTI (12 or 13 columns), EuRoC/ASL (17), VINS-Mono "
-    "(11), OpenVINS (20), t x y z (4), or any other with a first line that names its columns"
-)
+NAMES = (*TIMES, *dict.fromkeys(name for group in GROUPS.values() for name in group), IGNORED)
+EXAMPLE = "--columns 't x y z qw qx qy qz'"
+_CAMERA = UpAxis("-y", "KITTI's camera axes")
+_NED = UpAxis("-z", "TartanAir's axes: north, east, down")
+# How a file's covariances are meant: about fixed axes, as PoseWithCovariance; of body twists.
+FIXED_AXES, BODY_TWISTS = "fixed axes", "body twists"
 
 
 @dataclass(frozen=True)
@@ -52,89 +86,166 @@ class Layout:
 
     Attributes:
         name: What it is called.
-        time: Index of the column with the stamps, or None.
-        groups: For each of position, quaternion (xyzw), velocity, gyroscope_bias,
-            accelerometer_bias, rotation_covariance, position_covariance (upper triangles) and
-            matrix (3 x 4, row-major) that the file has, the indices of its columns.
-        note: What was guessed, "" if nothing.
-        in_nanoseconds: Whether the header says so.
-        indexed: Whether the time column counts rows (KITTI) instead of seconds.
+        columns: A name of `NAMES` for each column of the file.
+        note: What was guessed, or left out; "" if nothing.
+        up: Which axis of the fixed frame points up.
+        covariances: What its 6 x 6 covariances are of, `FIXED_AXES` or `BODY_TWISTS`.
+        separator: What separates columns one by one, so that some may be empty or text; "" where
+            any run of spaces and commas does.
     """
 
     name: str
-    time: int | None
-    groups: Mapping[str, tuple[int, ...]]
+    columns: tuple[str, ...]
     note: str = ""
-    in_nanoseconds: bool = False
-    indexed: bool = False
+    up: UpAxis = Z_UP
+    covariances: str = FIXED_AXES
+    separator: str = ""
+
+    @cached_property
+    def time(self) -> int | None:
+        """Index of the column with stamps or with numbers of frames, or None."""
+        return next((at for at, name in enumerate(self.columns) if name in TIMES), None)
+
+    @property
+    def time_name(self) -> str:
+        """Name of that column, "" without one."""
+        return "" if self.time is None else self.columns[self.time]
+
+    @cached_property
+    def groups(self) -> dict[str, tuple[int, ...]]:
+        """The groups of `GROUPS` that are read, and the indices of their columns."""
+        found = {
+            group: tuple(self.columns.index(name) for name in names)
+            for group, names in GROUPS.items()
+            if set(names) <= set(self.columns)
+        }
+        return {
+            group: places
+            for group, places in found.items()
+            if not any(other in found for other in _INSTEAD.get(group, ()))
+        }
+
+    @property
+    def has_places(self) -> bool:
+        """Whether the columns say where the states are."""
+        return not _PLACES.isdisjoint(self.groups)
+
+    @property
+    def is_geographic(self) -> bool:
+        """Whether they say so by latitude and longitude: the states are GNSS fixes."""
+        return not {"place", "level_place"}.isdisjoint(self.groups)
 
 
-def recognise(header: Sequence[str], rows: Sequence[Sequence[float]], commas: bool) -> Layout:
-    """Return the layout of a file.
+def layout_of(columns: Sequence[str]) -> Layout:
+    """Return the layout of columns that a user has named.
 
     Args:
-        header: The lines before the first row, without comment signs.
+        columns: As in `t x y z qw qx qy qz`, with `_` for what is ignored.
+
+    Raises:
+        SettingsError: A name is none, comes twice, or there is no position.
+    """
+    for name in columns:
+        if name not in NAMES:
+            near = difflib.get_close_matches(name, NAMES, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(NAMES)}"
+            raise SettingsError(f"unknown column {name!r}; {hint}")
+    counts = Counter(name for name in columns if name != IGNORED)
+    twice = [name for name, count in counts.items() if count > 1]
+    times = [name for name in columns if name in TIMES]
+    if twice or len(times) > 1:
+        raise SettingsError(
+            f"--columns has {' and '.join(times) if not twice else twice[0] + ' twice'}; name a "
+            f"quantity once, and use {IGNORED} for columns to ignore"
+        )
+    layout = Layout("columns as named", tuple(columns))
+    if not layout.has_places:
+        raise SettingsError(
+            f"columns {' '.join(columns)} have no position; name x, y and z, as in {EXAMPLE}, or "
+            "latitude and longitude"
+        )
+    return layout
+
+
+def _layout(name: str, columns: str, note: str = "", **more: object) -> Layout:
+    return Layout(name, tuple(columns.split()), note, **more)  # type: ignore[arg-type]
+
+
+_ORDER = "no header with the order of the quaternion: assumed {}, as in {}"
+_POSE = "t x y z qx qy qz qw"
+_POSE_W = "t x y z qw qx qy qz"
+_MATRIX = " ".join(GROUPS["matrix"])
+_BIASES = "bwx bwy bwz bax bay baz"
+G2O = {
+    "VERTEX_SE3:QUAT": _layout("g2o", "frame x y z qx qy qz qw"),
+    "VERTEX_SE2": _layout("g2o", "frame x y yaw"),
+}
+OPENVINS_STATE = _layout("OpenVINS state", f"t qx qy qz qw x y z vx vy vz {_BIASES}")
+_KITTI = _layout("KITTI", _MATRIX, up=_CAMERA)
+# Without a header, by the number of columns.
+_BY_COUNT = {
+    len(each.columns): each
+    for each in (
+        _layout("t x y z", "t x y z"),
+        _layout(
+            "TartanAir",
+            "x y z qx qy qz qw",
+            "7 columns without timestamps read as TartanAir: x y z qx qy qz qw, z down",
+            up=_NED,
+        ),
+        _layout("TUM", _POSE),
+        _layout("TUM with an id", f"_ {_POSE}", "the first of 9 columns is an id"),
+        _layout("TUM with velocity", f"{_POSE} vx vy vz", _ORDER.format("qx qy qz qw", "TUM")),
+        _layout(
+            "EuRoC/ASL",
+            f"{_POSE_W} vx vy vz {_BIASES}",
+            "no header: 17 columns read as EuRoC",
+        ),
+        _layout(
+            "OpenVINS with covariance",
+            " ".join([_POSE, *GROUPS["rotation_covariance"], *GROUPS["position_covariance"]]),
+        ),
+        _layout(
+            "smfeval",
+            " ".join([_POSE, *LOWER]),
+            "covariances read as body twists, position first (default of smfeval)",
+            covariances=BODY_TWISTS,
+        ),
+    )
+}
+# The same where commas separate, and stamps are nanoseconds since 1970.
+_OF_NANOSECONDS = {
+    len(each.columns): each
+    for each in (
+        _layout("EuRoC/ASL", _POSE_W, _ORDER.format("qw qx qy qz", "EuRoC")),
+        _layout("VINS-Mono", f"{_POSE_W} vx vy vz", _ORDER.format("qw qx qy qz", "VINS-Mono")),
+    )
+}
+KNOWN = (
+    "supported: TUM (8 columns), KITTI (12 or 13), EuRoC/ASL (17), VINS-Mono (11), OpenVINS "
+    "(20), smfeval (29), TartanAir (7), t x y z (4), g2o, and files with a header; for "
+    f"others, use {EXAMPLE}, with {IGNORED} for columns to ignore"
+)
+
+
+def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
+    """Return the layout that files with so many columns and no header usually have.
+
+    Args:
         rows: The first few rows, all of the same length, at least one.
         commas: Whether commas separate the columns.
 
     Raises:
-        InputError: No layout fits.
+        InputError: There is none.
     """
     columns = len(rows[0])
-    for line in reversed(header):
-        named = _from_names(line, columns)
-        if named is not None:
-            return named
     if columns in (12, 13):
         return _kitti(rows)
-    return _from_count(columns, commas and abs(rows[0][0]) > 1e12)
-
-
-def _from_names(line: str, columns: int) -> Layout | None:
-    """Return the layout that a header line describes, if it names every column."""
-    in_nanoseconds = bool(_NANOSECONDS.search(line))
-    plain = _UNIT.sub("", line).strip().lstrip("#").lower()
-    names = [name.strip() for name in (plain.split(",") if "," in plain else plain.split())]
-    if _OPENVINS_STATE.search(plain) and columns >= 17:
-        groups = {"quaternion": range(1, 5), "position": range(5, 8), "velocity": range(8, 11)}
-        biases = {"gyroscope_bias": range(11, 14), "accelerometer_bias": range(14, 17)}
-        spans = {group: tuple(span) for group, span in {**groups, **biases}.items()}
-        return Layout("OpenVINS state", 0, spans)
-    if names and not names[-1]:
-        names.pop()
-    if len(names) != columns:
-        return None
-    found: dict[str, tuple[int, ...]] = {}
-    for group, (pattern, elements) in _GROUPS.items():
-        places = [_find(names, pattern.format(element)) for element in elements]
-        if None not in places:
-            found[group] = tuple(place for place in places if place is not None)
-    for group, spellings in _COVARIANCES.items():
-        for spelling in spellings:
-            if set(spelling) <= set(names):
-                found[group] = tuple(names.index(name) for name in spelling)
-    time = next((place for place, name in enumerate(names) if _TIME.fullmatch(name)), None)
-    if len(found.keys() & _COVARIANCES) == 1:
-        found = {group: places for group, places in found.items() if group not in _COVARIANCES}
-    if "position" not in found or time is None or time > 1:
-        return None
-    return Layout(_name(names, found), time, found, in_nanoseconds=in_nanoseconds)
-
-
-def _find(names: Sequence[str], pattern: str) -> int | None:
-    """Return the place of the first name that matches the whole pattern."""
-    return next((place for place, name in enumerate(names) if re.fullmatch(pattern, name)), None)
-
-
-def _name(names: Sequence[str], groups: Mapping[str, tuple[int, ...]]) -> str:
-    """Return what a file with these named columns is called."""
-    if "rotation_covariance" in groups:
-        return "OpenVINS with covariance"
-    if "gyroscope_bias" in groups:
-        return "EuRoC/ASL"
-    if groups.get("quaternion") == (4, 5, 6, 7) and len(names) == 8:
-        return "TUM"
-    return "columns named by the header"
+    of_nanoseconds = _OF_NANOSECONDS if commas and abs(rows[0][0]) > 1e12 else {}
+    found = of_nanoseconds.get(columns) or _BY_COUNT.get(columns)
+    if found is None:
+        raise InputError(f"unknown layout with {counted(columns, 'column')}; {KNOWN}")
+    return found
 
 
 def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
@@ -144,58 +255,16 @@ def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
     axes = matrices[np.isfinite(matrices).all(axis=(1, 2)), :, :3]
     if not np.allclose(axes @ np.swapaxes(axes, 1, 2), np.eye(3), atol=1e-2):
         raise InputError(
-            f"its {len(rows[0])} columns are no 3 x 4 pose matrices as KITTI's are; {KNOWN}"
+            f"{counted(len(rows[0]), 'column')}, but not 3 x 4 pose matrices (KITTI); {KNOWN}"
         )
-    groups = {"matrix": tuple(range(leading, leading + 12))}
     if not leading:
-        return Layout("KITTI", None, groups)
+        return _KITTI
     first = np.array(rows)[:, 0]
     indexed = bool((first == np.round(first)).all() and (first < 1e8).all())
-    said = "a frame index" if indexed else "a time"
-    return Layout(
-        f"KITTI with {said}", 0, groups, f"the first of 13 columns is {said}", indexed=indexed
+    name, said = (FRAME, "a frame index") if indexed else ("t", "a time")
+    return dataclasses.replace(
+        _KITTI,
+        name=f"KITTI with {said}",
+        columns=(name, *_KITTI.columns),
+        note=f"the first of 13 columns is {said}",
     )
-
-
-def _from_count(columns: int, nanoseconds_and_commas: bool) -> Layout:
-    """Return the layout that files with so many columns and no header usually have."""
-    position, after = (1, 2, 3), 8
-    xyzw, wxyz = (4, 5, 6, 7), (5, 6, 7, 4)
-    velocity = tuple(range(after, after + 3))
-    if columns == 4:
-        return Layout("t x y z", 0, {"position": position})
-    if columns == 8 and not nanoseconds_and_commas:
-        return Layout("TUM", 0, {"position": position, "quaternion": xyzw})
-    if columns == 8:
-        note = "no header names the order of the quaternion: qw qx qy qz was assumed, as EuRoC"
-        return Layout("EuRoC/ASL", 0, {"position": position, "quaternion": wxyz}, note)
-    if columns == 9:
-        groups = {"position": (2, 3, 4), "quaternion": (5, 6, 7, 8)}
-        return Layout("TUM with an id", 1, groups, "the first of 9 columns is an id")
-    if columns == 11 and nanoseconds_and_commas:
-        note = "no header names the order of the quaternion: qw qx qy qz was assumed, as VINS-Mono"
-        groups = {"position": position, "quaternion": wxyz, "velocity": velocity}
-        return Layout("VINS-Mono", 0, groups, note)
-    if columns == 11:
-        note = "no header names the order of the quaternion: qx qy qz qw was assumed, as TUM"
-        groups = {"position": position, "quaternion": xyzw, "velocity": velocity}
-        return Layout("TUM with velocity", 0, groups, note)
-    if columns == 17:
-        groups = {
-            "position": position,
-            "quaternion": wxyz,
-            "velocity": velocity,
-            "gyroscope_bias": (11, 12, 13),
-            "accelerometer_bias": (14, 15, 16),
-        }
-        return Layout("EuRoC/ASL", 0, groups, "no header: its 17 columns were read as EuRoC's")
-    if columns == 20:
-        groups = {
-            "position": position,
-            "quaternion": xyzw,
-            "rotation_covariance": tuple(range(8, 14)),
-            "position_covariance": tuple(range(14, 20)),
-        }
-        return Layout("OpenVINS with covariance", 0, groups)
-    plural = "s" if columns > 1 else ""
-    raise InputError(f"no layout with {columns} column{plural} is known; {KNOWN}")

@@ -1,4 +1,4 @@
-"""Trajectories from text files: TUM, KITTI, EuRoC/ASL, OpenVINS, VINS-Mono and their kin."""
+"""Trajectories from text files: TUM, KITTI, EuRoC/ASL, OpenVINS, VINS-Mono, fixes, and kin."""
 
 from __future__ import annotations
 
@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-from trajeval_ros.io.text.decimals import ParsedRows, RowError, parse_rows
+from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
+from trajeval_ros.io.text.geographic import fixes_of, read_nmea
 from trajeval_ros.io.text.head import COMMENT, TextFormat, read_head, recognise_text
-from trajeval_ros.io.text.layouts import Layout
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+from trajeval_ros.io.text.layouts import DATE, FRAME, UNITS, Layout
 from trajeval_ros.io.text.stamps import ExactNumbers, to_nanoseconds
+from trajeval_ros.io.text.states import states_of
+from trajeval_ros.io.text.tokens import RowError
 
 Advance = Callable[[int, int], None]
 
@@ -28,104 +31,64 @@ Advance = Callable[[int, int], None]
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
 _FRAMES = 10**8  # a sequence has fewer
-_CAMERA = UpAxis("-y", "KITTI's camera axes")
 _BLOCK = 1 << 19  # bytes that are parsed at once: their arrays stay in the processor's cache
 
 
-def read_text(path: Path, advance: Advance | None = None) -> Trajectory:
+def read_text(
+    path: Path, advance: Advance | None = None, hints: TextHints = NO_HINTS
+) -> Trajectory:
     """Read a trajectory from a text file whose layout is recognised by its content.
 
     Args:
         path: An existing, readable file.
         advance: Called with the bytes done and all bytes, now and then.
+        hints: What the user says of it.
 
     Raises:
         InputError: The file is no trajectory, with the line where that shows.
     """
-    text = recognise_text(path)
+    fixes = read_nmea(path)
+    if fixes is not None:
+        return fixes
+    text = recognise_text(path, hints.columns)
     layout = text.layout
     columns = _read_columns(path, text, advance)
-    groups = columns.groups
-    positions, quaternions = _poses_of(groups)
-    frames = _frames_of(path, layout, columns, len(positions))
-    stamps, stamped, timing = _stamps_of(path, layout, columns, frames)
+    frames = _frames_of(path, layout, columns)
+    stamps, stamped, timing = _stamps_of(path, layout, columns, frames, hints)
     if stamped:
         check_stamps(stamps, str(path))
-    quaternions, judgement = judge_rotations(quaternions)
-    notes = [f"format: {layout.name}", *filter(None, [layout.note]), *timing, *judgement]
-    covariances = None
-    if "rotation_covariance" in groups and quaternions is not None:
-        covariances = _openvins_covariances(groups, quaternions)
-        notes.append(
-            "rotation covariances were turned from the body's axes (OpenVINS) to the fixed axes"
+    notes = [f"format: {layout.name}", *filter(None, [layout.note]), *timing]
+    dropped = {"not_finite": columns.untimed}
+    if layout.is_geographic:
+        return fixes_of(
+            path, stamps, columns.groups, stamped=stamped, dropped=dropped, notes=notes
         )
+    states = states_of(path, layout, columns.groups, columns.count)
+    quaternions, judgement = judge_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
         stamps,
-        positions,
+        states.positions,
         quaternions,
-        velocities=groups.get("velocity"),
-        gyroscope_biases=groups.get("gyroscope_bias"),
-        accelerometer_biases=groups.get("accelerometer_bias"),
-        covariances=covariances,
+        velocities=states.velocities,
+        gyroscope_biases=columns.groups.get("gyroscope_bias"),
+        accelerometer_biases=columns.groups.get("accelerometer_bias"),
+        covariances=None if quaternions is None else states.covariances,
         frames=frames,
-        matrices=groups["matrix"].reshape(-1, 3, 4)[:, :, :3] if "matrix" in groups else None,
-        up=_CAMERA if "matrix" in groups else Z_UP,
+        matrices=states.matrices,
+        up=layout.up,
         name=path.stem,
         stamped=stamped,
-        numbered=layout.indexed,
-        dropped={"not_finite": columns.untimed},
-        notes=tuple(notes),
+        numbered=layout.time_name == FRAME,
+        dropped=dropped,
+        notes=(*notes, *judgement, *states.notes),
     )
     if not len(trajectory):
         count = columns.untimed + len(stamps)
         raise InputError(
-            f"{path}: none of its {count} rows is a pose (NaN, zero quaternions, or positions out "
-            "of this world)"
+            f"{path}: no valid pose in {counted(count, 'row')} (NaN, zero quaternions, or "
+            "positions beyond the limit)"
         )
     return trajectory
-
-
-def _poses_of(groups: dict[str, Floats]) -> tuple[Floats, Floats | None]:
-    """Return positions (N, 3) and quaternions (N, 4), xyzw, NaN where there is no rotation."""
-    if "matrix" not in groups:
-        return groups["position"], groups.get("quaternion")
-    matrices = groups["matrix"].reshape(-1, 3, 4)
-    rotations = matrices[:, :, :3]
-    valid = np.asarray(np.isfinite(rotations).all(axis=(1, 2)))
-    valid[valid] = np.linalg.det(rotations[valid]) > 0.0
-    quaternions = np.full((len(matrices), 4), np.nan)
-    if valid.any():
-        quaternions[valid] = lie.from_matrices(_nearest_rotations(rotations[valid]))
-    return np.ascontiguousarray(matrices[:, :, 3]), quaternions
-
-
-def _nearest_rotations(matrices: Floats) -> Floats:
-    """Return the rotations nearest to (N, 3, 3) matrices of few digits.
-
-    scipy's own repair of such matrices differs from version to version, by 5e-7 of the errors.
-    """
-    u, _, vt = np.linalg.svd(matrices)
-    nearest: Floats = u @ vt
-    return nearest
-
-
-def _openvins_covariances(groups: dict[str, Floats], quaternions: Floats) -> Floats:
-    """Return the covariances (N, 6, 6) of position and fixed-axis rotation.
-
-    OpenVINS's error is local, R exp(e): in fixed axes its covariance C is R C R^T.
-    """
-    count = len(quaternions)
-    usable = np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)
-    turns = np.tile(np.eye(3), (count, 1, 1))
-    turns[usable] = lie.to_matrix(lie.normalized(quaternions[usable]))
-    rows, columns = np.triu_indices(3)
-    blocks = np.zeros((2, count, 3, 3))
-    for block, group in zip(blocks, ("position_covariance", "rotation_covariance"), strict=True):
-        block[:, rows, columns] = block[:, columns, rows] = groups[group]
-    covariances = np.zeros((count, 6, 6))
-    covariances[:, :3, :3] = blocks[0]
-    covariances[:, 3:, 3:] = turns @ blocks[1] @ np.swapaxes(turns, 1, 2)
-    return covariances
 
 
 @dataclass(frozen=True)
@@ -135,23 +98,26 @@ class _Columns:
     Attributes:
         stamps: N exact numbers, None if there is no time column.
         groups: (N, width) of each group in the layout.
+        count: N.
         untimed: Number of rows that were left out because their stamp is not finite.
     """
 
     stamps: ExactNumbers | None
     groups: dict[str, Floats]
+    count: int
     untimed: int
 
 
 def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Columns:
     """Read all rows of a file, block by block, into arrays that are large enough for all."""
     total = path.stat().st_size - text.start
-    first = 0 if text.layout.time is None else text.layout.time + 1
-    picks = {group: _pick(columns, first) for group, columns in text.layout.groups.items()}
-    groups = {group: np.empty((0, len(columns))) for group, columns in text.layout.groups.items()}
+    wanted = text.layout.groups
+    groups = {group: np.empty((0, len(columns))) for group, columns in wanted.items()}
+    values_at = _values_of(text.layout)
+    picks = {group: _pick([values_at.index(at) for at in of]) for group, of in wanted.items()}
     stamps: list[ExactNumbers] = []
     count = untimed = 0
-    for end, rows in _parse_blocks(path, text, advance):
+    for end, rows in _parse_blocks(path, text):
         values = rows.values
         if rows.stamps is not None:
             every = bool(rows.timed.all())
@@ -164,49 +130,54 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Col
                 groups[group] = _enlarged(groups[group], count, room)
             groups[group][count : count + len(values)] = values[:, pick]
         count += len(values)
+        if advance is not None:
+            advance(end, text.start + total)
     return _Columns(
         ExactNumbers.concatenate(stamps) if stamps else None,
         {group: array[:count] for group, array in groups.items()},
+        count,
         untimed,
     )
 
 
-def _pick(columns: tuple[int, ...], first: int) -> slice | list[int]:
-    """Return what picks the columns, counted from `first`; a slice if it can, since it is fast."""
-    if columns == tuple(range(columns[0], columns[-1] + 1)):
-        return slice(columns[0] - first, columns[-1] - first + 1)
-    return [column - first for column in columns]
+def _values_of(layout: Layout) -> tuple[int, ...]:
+    """Return the indices of the columns that are read as numbers, in the order of the file."""
+    return tuple(sorted({place for places in layout.groups.values() for place in places}))
+
+
+def _pick(places: list[int]) -> slice | list[int]:
+    """Return what picks the columns; a slice if it can, since it is fast."""
+    if places == list(range(places[0], places[-1] + 1)):
+        return slice(places[0], places[-1] + 1)
+    return places
 
 
 def _enlarged(array: Floats, count: int, room: int) -> Floats:
-    """Return an array of `room` rows that begins with the `count` rows of another."""
+    """Return an array of `room` rows that starts with the `count` rows of another."""
     enlarged = np.empty((room, array.shape[1]))
     enlarged[:count] = array[:count]
     return enlarged
 
 
-def _parse_blocks(
-    path: Path, text: TextFormat, advance: Advance | None
-) -> Iterator[tuple[int, ParsedRows]]:
+def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRows]]:
     """Yield the rows of a file, a block of whole lines at a time, and where each block ends."""
-    total = path.stat().st_size
-    done = text.start
+    done, row_format = text.start, _row_format(text.layout)
     np.empty(_WORKING_MEMORY, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
         file.seek(text.start)
         for block in _line_blocks(path, file):
+            size = len(block)
             try:
-                uncommented = COMMENT.sub(b"", block) if b"#" in block or b"%" in block else block
-                rows = parse_rows(uncommented, text.columns, text.layout.time)
+                if text.no_row is not COMMENT or b"#" in block or b"%" in block:
+                    block = text.no_row.sub(b"", block)
+                rows = parse_rows(block, row_format)
             except RowError as error:
                 line = _lines_before(path, done) + error.line + 1
                 raise InputError(
                     f"{path}, line {line}: {error.reason}; correct or remove the line"
                 ) from None
-            done += len(block)
+            done += size
             yield done, rows
-            if advance is not None:
-                advance(done, total)
 
 
 def _line_blocks(path: Path, file: FileIO) -> Iterator[bytes]:
@@ -220,7 +191,7 @@ def _line_blocks(path: Path, file: FileIO) -> Iterator[bytes]:
         else:
             rest += part
         if len(rest) > _BLOCK:
-            raise InputError(f"{path} is no trajectory: a line has more than {_BLOCK} bytes")
+            raise InputError(f"{path} is not a trajectory: a line has more than {_BLOCK} bytes")
     if rest:
         yield rest
 
@@ -233,45 +204,76 @@ def _lines_before(path: Path, offset: int) -> int:
         )
 
 
-def _frames_of(path: Path, layout: Layout, rows: _Columns, count: int) -> NDArray[np.int64] | None:
-    """Return the numbers (N,) of KITTI's frames; None where the rows have stamps."""
+def _row_format(layout: Layout) -> RowFormat:
+    """Return what is read of each row."""
+    return RowFormat(
+        columns=len(layout.columns),
+        time=layout.time,
+        values=_values_of(layout),
+        separator=layout.separator,
+        dates=layout.time_name == DATE,
+        names=layout.columns,
+    )
+
+
+def _frames_of(path: Path, layout: Layout, rows: _Columns) -> NDArray[np.int64] | None:
+    """Return the numbers (N,) of frames; None where the rows have stamps."""
     if rows.stamps is None:
-        return np.arange(count)
-    if not layout.indexed:
+        return np.arange(rows.count)
+    if layout.time_name != FRAME:
         return None
     wrong = rows.stamps.negative | (rows.stamps.billionths > 0) | (rows.stamps.whole >= _FRAMES)
     if wrong.any():
+        assert layout.time is not None
         raise InputError(
-            f"{path}: row {int(np.argmax(wrong)) + 1} has no number of a frame in its first "
-            "column, as the first rows have; correct or remove the row"
+            f"{path}: row {int(np.argmax(wrong)) + 1} has no frame number in column "
+            f"{layout.time + 1}; correct or remove the row"
         )
     return rows.stamps.whole.astype(np.int64)
 
 
 def _stamps_of(
-    path: Path, layout: Layout, rows: _Columns, frames: NDArray[np.int64] | None
+    path: Path,
+    layout: Layout,
+    rows: _Columns,
+    frames: NDArray[np.int64] | None,
+    hints: TextHints,
 ) -> tuple[NDArray[np.int64], bool, list[str]]:
     """Return the stamps (N,), whether they are times, and what to tell about them."""
     if frames is None:
         assert rows.stamps is not None
-        if not len(rows.stamps.whole):
+        if not rows.count:
             return np.zeros(0, dtype=np.int64), True, []
+        if layout.time_name == DATE:
+            return to_nanoseconds(rows.stamps, NANOSECONDS)[0], True, ["dates read as UTC"]
         try:
-            stamps, in_nanoseconds = to_nanoseconds(rows.stamps, layout.in_nanoseconds)
+            stamps, in_nanoseconds = to_nanoseconds(
+                rows.stamps, UNITS[layout.time_name], far_apart_is_ns=layout.separator == ","
+            )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        return stamps, True, ["stamps are in nanoseconds"] if in_nanoseconds else []
-    count = len(frames)
+        return stamps, True, ["timestamps are in nanoseconds"] if in_nanoseconds else []
     notes = []
     for times_path in (path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt")):
-        if not times_path.is_file():
+        if "matrix" not in layout.groups or not times_path.is_file():
             continue
         times = _read_times(times_path)
-        matches = frames.max(initial=0) < len(times) if layout.indexed else len(times) == count
+        matches = (
+            frames.max(initial=0) < len(times)
+            if layout.time_name == FRAME
+            else len(times) == rows.count
+        )
         if matches:
-            return times[frames], True, [f"stamps were taken from {times_path}"]
-        notes.append(f"{times_path} was not used: it has {len(times)} rows for {count} poses")
-    notes.append("there are no stamps: frames were counted, one second apart")
+            return times[frames], True, [f"timestamps read from {times_path}"]
+        notes.append(
+            f"{times_path} ignored: it has {counted(len(times), 'row')} for "
+            f"{counted(rows.count, 'pose')}"
+        )
+    rate = hints.frame_rate_hz
+    if rate is not None:
+        stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
+        return stamps, True, [*notes, f"timestamps counted at {rate:g} Hz"]
+    notes.append("no timestamps: frames counted, 1 s apart; set their rate with --frame-rate")
     return frames * NANOSECONDS, False, notes
 
 
@@ -279,8 +281,9 @@ def _read_times(path: Path) -> NDArray[np.int64]:
     """Return the stamps (N,) of a file with one time per line, nanoseconds."""
     head = read_head(path)
     if len(head.sample[0]) != 1:
-        raise InputError(f"{path} has {len(head.sample[0])} columns, expected one time per line")
-    text = TextFormat(Layout("times", 0, {}), 1, head.start)
-    stamps = _read_columns(path, text, None).stamps
+        raise InputError(
+            f"{path} has {counted(len(head.sample[0]), 'column')}, expected one time per line"
+        )
+    stamps = _read_columns(path, TextFormat(Layout("times", ("t",)), head.start), None).stamps
     assert stamps is not None
     return to_nanoseconds(stamps)[0]

@@ -7,6 +7,7 @@ file is known.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,9 @@ _LARGEST = np.uint64(2**64 - 1)
 _LAST_SECOND = 9.2e9  # int64 nanoseconds end in the year 2262
 _LAST_NANOSECOND = 9.2e18
 _EPOCH_NANOSECONDS = 1e17  # 1973: anything above is nanoseconds since 1970
-_NANOSECOND_STEP = 5e5  # no file in seconds is that sparse, hardly one in nanoseconds that dense
+_NANOSECOND_STEP = 5e5  # hardly a file in nanoseconds is denser
+_ONE_DATE = rb"\d{4}-\d\d?-\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:\.\d+)?)?)?"
+_DATE = re.compile(rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE))
 
 
 @dataclass(frozen=True)
@@ -105,33 +108,74 @@ def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
     )
 
 
+def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
+    """Read dates such as `2024-03-01 12:00:00.5`, (N,), as exact seconds since 1970.
+
+    Also with a T between day and time, slashes in the day, and a Z or an offset of zero after it;
+    a date without one is taken as UTC.
+
+    Raises:
+        ValueError: One is no date, or of another time zone.
+    """
+    plain = np.char.replace(words, b"/", b"-")
+    for zone in (b"Z", b" UTC", b"+00:00", b"+0000"):
+        plain = np.char.replace(plain, zone, b"")
+    if not _DATE.fullmatch(b" ".join(plain.tolist())):  # numpy reads a lone year, too
+        raise ValueError("no date")
+    # By text: of bytes that are no date, such as a month 13, numpy 1.26 crashes.
+    stamps = plain.astype(np.str_).astype("datetime64[ns]").astype(np.int64)
+    whole, rest = np.divmod(np.abs(stamps).view(np.uint64), np.uint64(NANOSECONDS))
+    return ExactNumbers(stamps < 0, whole, rest)
+
+
 def to_nanoseconds(
-    numbers: ExactNumbers, said_nanoseconds: bool = False
+    numbers: ExactNumbers, unit_ns: int | None = None, *, far_apart_is_ns: bool = False
 ) -> tuple[NDArray[np.int64], bool]:
     """Return the stamps (N,) in nanoseconds and whether the file holds nanoseconds.
 
     Args:
         numbers: N of them, N > 0.
-        said_nanoseconds: Whether the file's header names the unit.
+        unit_ns: Nanoseconds of the unit that the file's header names; None if it names none.
+        far_apart_is_ns: Whether whole numbers that lie far apart are nanoseconds even if they
+            could be seconds: of a format whose stamps are nanoseconds as a rule.
 
-    Nanoseconds are recognised by their size, or as whole numbers that lie far apart (clocks that
-    began at zero).
+    Nanoseconds are recognised by their size: since 1970, or as whole numbers that lie far apart
+    (clocks that started at zero) and are too large for seconds.
 
     Raises:
         InputError: The numbers are neither seconds nor nanoseconds.
     """
     largest = float(numbers.whole.max())
-    in_nanoseconds = said_nanoseconds or largest >= _EPOCH_NANOSECONDS or _is_sparse(numbers)
+    if unit_ns not in (None, 1, NANOSECONDS):
+        return _scaled(numbers, unit_ns), False
+    in_nanoseconds = unit_ns == 1 or (
+        unit_ns is None
+        and (
+            largest >= _EPOCH_NANOSECONDS
+            or (_is_sparse(numbers) and (far_apart_is_ns or largest > _LAST_SECOND))
+        )
+    )
     if largest > (_LAST_NANOSECOND if in_nanoseconds else _LAST_SECOND):
         raise InputError(
-            f"its stamps (up to {largest:.6g}) are neither seconds nor nanoseconds; convert the "
-            "first column to one of the two"
+            f"its timestamps (up to {largest:.6g}) are neither seconds nor nanoseconds; convert "
+            "the first column, or name its unit (t_ms, t_us) with --columns"
         )
     if in_nanoseconds:
         stamps = (numbers.whole + (numbers.billionths >= NANOSECONDS // 2)).astype(np.int64)
     else:
         stamps = numbers.whole.astype(np.int64) * NANOSECONDS + numbers.billionths.astype(np.int64)
     return np.where(numbers.negative, -stamps, stamps), in_nanoseconds
+
+
+def _scaled(numbers: ExactNumbers, unit_ns: int) -> NDArray[np.int64]:
+    """Return numbers of a unit between the two in nanoseconds, rounded."""
+    if float(numbers.whole.max()) * unit_ns > _LAST_NANOSECOND:
+        raise InputError(
+            f"its timestamps are too large for a unit of {unit_ns} ns; choose another unit"
+        )
+    part = np.round(numbers.billionths.astype(np.float64) * (unit_ns / NANOSECONDS))
+    stamps = numbers.whole.astype(np.int64) * unit_ns + part.astype(np.int64)
+    return np.where(numbers.negative, -stamps, stamps)
 
 
 def _is_sparse(numbers: ExactNumbers) -> bool:

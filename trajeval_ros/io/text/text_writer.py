@@ -15,9 +15,8 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.number_characters import (
     Characters,
-    close_up,
-    constant,
-    of_floats,
+    lines_of,
+    lines_of_floats,
     of_integers,
     of_seconds,
 )
@@ -99,13 +98,12 @@ def _write(
         yield header.encode()
         for start in range(0, len(values), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            part = values[rows]
-            columns = [of_floats(column) for column in part.T]
+            parts = []
             if stamp_characters is not None:
-                columns.insert(0, stamp_characters(trajectory.stamps[rows]))
-            between = constant(separator, len(part))
-            blocks = [block for column in columns for block in (column, between)]
-            yield close_up([*blocks[:-1], constant(b"\n", len(part))])
+                parts.append(lines_of([stamp_characters(trajectory.stamps[rows])]))
+            if values.shape[1]:
+                parts.append(lines_of_floats(values[rows], separator))
+            yield b"\n".join(map(separator.join, zip(*parts, strict=True))) + b"\n"
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:

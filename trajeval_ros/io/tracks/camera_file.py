@@ -36,20 +36,19 @@ def read_camera(path: Path) -> CalibratedCamera:
     model, distortion = values.get("camera_model"), values.get("distortion_model")
     if model != "pinhole" or distortion not in _DISTORTIONS:
         raise InputError(
-            f"{path}: camera_model {model!r} with distortion_model {distortion!r} is not known; "
-            "use pinhole with radial-tangential or equidistant"
+            f"{path}: camera_model {model!r} with distortion_model {distortion!r} is not "
+            "supported; use pinhole with radial-tangential or equidistant"
         )
     if "T_BS" not in values:
         raise InputError(
-            f"{path} has no T_BS, the camera's pose in the IMU's frame (4 x 4, row by row): "
-            "without its lever arm, positions are wrong and no residual shows it"
+            f"{path} has no T_BS; add the camera's pose in the IMU frame (4 x 4, row by row)"
         )
     pose = _pose(path, values["T_BS"])
     width, height = _numbers(path, values, "resolution", 2)
     intrinsics = _numbers(path, values, "intrinsics", 4)
     coefficients = _numbers(path, values, "distortion_coefficients", 4)
     if min(*intrinsics[:2], width, height) <= 0.0:
-        raise InputError(f"{path}: focal lengths and resolution must be above zero")
+        raise InputError(f"{path}: focal lengths and resolution must be greater than zero")
     lens = Lens(intrinsics[:2], intrinsics[2:], _DISTORTIONS[distortion], coefficients)
     return CalibratedCamera(lens, int(width), int(height), pose[:3, :3], pose[:3, 3])
 
@@ -63,7 +62,9 @@ def _pose(path: Path, value: Any) -> Floats:
         or np.linalg.det(rotation) < 0.0
         or (pose[3] != [0.0, 0.0, 0.0, 1.0]).any()
     ):
-        raise InputError(f"{path}: T_BS is no rigid motion; its 16 numbers stand row by row")
+        raise InputError(
+            f"{path}: T_BS is not a rigid transformation; give its 16 numbers row by row"
+        )
     return pose
 
 

@@ -14,10 +14,11 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.text.decimals import RowError, parse_rows
+from trajeval_ros.io.text.decimals import RowFormat, parse_rows
 from trajeval_ros.io.text.head import read_head
 from trajeval_ros.io.text.reader import read_text
 from trajeval_ros.io.text.stamps import to_nanoseconds
+from trajeval_ros.io.text.tokens import RowError
 from trajeval_ros.io.tracks.camera_file import read_camera
 from trajeval_ros.visual_inertial.sensor_recording import SensorRecording, one_instant_each
 
@@ -38,15 +39,17 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
         InputError: A file is missing, is there twice, or can't be what its name says.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder} is no folder; name one with tracks, IMU and groundtruth")
+        raise InputError(
+            f"{folder} is not a folder; give a folder with tracks, IMU and groundtruth"
+        )
     paths = {what: _only(folder, what) for what in _NAMES}
     imu_path, tracks_path = paths["IMU samples"], paths["tracks"]
     imu_stamps, samples = _read_rows(imu_path, "stamp_ns,wx,wy,wz,ax,ay,az")
     if (np.diff(imu_stamps) <= 0).any():
         place = int(np.argmax(np.diff(imu_stamps) <= 0))
         raise InputError(
-            f"{imu_path}: the stamp after {imu_stamps[place]} ns doesn't rise; sort the samples "
-            "and remove repeated ones"
+            f"{imu_path}: the timestamp after {imu_stamps[place]} ns does not increase; sort the "
+            "samples and remove duplicates"
         )
     seen_stamps, tracks = _read_rows(tracks_path, "stamp_ns,track,u,v")
     image_stamps, image_of = one_instant_each(seen_stamps)
@@ -55,10 +58,7 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
     notes = []
     joined = len(np.unique(seen_stamps)) - len(image_stamps)
     if joined:
-        notes.append(
-            "stamps of tracks that differ from another by less than 1 us, taken for the same "
-            f"image: {joined}"
-        )
+        notes.append(f"track timestamps less than 1 us apart, merged into one image: {joined}")
     groundtruth, made_up = _groundtruth(paths["groundtruth"])
     return SensorRecording(
         name=folder.resolve().name,
@@ -83,12 +83,11 @@ def _only(folder: Path, what: str) -> Path:
             return found[0]
         if found:
             raise InputError(
-                f"{folder} has {len(found)} files of {what} ({found[0].name}, {found[1].name}); "
-                "leave one of them there"
+                f"{folder} has more than one file of {what} ({found[0].name}, {found[1].name}); "
+                "keep only one"
             )
     raise InputError(
-        f"{folder} has no file of {what}: it needs {' or '.join(_NAMES[what])}; docs/tracks.md "
-        "describes the folder"
+        f"{folder} has no file of {what}; add {' or '.join(_NAMES[what])} (docs/tracks.md)"
     )
 
 
@@ -96,30 +95,28 @@ def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
     """Return the stamps (n,) and the other columns (n, c - 1) of a table."""
     columns = names.count(",") + 1
     if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path} is far too large; cut out a part of the recording")
+        raise InputError(f"{path} is too large; use a part of the recording")
     start = read_head(path).start
     content = path.read_bytes()
     try:
-        rows = parse_rows(content[start:], columns, 0)
+        rows = parse_rows(content[start:], RowFormat(columns, 0, tuple(range(1, columns))))
     except RowError as error:
         line = content[:start].count(b"\n") + error.line + 1
-        raise InputError(
-            f"{path}, line {line}: {error.reason}; it needs the columns {names}"
-        ) from None
+        raise InputError(f"{path}, line {line}: {error.reason}; use the columns {names}") from None
     assert rows.stamps is not None
     usable = rows.timed & np.isfinite(rows.values).all(axis=1)
     if len(usable) < 2 or not usable.all():
         where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
-        raise InputError(f"{path}: {where}; it needs the columns {names}")
+        raise InputError(f"{path}: {where}; use the columns {names}")
     try:
-        return to_nanoseconds(rows.stamps, said_nanoseconds=True)[0], rows.values
+        return to_nanoseconds(rows.stamps, unit_ns=1)[0], rows.values
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
 def _track_names(path: Path, column: Floats) -> Stamps:
     if (column != np.rint(column)).any():
-        raise InputError(f"{path}: tracks are named by whole numbers, the second column")
+        raise InputError(f"{path}: track ids (second column) must be whole numbers")
     return column.astype(np.int64)
 
 
@@ -138,16 +135,18 @@ def _groundtruth(path: Path) -> tuple[Trajectory, list[str]]:
     """Return the groundtruth, with velocities, and what of it was made up."""
     read = read_text(path)
     if read.quaternions is None or not read.stamped or len(read) < 3:
-        raise InputError(f"{path} needs stamps, positions and orientations of at least 3 poses")
+        raise InputError(
+            f"{path} needs timestamps, positions and orientations of at least 3 poses"
+        )
     order = np.argsort(read.stamps, kind="stable")
     truth, notes = read[order], []
     if (np.diff(truth.stamps) == 0).any():
-        raise InputError(f"{path} repeats stamps; remove the repeated rows")
+        raise InputError(f"{path} has repeated timestamps; remove the repeated rows")
     if truth.velocities is None:
         velocities = np.gradient(truth.positions, truth.seconds - truth.seconds[0], axis=0)
         truth = dataclasses.replace(truth, velocities=velocities)
-        notes.append("groundtruth has no velocity: positions were differentiated")
+        notes.append("no velocity in groundtruth: positions differentiated")
     if truth.gyroscope_biases is None or truth.accelerometer_biases is None:
-        notes.append("groundtruth has no biases of both sensors: the IMU is taken as it is")
+        notes.append("no biases of both sensors in groundtruth: IMU used without correction")
         truth = dataclasses.replace(truth, gyroscope_biases=None, accelerometer_biases=None)
     return truth, notes

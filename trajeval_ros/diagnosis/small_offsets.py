@@ -1,53 +1,70 @@
-"""Whether clocks seem to differ: a remark for whoever reads the numbers, which changes none."""
+"""Whether clocks are a little apart: on a finer grid than whole offsets are looked for."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
+from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
+from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.diagnosis.rates import LEAST_LIKELY, unlikeness_ratio
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.association import INTERPOLATING, Association
 
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.evaluation import Evaluation
+
+_NAME = "small clock offsets"
 # A correlation's peak is this wide on data whose clocks agree. A lever arm moves that of speeds.
 _LEAST_S = {"angular rate": 0.010, "speed": 0.150}
 _LONGEST_S = 600.0
-_FEWEST_STATES = 50
+_FEWEST_STATES, _SHORTEST_S = 50, 8.0
 # By the speed alone: the share of the squared error that a late stamp explains, and how late.
 _EXPLAINED = 0.5
 _LATE_S = 0.020
 
 
-def clock_hint(pairs: Association, aligned: Trajectory) -> list[str]:
-    """Return a warning if clocks seem to differ, by rates of motion or by errors along the speed.
-
-    Of pairs alone, so that a live run, which keeps nothing else, is told the same.
+def small_clock_offset(
+    evaluation: Evaluation, truth: MotionTrack, estimate: MotionTrack
+) -> Examined:
+    """Look for a small offset, by rates of motion or by errors along the speed.
 
     Args:
-        pairs: N pairs.
-        aligned: Their estimated states, aligned.
+        evaluation: Of the two.
+        truth: The groundtruth, in order.
+        estimate: All of the estimate, in order.
     """
+    pairs = evaluation.association
     rule = pairs.rule
-    if rule.method == "index" or len(pairs) < _FEWEST_STATES:
-        return []
+    few = len(pairs) < _FEWEST_STATES or pairs.estimate.duration_s < _SHORTEST_S
+    if rule.method == "index" or few:
+        return Examined(_NAME, why_not="no timestamps, or too few pairs")
     guess = _guess(pairs)
+    scores = {"offset_s": guess.offset_s, "peak": guess.peak}
     if guess.is_usable:
         apart_s = guess.offset_s
         step_s = float(np.median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
         # Nearest stamps are as far apart as the rule allows.
-        within_s = 0.0 if rule.method in ("linear", "continuous") else rule.max_time_difference_s
+        within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
-            return []
-        how = f"the {guess.signal}s of the two match best"
+            return Examined(_NAME, scores)
+        scores["unlikeness"] = unlikeness_ratio(truth, estimate, estimate.shifted(apart_s))
+        if not scores["unlikeness"] < LEAST_LIKELY:
+            return Examined(_NAME, scores)
+        how = f"the {guess.signal}s match best"
     else:
-        late_s = _late(pairs, aligned)
+        late_s = _late(pairs, evaluation.aligned)
         if late_s is None:
-            return []
-        apart_s, how = late_s, "the position error goes with the speed, as"
-    more = "more " if rule.time_offset_s else ""
-    return [
-        f"the clocks of groundtruth and estimate seem to differ: {how} with {1e3 * apart_s:+.0f} "
-        f"ms {more}added to the estimate's stamps; --time-offset auto tests it"
-    ]
+            return Examined(_NAME, scores)
+        apart_s, how = late_s, "the position error is proportional to the speed, as"
+    values: dict[str, Value] = {
+        "offset_ms": 1e3 * apart_s,
+        "how": how,
+        "more": "more " if rule.time_offset_s else "",
+    }
+    return Examined(_NAME, scores, (Seen("small_clock_offset", _EXPLAINED, values),))
 
 
 def _guess(pairs: Association) -> OffsetGuess:

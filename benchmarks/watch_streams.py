@@ -1,0 +1,79 @@
+"""The recordings that a watchdog is measured on; IMUs of flights are made from groundtruth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import UnivariateSpline
+
+from trajeval_ros import read_many
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.watched_sources import read_watched
+from trajeval_ros.watchdog.recording import WatchedRun
+from trajeval_ros.watchdog.rotations_over_time import between, slerp_at
+
+_STEP_S = 0.005
+_SKIPPED = 1  # vio_mono's files begin with a placeholder
+
+
+def imu_of(truth: Trajectory, seed: int) -> InertialReadings:
+    """Return the IMU of a real motion: groundtruth differentiated, with an ADIS16448's noise."""
+    generator = np.random.default_rng(seed)
+    assert truth.quaternions is not None
+    known = truth.seconds
+    times = np.arange(0.05, known[-1] - 0.05, _STEP_S)
+    attitudes = slerp_at(known, truth.quaternions, times)
+    rates = lie.rotation_vector(between(attitudes[:-1], attitudes[1:])) / _STEP_S
+    rates = np.vstack([rates, rates[-1]])
+    smooth = [
+        UnivariateSpline(known, column, k=5, s=len(known) * 0.0005**2)(times, 2)
+        for column in truth.positions.T
+    ]
+    force = lie.rotate(lie.conjugate(attitudes), np.stack(smooth, axis=1) + [0.0, 0.0, 9.81])
+    for values, white, bias, walk in (
+        (rates, 1.7e-4, 0.01, 2e-5),
+        (force, 2e-3, 0.03, 3e-3),
+    ):
+        steps = generator.normal(0.0, walk * np.sqrt(_STEP_S), values.shape)
+        values += generator.normal(0.0, white / np.sqrt(_STEP_S), values.shape)
+        values += generator.normal(0.0, bias, 3) + np.cumsum(steps, axis=0)
+    stamps = truth.stamps[0] + np.rint(times * NANOSECONDS).astype(np.int64)
+    return InertialReadings(stamps, rates, force)
+
+
+def streams(data: Path) -> dict[str, WatchedRun]:
+    """Return the recordings by name; V2_03 is one with a real fault."""
+    flights = ("MH_01", "MH_05", "V2_03")
+    euroc = data / "euroc"
+    truths = read_many([euroc / f"groundtruth/{name}.txt" for name in flights])
+    imus = {
+        name: imu_of(truth, seed)
+        for seed, (name, truth) in enumerate(zip(flights, truths, strict=True))
+    }
+    mono = read_many([euroc / f"vio_mono/{name}.txt" for name in flights])
+    vins, openvins = (
+        replace(each.in_order(), covariances=None)
+        for each in read_many(
+            [euroc / "vins_mono/MH_01.csv", euroc / "openvins/MH_01_with_covariance.csv"]
+        )
+    )
+    found = {
+        f"vio_mono/{name}": WatchedRun(each[_SKIPPED:], imu=imus[name])
+        for name, each in zip(flights, mono, strict=True)
+    }
+    found["vio_mono/MH_01"] = replace(found["vio_mono/MH_01"], partner=openvins)
+    found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partner=openvins)
+    found["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partner=vins)
+    nav2 = str(data / "bags/nav2_turtlebot.mcap")
+    found["nav2/odom"], _ = read_watched(f"{nav2}:/odom", None, f"{nav2}:/amcl_pose", None)
+    husky = str(data / "gnss/husky_outdoor.bag")
+    found["husky/odom"], _ = read_watched(husky, f"{husky}:/imu/data", None, None)
+    example = str(data / "bags/ROS_example.bag")
+    for own, other in (("ORB-SLAM", "S-PTAM"), ("S-PTAM", "ORB-SLAM")):
+        run, _ = read_watched(f"{example}:/{own}", None, f"{example}:/{other}", None)
+        found[f"ros_example/{own}"] = run
+    return found

@@ -1,0 +1,117 @@
+"""The gallery: figures, with the commands that made them, drawn anew for each build."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the gallery.
+
+    Attributes:
+        title: Its heading.
+        text: What it shows.
+        command: The command that draws it, after those of the pictures before it.
+        file: The figure, in the folder in which the commands run.
+    """
+
+    title: str
+    text: str
+    command: str
+    file: str
+
+
+SIMULATE = (
+    "trajeval simulate flight",
+    "trajeval simulate covariances --profile euroc --duration 60",
+    "trajeval simulate drive --gnss rtk --duration 300",
+)
+_PAIR = "-g flight:/groundtruth/pose -e flight:/vio/odometry --modality stereo-inertial"
+_EVALUATE = f"trajeval evaluate {_PAIR} --output result"
+_COVARIANCES = (
+    "trajeval evaluate -g covariances:/groundtruth/pose -e covariances:/vio/odometry "
+    "--modality stereo-inertial --covariance covariances.npz --output consistency"
+)
+_TRAJECTORY = (
+    "trajeval trajectory flight:/vio/odometry --reference flight:/groundtruth/pose --gauge yaw "
+)
+_GNSS = (
+    "trajeval evaluate -g drive:/fix -e drive:/vio/odometry --modality stereo-inertial "
+    "--lever-arm 0.4,0.2,1 --max-fix-sigma 0.05 --output gnss"
+)
+_INTEGRITY = (
+    "trajeval evaluate -g covariances:/groundtruth/pose -e covariances:/vio/odometry --gauge yaw "
+    "--align-states 1 --covariance message --integrity --alert-limit 0.5 --output integrity"
+)
+PICTURES = (
+    Picture("From above", "Both trajectories after alignment.", _EVALUATE,
+            "result/trajectory_top.png"),
+    Picture("From the side", "The same trajectories from the side.", _EVALUATE,
+            "result/trajectory_side.png"),
+    Picture("Errors over time", "Position and rotation error of every pair.", _EVALUATE,
+            "result/absolute_error.png"),
+    Picture("Relative errors", "Errors by length of the sub-trajectories.", _EVALUATE,
+            "result/relative_error.png"),
+    Picture("Path coloured by error", "The position error along the path.",
+            f"{_TRAJECTORY}--plot xy --colour-by error --output coloured", "coloured/path_xy.png"),
+    Picture("Three dimensions", "Both trajectories in 3-D.",
+            f"{_TRAJECTORY}--plot 3d --output three", "three/path_3d.png"),
+    Picture("Positions over time", "x, y and z of both trajectories.",
+            f"{_TRAJECTORY}--plot xyz --output positions", "positions/xyz_over_time.png"),
+    Picture("Angles over time", "Roll, pitch and yaw of both trajectories.",
+            f"{_TRAJECTORY}--plot rpy --output angles", "angles/rpy_over_time.png"),
+    Picture("Speed over time", "Mean speed between consecutive poses.",
+            f"{_TRAJECTORY}--plot speed --output speed", "speed/speed_over_time.png"),
+    Picture("Consistency", "Errors with their 3-sigma bands, and NEES.", _COVARIANCES,
+            "consistency/consistency.png"),
+    Picture("Uncertainty from above", "Covariance ellipses along the flight.", _COVARIANCES,
+            "consistency/uncertainty_top.png"),
+    Picture("Stanford diagram", "Protection levels and errors.", _INTEGRITY,
+            "integrity/stanford.png"),
+    Picture("GNSS groundtruth", "A car with RTK fixes as groundtruth.", _GNSS,
+            "gnss/trajectory_top.png"),
+)  # fmt: skip
+
+
+def draw(folder: Path) -> dict[str, bytes]:
+    """Run all commands in a folder, and return the figures by their names on the page."""
+    for command in dict.fromkeys([*SIMULATE, *(each.command for each in PICTURES)]):
+        program, *arguments = shlex.split(command)
+        assert program == "trajeval"
+        done = subprocess.run(
+            [sys.executable, "-m", "trajeval_ros", *arguments],
+            cwd=folder,
+            env={**os.environ, "MPLBACKEND": "agg"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise RuntimeError(f"{command}\n{done.stdout}{done.stderr}")
+    return {each.file: (folder / each.file).read_bytes() for each in PICTURES}
+
+
+def page() -> str:
+    """Return the page, which shows the figures of `draw`."""
+    simulate = "\n".join(f"$ {each}" for each in SIMULATE)
+    lines = [
+        "# Gallery",
+        "",
+        "Figures with the commands that made them. All data is simulated by these commands:",
+        "",
+        f"```console\n{simulate}\n```",
+        "",
+        "[Figures](../figures.md) describes formats and widths, and [Rerun](../rerun.md) the 3-D",
+        "viewer.",
+    ]
+    for each in PICTURES:
+        command = each.command.replace(" --", " \\\n      --")
+        lines += ["", f"## {each.title}", "", each.text, "", f"```console\n$ {command}\n```"]
+        lines += ["", f"![{each.text}](gallery/{each.file})"]
+    return "\n".join(lines) + "\n"

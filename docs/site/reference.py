@@ -1,0 +1,160 @@
+"""Reference pages in Markdown, written from the code: commands, parameters of the node, names."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import trajeval_ros
+from trajeval_ros.cli.verbs import VERBS, verb
+from trajeval_ros.online import error_topics
+from trajeval_ros.ros.parameter_table import PARAMETERS, NodeParameter
+
+# The node's parameters are on a page of their own.
+_VERBS = [name for name in VERBS if name != "evaluator"]
+
+
+def command_line() -> str:
+    """Return the page of all commands and their options."""
+    lines = [
+        "# Command line",
+        "",
+        "All commands and options, generated from `--help`. Exit status 0 means success, 1 means",
+        "that a requirement does not hold, and 2 means invalid input or usage.",
+        "",
+        "The node's own page is [ROS 2 parameters](parameters.md).",
+    ]
+    for name in _VERBS:
+        lines += ["", *_command(name)]
+    return "\n".join(lines) + "\n"
+
+
+def _command(name: str) -> Iterator[str]:
+    command = verb(name)
+    arguments = [each for each in command.params if each.param_type_name == "argument"]
+    usage = " ".join(_value(each) for each in arguments)
+    yield f"## trajeval {name}"
+    yield ""
+    yield f"    trajeval {name} [OPTIONS] {usage}".rstrip()
+    yield ""
+    yield _escaped_help(inspect.cleandoc(command.help or ""))
+    for argument in arguments:
+        yield ""
+        yield f"* `{_value(argument)}`: {_plain(argument.help)}"
+    panels: dict[str, list[Any]] = {}
+    for each in command.params:
+        if each.param_type_name == "option" and not each.hidden:
+            panels.setdefault(getattr(each, "rich_help_panel", None) or "Options", []).append(each)
+    for panel, options in panels.items():
+        yield ""
+        title = re.sub(r" \(docs/\w+\.md\)", "", panel)
+        yield f"### {title} {{: #{name}-{_slug(title)} }}"
+        yield ""
+        for option in options:
+            names = ", ".join(sorted([*option.opts, *option.secondary_opts], key=len))
+            yield f"* `{' '.join([names, _value(option)]).strip()}`{_default(option)}: " + _plain(
+                option.help
+            )
+
+
+def _value(parameter: Any) -> str:
+    if getattr(parameter, "is_flag", False):
+        return ""
+    return str(parameter.metavar or parameter.name.upper())
+
+
+def _default(option: Any) -> str:
+    default = option.default
+    shown = option.show_default and not getattr(option, "is_flag", False)
+    is_value = isinstance(default, (int, float, str)) and default != ""
+    return f" (default: `{default}`)" if shown and is_value else ""
+
+
+def _plain(text: str | None) -> str:
+    return _escaped(" ".join((text or "").split()))
+
+
+def _escaped(text: str) -> str:
+    """Escape Markdown, and link the pages that are named."""
+    escaped = re.sub(r"([<>*_\[\]])", r"\\\1", text)
+    return re.sub(r"\bdocs/([\w\\]+)\.md", lambda page: _link(page[1].replace("\\", "")), escaped)
+
+
+def _link(page: str) -> str:
+    return f"[{page.replace('_', ' ')}](../{page}.md)"
+
+
+def _escaped_help(text: str) -> str:
+    """Escape what is not code; paragraphs of code are indented."""
+    blocks = text.split("\n\n")
+    return "\n\n".join(
+        block if block.startswith("    ") else _escaped(block).replace("`\\", "`")
+        for block in blocks
+    )
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"\W+", "-", text.lower()).strip("-")
+
+
+def parameters() -> str:
+    """Return the page of the node's parameters, topics and services."""
+    rows = "\n".join(map(_row, PARAMETERS))
+    topics = [
+        *((each, error_topics.VECTOR_TYPE) for each in error_topics.VECTORS),
+        *((each, error_topics.NUMBER_TYPE) for each in error_topics.NUMBERS),
+        *((each, error_topics.NUMBER_TYPE) for each in error_topics.WINDOW_NUMBERS),
+        *((each, error_topics.NUMBER_TYPE) for each in error_topics.NEES_NUMBERS),
+        *((each, error_topics.NUMBER_TYPE) for each in error_topics.PROTECTION_LEVELS.values()),
+        (error_topics.relative_error_topic("8m"), error_topics.NUMBER_TYPE),
+        (error_topics.ALIGNMENT, error_topics.ALIGNMENT_TYPE),
+        (error_topics.ALIGNED_PATH, "nav_msgs/msg/Path"),
+        (error_topics.GROUNDTRUTH_PATH, "nav_msgs/msg/Path"),
+    ]
+    published = "\n".join(f"| `{name}` | `{kind}` |" for name, kind in topics)
+    return f"""# ROS 2 parameters
+
+The parameters of `ros2 run trajeval_ros evaluator`, generated from the code. Set them with
+`--ros-args -p NAME:=VALUE` or in a file ([live evaluation](../live.md)).
+
+| parameter | default | description |
+|---|---|---|
+{rows}
+
+## Topics
+
+Published below `~/ESTIMATE/`. [ROS 2 topics](../topics.md) describes their contents.
+
+| topic | type |
+|---|---|
+{published}
+
+The node also publishes `/diagnostics` (`{error_topics.DIAGNOSTICS_TYPE}`) and `~/event`
+(`diagnostic_msgs/msg/DiagnosticStatus`).
+
+## Services
+
+| service | type | effect |
+|---|---|---|
+| `~/save` | `std_srvs/srv/Trigger` | writes the results now |
+| `~/reset` | `std_srvs/srv/Trigger` | starts a new run |
+"""
+
+
+def _row(each: NodeParameter) -> str:
+    default = "" if each.default in ("", [""]) else f"`{each.default}`"
+    limits = "" if each.range is None else f" Range: {each.range[0]:g} to {each.range[1]:g}."
+    live = " Can be set while the node runs." if each.is_live else ""
+    description = _plain(each.description).replace("|", "\\|")
+    return f"| `{each.name}` | {default} | {description}{limits}{live} |"
+
+
+def names() -> str:
+    """Return the page of the public names, which mkdocstrings fills from their docstrings."""
+    entries = "\n\n".join(
+        f"::: trajeval_ros.{trajeval_ros._HOMES[name]}.{name}"
+        for name in sorted(trajeval_ros.__all__, key=str.lower)
+    )
+    return f"# Python: all names\n\nAll public names, from their docstrings.\n\n{entries}\n"

@@ -1,0 +1,278 @@
+"""What is found stands first, in words and in result.json; mends are options, and said."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_runs import Pair, simulated
+from trajeval_ros import CalibrationRequest, Protocol, Request, Trajectory, run, simulate
+from trajeval_ros.cli.app import main
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.mends import Mends
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.pipeline.pipeline import evaluate
+
+ROOT = Path(__file__).resolve().parent.parent
+DRONE = simulated(5000, "drone", "walk", 60.0)
+
+
+def written(trajectory: Trajectory, path: Path) -> str:
+    assert trajectory.quaternions is not None
+    columns = [trajectory.stamps / 1e9, trajectory.positions, trajectory.quaternions]
+    np.savetxt(path, np.column_stack(columns), fmt="%.9f")
+    return str(path)
+
+
+def files(pair: Pair, folder: Path) -> list[str]:
+    truth, estimate = folder / "groundtruth.txt", folder / "vio.txt"
+    return ["-g", written(pair.truth, truth), "-e", written(pair.estimate, estimate)]
+
+
+def test_the_finding_stands_under_the_headline_and_nowhere_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    result = tmp_path / "result.json"
+    arguments = [*files(wrong, tmp_path), "--gauge", "yaw", "--json", str(result)]
+    assert main(["evaluate", *arguments]) == 0
+    shown = capsys.readouterr()
+    lines = shown.out.splitlines()
+    assert lines[0].startswith("vio: ATE ")
+    assert lines[1].startswith("  diagnosis: the estimate is in millimetres")
+    assert lines[1].endswith("--estimate-scale 0.001")
+    assert "millimetres" not in shown.err
+    assert "jumps" not in shown.err
+    (found,) = json.loads(result.read_text())["runs"][0]["diagnosis"]
+    assert found["cause"] == "estimate_mm"
+    assert found["option"] == "--estimate-scale 0.001"
+    assert found["confidence"] == "fitted"
+    assert found["evidence"]["scale"] == pytest.approx(1e-3, rel=0.05)
+
+
+def test_a_fix_is_said_with_the_errors_before_and_after(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    result = tmp_path / "result.json"
+    arguments = [*files(wrong, tmp_path), "--gauge", "yaw", "--json", str(result)]
+    assert main(["evaluate", *arguments, "--fix", "estimate_mm"]) == 0
+    shown = capsys.readouterr()
+    assert "  corrected with --estimate-scale 0.001 (--fix): ATE " in shown.out
+    assert "positions multiplied by 0.001" in shown.err
+    read = json.loads(result.read_text())
+    mended = read["runs"][0]["mended"]
+    assert mended["cause"] == "estimate_mm"
+    assert mended["before"]["position_m"] > 100.0 * mended["after"]["position_m"]
+    assert mended["after"]["position_m"] == read["runs"][0]["ate"]["position_m"]["rmse"]
+    assert read["provenance"]["settings"]["fix"] == "estimate_mm"
+    assert read["runs"][0]["diagnosis"] == []
+
+
+def test_an_option_gives_the_same_numbers_as_the_fix(tmp_path: Path) -> None:
+    wrong = MISTAKES["wxyz, estimate"].make(DRONE)
+    results = []
+    for option in (["--fix", "suggested"], ["--quaternion-order", "xyzw,wxyz"]):
+        result = tmp_path / "result.json"
+        arguments = [*files(wrong, tmp_path), "--gauge", "yaw", "--json", str(result), "--quiet"]
+        assert main(["evaluate", *arguments, *option]) == 0
+        results.append(json.loads(result.read_text())["runs"][0]["ate"])
+    assert results[0] == results[1]
+
+
+def test_nothing_is_mended_unless_somebody_asks() -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    found = run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0]
+    assert found.mended is None
+    plain = run(DRONE.truth, [DRONE.estimate], Request(DRONE.protocol)).runs[0]
+    assert found.diagnosis.suggested is not None
+    assert plain.diagnosis.suggested is None
+
+
+def test_a_fix_of_what_is_not_there_is_refused() -> None:
+    request = Request(DRONE.protocol, fix="wxyz")
+    with pytest.raises(InputError, match="wxyz not found"):
+        run(DRONE.truth, [DRONE.estimate], request)
+    with pytest.raises(SettingsError, match="cause to fix"):
+        Request(fix="gremlins")
+    suggested = dataclasses.replace(request, fix="suggested")
+    assert run(DRONE.truth, [DRONE.estimate], suggested).runs[0].mended is None
+
+
+def test_a_fix_that_no_option_makes_is_refused() -> None:
+    wrong = MISTAKES["duplicated"].make(DRONE)
+    with pytest.raises(InputError, match="no option corrects the finding"):
+        run(wrong.truth, [wrong.estimate], Request(wrong.protocol, fix="suggested"))
+
+
+def test_hand_eye_refuses_poses_that_are_read_wrongly() -> None:
+    wrong = MISTAKES["mirrored"].make(DRONE)
+    request = Request(wrong.protocol, CalibrationRequest(hand_eye=True))
+    with pytest.raises(InputError, match=r"left-handed.*--estimate-axes"):
+        run(wrong.truth, [wrong.estimate], request)
+
+
+def test_the_same_estimate_twice_is_told_once() -> None:
+    outcome = run(DRONE.truth, [DRONE.estimate, DRONE.estimate], Request(DRONE.protocol))
+    causes = [[each.cause for each in one.diagnosis.findings] for one in outcome.runs]
+    assert causes == [[], ["same_estimate"]]
+    assert "identical to" in outcome.runs[1].evaluation.warnings[0]
+
+
+def test_sides_can_be_swapped(tmp_path: Path) -> None:
+    arguments = files(DRONE, tmp_path)
+    exchanged = ["-g", arguments[3], "-e", arguments[1]]
+    results = []
+    for given in (arguments, [*exchanged, "--swap"]):
+        result = tmp_path / "result.json"
+        assert main(["evaluate", *given, "--json", str(result), "--quiet"]) == 0
+        results.append(json.loads(result.read_text())["runs"][0]["ate"])
+    assert results[0] == results[1]
+    with pytest.raises(SettingsError, match="one estimate"):
+        run(DRONE.truth, [DRONE.estimate] * 2, Request(mends=Mends(swap=True)))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ({"estimate_scale": 0.0}, "greater than zero"),
+        ({"estimate_scale": float("nan")}, "greater than zero"),
+        ({"quaternion_order": "wzyx"}, "quaternion order"),
+        ({"quaternion_order": "xyzw,wxyz,wxyz"}, "quaternion orders"),
+        ({"inverse": "poses"}, "side to invert"),
+        ({"estimate_axes": "x,y"}, "axes"),
+        ({"estimate_axes": "x,x,z"}, "axes"),
+        ({"clock_rate": 2e5}, "clock rate"),
+    ],
+)
+def test_mends_that_mean_nothing_are_refused(words: dict[str, object], told: str) -> None:
+    with pytest.raises(SettingsError, match=told):
+        Mends.of(words)
+
+
+def test_positions_can_not_be_inverted() -> None:
+    bare = dataclasses.replace(DRONE.estimate, quaternions=None)
+    with pytest.raises(SettingsError, match="only positions"):
+        Mends(inverse="estimate").applied(DRONE.truth, bare)
+
+
+@pytest.mark.parametrize("words", [{"inverse": "estimate"}, {"estimate_axes": "x,-y,z"}])
+def test_mends_undo_themselves(words: dict[str, str]) -> None:
+    mends = Mends.of(words)
+    once = mends.applied(DRONE.truth, DRONE.estimate)
+    truth, twice = mends.applied(*once)
+    assert truth is DRONE.truth
+    np.testing.assert_allclose(twice.positions, DRONE.estimate.positions, atol=1e-9)
+    assert twice.quaternions is not None
+    assert DRONE.estimate.quaternions is not None
+    np.testing.assert_allclose(twice.quaternions, DRONE.estimate.quaternions, atol=1e-12)
+
+
+def test_a_clock_rate_stretches_from_the_first_stamp_on() -> None:
+    _, longer = Mends(clock_rate=1000.0).applied(DRONE.truth, DRONE.estimate)
+    before, after = DRONE.estimate.stamps, longer.stamps
+    assert after[0] == before[0]
+    assert after[-1] - after[0] == pytest.approx(1.001 * (before[-1] - before[0]), rel=1e-12)
+
+
+def test_frames_that_are_apart_are_told_where_nothing_aligns_them() -> None:
+    flight = simulate(seed=1, duration_s=30.0)
+    truth = flight.groundtruth
+    estimate = dataclasses.replace(truth[::10], positions=truth.positions[::10] + [0.0, 0.0, 47.0])
+    noise = np.random.default_rng(0).normal(0.0, 0.01, estimate.positions.shape)
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
+    warning = evaluate(truth, estimate, Protocol(gauge="none")).warnings[0]
+    assert "0.00, -47.00) m" in warning.replace("-0.00", "0.00")
+    assert "geoid" in warning
+    assert "--gauge translation" in warning
+
+
+def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, truth, _, estimate = files(MISTAKES["mirrored"].make(DRONE), tmp_path)
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("mirrored (fitted, explains ")
+    for test in (
+        "rounded stamps: nothing",
+        "clocks: nothing (offset_s",
+        "conventions: mirrored (",
+    ):
+        assert test in shown
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json"]) == 0
+    read = json.loads(capsys.readouterr().out)
+    assert read["findings"][0]["cause"] == "mirrored"
+    assert {each["test"] for each in read["examined"]} >= {"clocks", "conventions"}
+
+
+def test_diagnose_helps_where_nothing_can_be_evaluated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = dataclasses.replace(DRONE.estimate, stamps=DRONE.estimate.stamps + 3600 * 10**9)
+    _, truth, _, estimate = files(dataclasses.replace(DRONE, estimate=later), tmp_path)
+    assert main(["diagnose", truth, estimate]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("evaluation not possible: ")
+    assert "clock_offset" in shown
+    assert re.search(r"--time-offset=-3600\.\d", shown) or "--time-offset=-3599.9" in shown
+
+
+def test_the_documentation_has_every_cause() -> None:
+    page = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    missing = [name for name in CAUSES if f"`{name}`" not in page]
+    assert not missing
+
+
+def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    from trajeval_ros.batch.compare_runs import compare
+    from trajeval_ros.batch.summary_tables import matrices
+
+    written(DRONE.truth, tmp_path / "hall.txt")
+    for name, pair in (("good", DRONE), ("bad", MISTAKES["wxyz, estimate"].make(DRONE))):
+        (tmp_path / name).mkdir()
+        written(pair.estimate, tmp_path / name / "hall.txt")
+    config = tmp_path / "runs.yaml"
+    config.write_text(
+        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: none\n"
+        "runs:\n  good: 'good/{sequence}.txt'\n  bad: 'bad/{sequence}.txt'\n"
+    )
+    summary = compare(config, tmp_path / "out", workers=1, report=False)
+    assert {each.algorithm: each.diagnosis for each in summary.trials} == {
+        "good": (),
+        "bad": ("wxyz",),
+    }
+    table = next(each for each in matrices(summary) if each.name == "ate_rotation_deg")
+    notes = {algorithm: cells[0].note for algorithm, cells in table.rows}
+    assert notes == {"good": "", "bad": "§"}
+    assert "§ mistakes found (wxyz)" in table.caption
+
+
+@pytest.mark.parametrize(
+    ("exchanged", "unit", "causes"),
+    [
+        (False, 1.0, []),
+        (True, 1.0, ["covariance_order"]),
+        (False, 180.0 / np.pi, ["covariance_degrees"]),
+    ],
+)
+def test_covariances_in_another_order_or_unit(
+    exchanged: bool, unit: float, causes: list[str]
+) -> None:
+    request = Request(dataclasses.replace(DRONE.protocol, gauge=Gauge.SE3))
+    ate = run(DRONE.truth, [DRONE.estimate], request).runs[0].evaluation.ate
+    position, rotation = ate["position_m"], ate["rotation_deg"]
+    assert position is not None
+    assert rotation is not None
+    sigmas = np.repeat([position.median, unit * np.radians(rotation.median)], 3) / np.sqrt(3.0)
+    sigmas = np.roll(sigmas, 3) if exchanged else sigmas
+    covariances = np.tile(np.diag(sigmas**2), (len(DRONE.estimate), 1, 1))
+    told = dataclasses.replace(DRONE.estimate, covariances=covariances)
+    found = run(DRONE.truth, [told], request).runs[0].diagnosis
+    assert [each.cause for each in found.findings] == causes

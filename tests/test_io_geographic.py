@@ -1,0 +1,128 @@
+"""Fixes in text files: named columns, and NMEA."""
+
+from __future__ import annotations
+
+import functools
+import operator
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fix_runs import DATUM, places_of
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.geodesy import east_north_up
+from trajeval_ros.io.sources import read_trajectory
+
+POSITIONS = np.random.default_rng(0).uniform(-200.0, 200.0, (30, 3))
+PLACES = places_of(POSITIONS)
+
+
+def sentence(body: str) -> str:
+    checksum = functools.reduce(operator.xor, body.encode())
+    return f"${body}*{checksum:02X}"
+
+
+def gga(seconds: float, place: np.ndarray, quality: int = 4, geoid: float = 47.2) -> str:
+    minutes, rest = divmod(seconds % 86_400, 60.0)
+    hours, minutes = divmod(int(minutes), 60)
+    latitude, longitude, height = place
+    words = [f"GNGGA,{hours:02d}{minutes:02d}{rest:05.2f}"]
+    for value, letters, width in ((latitude, "NS", 2), (longitude, "EW", 3)):
+        degrees, part = divmod(abs(value), 1.0)
+        words += [f"{int(degrees):0{width}d}{60.0 * part:011.8f}", letters[int(value < 0)]]
+    words += [f"{quality},12,0.7,{height - geoid:.4f},M,{geoid:.4f},M,1.0,0001"]
+    return sentence(",".join(words))
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+@pytest.mark.parametrize(
+    "names", [("lat", "lon", "alt"), ("latitude", "longitude", "height"), ("Lat[deg]", "Lng", "h")]
+)
+def test_named_columns(names: tuple[str, str, str], separator: str, tmp_path: Path) -> None:
+    file = tmp_path / "fixes.csv"
+    rows = [
+        separator.join(
+            [f"1700000000.{row:03d}", *(repr(float(x)) for x in place), "0.01", "0.02", "0.03"]
+        )
+        for row, place in enumerate(PLACES)
+    ]
+    header = separator.join(["time", *names, "sigma_e", "sigma_n", "sigma_u"])
+    file.write_text("\n".join([header, *rows]))
+    found = read_trajectory(file)
+    assert found.kind == "gnss"
+    assert found.fixes is not None
+    np.testing.assert_array_equal(found.fixes.places, PLACES)
+    np.testing.assert_array_equal(found.stamps, 1_700_000_000 * 10**9 + np.arange(30) * 10**6)
+    np.testing.assert_allclose(found.fixes.sigma_level_m, 0.02)
+    np.testing.assert_allclose(found.fixes.sigma_up_m, 0.03)
+
+
+def test_columns_without_height_and_with_status(tmp_path: Path) -> None:
+    file = tmp_path / "fixes.txt"
+    rows = [
+        f"{row} {latitude!r} {longitude!r} {row % 3 - 1}"
+        for row, (latitude, longitude, _) in enumerate(PLACES.tolist())
+    ]
+    file.write_text("# t latitude longitude status\n" + "\n".join(rows))
+    found = read_trajectory(file)
+    assert found.fixes is not None
+    assert not found.fixes.have_heights
+    assert found.dropped == {"no_fix": 10}
+
+
+def test_nmea(tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    begin = datetime(2024, 3, 31, 23, 59, 50, tzinfo=timezone.utc).timestamp()
+    lines = []
+    for row, place in enumerate(PLACES):
+        lines.append(gga(begin + row + 0.25, place))
+        if row == 4:
+            lines.append(sentence("GNRMC,235954.25,A,4724.0,N,00830.0,E,0.1,77.0,310324,,,R"))
+        lines.append("$GNGSA,A,3,01*00")
+    lines[6] = lines[6][:30] + "9" + lines[6][31:]  # a bit that fell over
+    file.write_text("\r\n".join(lines))
+    found = read_trajectory(file)
+    kept = np.arange(30) != 3
+    assert found.dropped == {"undecodable": 1}
+    expected = int(begin) * 10**9 + np.arange(30) * 10**9 + 250_000_000
+    np.testing.assert_array_equal(found.stamps, expected[kept])
+    assert found.fixes is not None
+    np.testing.assert_allclose(
+        east_north_up(found.fixes.places, DATUM), POSITIONS[kept], rtol=0, atol=2e-4
+    )
+    assert set(found.fixes.status.tolist()) == {2}
+    assert not found.fixes.known.any()
+
+
+@pytest.mark.parametrize(
+    ("quality", "status"), [(0, None), (1, 0), (2, 1), (4, 2), (5, 2), (6, None)]
+)
+def test_nmea_s_quality(quality: int, status: int | None, tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    file.write_text("\n".join(gga(100.0 + row, PLACES[row], quality) for row in range(5)))
+    if status is None:
+        with pytest.raises(InputError, match="5 no fix"):
+            read_trajectory(file)
+        return
+    found = read_trajectory(file)
+    assert found.fixes is not None
+    assert set(found.fixes.status.tolist()) == {status}
+    assert any("1970-01-01" in note for note in found.notes)
+
+
+def test_southern_and_western_places(tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    places = PLACES * [-1.0, -1.0, 1.0]
+    file.write_text("\n".join(gga(row, place) for row, place in enumerate(places)))
+    found = read_trajectory(file)
+    assert found.fixes is not None
+    np.testing.assert_allclose(found.fixes.places[:, :2], places[:, :2], rtol=0, atol=1e-9)
+
+
+def test_an_nmea_file_without_a_whole_line(tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    file.write_text("$GPGGA,,,,,,0,,,,,,,,*66\n" * 3)
+    with pytest.raises(InputError, match="no complete fix in 3 GGA lines"):
+        read_trajectory(file)

@@ -1,0 +1,245 @@
+"""Live fixes without a network: bytes in any batches, and what `finish` makes of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fix_runs import DATUM, fix_messages, fixes_of, later, quality
+from marker_flights import write_mounting
+from ros_bags import ODOM, Message, messages_of, write_messages
+from ros_processes import assert_same, offline
+from test_live_run import ESTIMATE, TRUTH, Live
+
+from trajeval_ros import simulate
+from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.pose_messages import FIX_TYPE
+from trajeval_ros.io.live.pair_file import read_pairs
+from trajeval_ros.io.requests.request_words import known_hand_eye
+from trajeval_ros.ros.live_fixes import LiveFixes
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.segmentation import Segmentation
+
+FLIGHT = simulate(seed=8, duration_s=40.0)
+LEVER = (0.3, -0.1, 0.5)
+
+
+def antenna() -> Trajectory:
+    """Return fixes 2.5 times a second, some of them bad by their own account."""
+    truth = FLIGHT.groundtruth[::80]
+    assert truth.rotations is not None
+    rows = quality(len(truth))
+    rows[10:20, 2:] *= 400.0
+    positions = truth.positions + truth.rotations.apply(LEVER)
+    return fixes_of(truth.stamps, positions, rows)
+
+
+def messages(estimate: Trajectory = FLIGHT.estimate[60:], late_s: float = 0.0) -> list[Message]:
+    """Return fixes and odometry as they arrive, the fixes later by a constant."""
+    both = later(fix_messages(antenna(), TRUTH), late_s) + messages_of(estimate, ESTIMATE, ODOM)
+    return sorted(both, key=lambda each: each[2])
+
+
+def fed(folder: Path, late_s: float, rule: FixRule, **words: Any) -> Live:
+    """Return a live run that has heard everything."""
+    feed = messages(late_s=late_s)
+    live = Live(folder, ODOM, truth_kind=FIX_TYPE, **words)
+    live.truth.stream.fixes = LiveFixes(rule)
+    for begin in range(0, len(feed), 37):
+        live.feed(feed[begin : begin + 37])
+    return live
+
+
+ARM = ",".join(map(str, LEVER))
+WORDS = ("--lengths", "2,4", "--lever-arm", ARM)
+YAW = ("--gauge", "yaw")
+
+
+def recorded(folder: Path, feed: Sequence[Message], *options: str) -> Any:
+    """Return the result that a recording of messages has."""
+    folder.mkdir()
+    write_messages(folder / "bag", feed)
+    return offline(folder / "bag", folder, TRUTH, [ESTIMATE], *WORDS, *options)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("rule", "options"),
+    [
+        (FixRule(), []),
+        (
+            FixRule(datum=DATUM, max_sigma_m=0.05, min_status=2, correlation_s=20.0),
+            [
+                "--datum", str(DATUM), "--max-fix-sigma", "0.05", "--min-fix-status", "2",
+                "--fix-correlation", "20",
+            ],
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("gauge", ["", "planar"])
+def test_live_is_offline(
+    rule: FixRule, options: list[str], gauge: str, late_s: float, tmp_path: Path
+) -> None:
+    live = fed(tmp_path / "live", late_s, rule, lever_m=LEVER, gauge=gauge or None)
+    live.end()
+    found = live.result
+    options = [*options, *(["--gauge", gauge] if gauge else [])]
+    expected = recorded(tmp_path / "recorded", messages(), *options)
+    assert_same(found, expected)
+    assert_same(found["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
+    [run] = found["runs"]
+    assert run["own_error"] is not None
+    assert run["association"]["method"] == "groundtruth-stamps"
+    snapshot = live.run.estimates[0].snapshot()
+    ate, coverage = run["ate"], snapshot.coverage
+    assert snapshot.position_rmse_m == pytest.approx(ate["position_m"]["rmse"], rel=1e-9)
+    assert coverage is not None
+    assert coverage.covered == run["association"]["groundtruth_coverage"]
+    assert [each.text for each in live.run.news] == (
+        [] if gauge else ["/truth: GNSS fixes; the alignment uses gauge yaw"]
+    )
+
+
+def test_the_antenna_of_a_hand_eye_transform_is_that_of_a_recording(tmp_path: Path) -> None:
+    file = str(write_mounting(tmp_path))
+    body = MarkerBody(file, known_hand_eye(file))
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, body=body)
+    for message in messages(late_s=1.0):
+        live.feed([message])
+    live.end()
+    write_messages(tmp_path / "bag", messages())
+    words = ("--lengths", "2,4", "--hand-eye", file, *YAW)
+    expected = offline(tmp_path / "bag", tmp_path, TRUTH, [ESTIMATE], *words)
+    [run] = expected["runs"]
+    run["calibration"]["ate"]["before"] = None  # live, nobody pairs the body
+    assert_same(live.result, expected)
+    assert run["calibration"]["errors_of"] == "marker"
+    assert not any("no lever arm is given" in each for each in run["warnings"])
+
+
+@pytest.mark.parametrize("batch", [1, 19, 1000])
+def test_each_loop_is_a_run(tmp_path: Path, batch: int) -> None:
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, lever_m=LEVER)
+    live.truth.stream.fixes = LiveFixes(FixRule(DATUM))
+    feed = messages()
+    for begin in range(0, 2 * len(feed), batch):
+        live.feed([*feed, *feed][begin : begin + batch])
+    live.end()
+    found = live.result["runs"]
+    [expected] = recorded(tmp_path / "recorded", feed, "--datum", str(DATUM), *YAW)["runs"]
+    assert [each["estimate"]["name"] for each in found] == ["vio", "vio.2"]
+    found[1]["warnings"].remove(found[1]["warnings"][-1])  # why it began
+    for each in found:
+        assert_same(each, expected)
+
+
+@pytest.mark.parametrize("batch", [1, 19, 1000])
+def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
+    positions = FLIGHT.estimate.positions.copy()
+    positions[350:] += [30.0, -20.0, 10.0]
+    # While it restarts, nothing comes for 2 s.
+    estimate = dataclasses.replace(FLIGHT.estimate, positions=positions)
+    kept = (np.arange(len(estimate)) < 310) | (np.arange(len(estimate)) >= 350)
+    feed = messages(estimate[np.flatnonzero(kept)])
+    live = Live(
+        tmp_path / "live",
+        ODOM,
+        truth_kind=FIX_TYPE,
+        lever_m=LEVER,
+        segmentation=Segmentation(on_restart="segment"),
+    )
+    live.truth.stream.fixes = LiveFixes(FixRule(DATUM))
+    for begin in range(0, len(feed), batch):
+        live.feed(feed[begin : begin + batch])
+    live.end()
+    paired = [read_pairs(live.folder / name).stamps for name in ("vio.pairs", "vio.2.pairs")]
+    first = int(paired[1][0])
+    around = [each[2] for each in feed if each[0] == ESTIMATE]
+    before, after = max(s for s in around if s <= first), min(s for s in around if s >= first)
+    parts = [
+        [each for each in feed if each[2] <= (after if each[0] == ESTIMATE else first - 1)],
+        [each for each in feed if each[2] >= (before if each[0] == ESTIMATE else first)],
+    ]
+    found = live.result["runs"]
+    for number, (run, part) in enumerate(zip(found, parts, strict=True)):
+        folder = tmp_path / str(number)
+        [expected] = recorded(folder, part, "--datum", str(DATUM), *YAW)["runs"]
+        run["warnings"] = [each for each in run["warnings"] if not each.startswith("segment ")]
+        assert_same(run, expected)
+    assert found[0]["association"]["dropped"]["in_estimate_gap"] > 0
+
+
+def test_a_datum_on_another_continent_is_told(tmp_path: Path) -> None:
+    live = fed(tmp_path / "live", 0.0, FixRule(datum=Datum(8.5, 47.4, 430.0)))
+    assert "5477 km away from the first fix" in live.truth.stream.trouble
+    assert live.truth.stream.status.dropped == {"no_frame": len(antenna())}
+    assert live.run.estimates[0].evaluator.pairs == 0
+
+
+def test_gauge_none_wants_a_datum(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, gauge="none")
+    live.truth.stream.fixes = LiveFixes(wants_datum=True)
+    live.feed(messages())
+    assert "give the origin of the estimate's frame with datum:=" in live.truth.stream.trouble
+
+
+def test_two_receivers_on_one_topic_are_told_once(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE)
+    one, other = (fix_messages(antenna(), TRUTH, name) for name in ("left", "right"))
+    mixed = [pair[row % 2] for row, pair in enumerate(zip(one, other, strict=True))]
+    for begin in range(0, len(mixed), 7):
+        live.feed(mixed[begin : begin + 7])
+    told = [
+        each.text for each in live.truth.stream.news if "fixes of several receivers" in each.text
+    ]
+    assert len(told) == 1
+    assert "(frame_id 'left', 'right')" in told[0]
+    assert any("fixes of several receivers" in each for each in live.truth.stream.status.notes)
+
+
+def test_a_fix_is_silent_by_its_own_period(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE)
+    assert live.truth.stream.patience_s == 5.0
+    live.feed(fix_messages(antenna()[::25], TRUTH))  # each 10 s
+    assert live.truth.stream.patience_s == pytest.approx(30.0, rel=0.01)
+
+
+def test_what_was_paired_outlives_a_kill(tmp_path: Path) -> None:
+    live = fed(tmp_path / "live", 0.0, FixRule(), lever_m=LEVER)
+    # No end: what waits is never decided, and the newest counts are those of the beginning.
+    live.run.write_states()
+    (run,) = live.result["runs"]
+    assert run["association"]["method"] == "groundtruth-stamps"
+    assert run["association"]["pairs"] > 80
+
+
+def test_fixes_that_are_none_are_counted_and_told(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE)
+    fixes = antenna()
+    assert fixes.fixes is not None
+    fixes.fixes.status[:] = -1
+    live.feed(fix_messages(fixes, TRUTH))
+    assert live.truth.stream.status.dropped == {"no_fix": len(fixes)}
+    assert "no message with a valid pose" in live.truth.stream.trouble
+    assert live.truth.stream.fixes.datum is None
+    assert not (live.folder / "groundtruth.fixes").exists()
+
+
+def test_parameters_are_the_command_line_s() -> None:
+    pytest.importorskip("trajeval_ros.ros.parameters")
+    from trajeval_ros.ros import parameters
+    from trajeval_ros.ros.parameter_table import PARAMETERS
+
+    values = {each.name: each.default for each in PARAMETERS}
+    assert parameters.fixes_of(values) == FixRule()
+    values |= {"datum": str(DATUM), "min_fix_status": 2.0, "max_fix_sigma": 0.05}
+    values |= {"lever_arm": "0.3,-0.1,0.5"}
+    assert parameters.fixes_of(values) == FixRule(DATUM, 2, 0.05, 100.0)
+    assert parameters.settings_of(values).protocol.lever_m == LEVER
+    np.testing.assert_array_equal(DATUM.coordinates, [47.4, 8.5, 430.0])

@@ -1,0 +1,73 @@
+"""GNSS fixes and points over DDS: the node's results are those of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from fix_runs import DATUM, fix_messages, fixes_of, later, quality
+from ros_bags import ODOM, POINT, messages_of, write_messages
+from ros_processes import ODOMETRY, TRUTH, Peer, assert_same, offline, play_without_loss
+
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+LEVER = (0.3, -0.1, 0.5)
+ARM = ",".join(map(str, LEVER))
+LATE_S = 1.5
+
+
+def test_fixes_that_come_late(peer: Peer, environment: dict[str, str], tmp_path: Path) -> None:
+    pytest.importorskip("sensor_msgs")
+    flight = simulate(6, 40.0)
+    truth = flight.groundtruth[::80]  # 2.5 Hz
+    assert truth.rotations is not None
+    rows = quality(len(truth))
+    rows[10:20, 2:] *= 400.0
+    fixes = fixes_of(truth.stamps, truth.positions + truth.rotations.apply(LEVER), rows)
+    estimate = flight.estimate[60:]  # fixes before the first estimate
+    bag = tmp_path / "bag"
+    sent = later(fix_messages(fixes, TRUTH), LATE_S)
+    write_messages(bag, [*sent, *messages_of(estimate, ODOMETRY, ODOM)])
+    common = {"lengths": "4,8", "lever_arm": ARM}
+    gates = {"datum": str(DATUM), "min_fix_status": 2.0, "max_fix_sigma": 0.05}
+    nodes = {
+        "plain": common,
+        "gated": {**common, **gates, "gauge": "planar", "fix_correlation": 30.0},
+    }
+    done = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=4.0)
+    options = {
+        "plain": [],
+        "gated": [
+            "--datum", str(DATUM), "--min-fix-status", "2", "--max-fix-sigma", "0.05",
+            "--fix-correlation", "30", "--gauge", "planar",
+        ],
+    }  # fmt: skip
+    for name, own in options.items():
+        words = ["--lengths", "4,8", "--lever-arm", ARM, *own]
+        recorded = offline(bag, tmp_path, TRUTH, [ODOMETRY], *words)
+        found = done[name].result
+        assert_same(found, recorded)
+        assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
+        [run] = found["runs"]
+        assert run["association"]["method"] == "groundtruth-stamps"
+        assert run["own_error"] is not None
+    assert "the alignment uses gauge yaw" in done["plain"].said
+    assert done["gated"].result["groundtruth"]["fixes"]["datum"] == asdict(DATUM)
+
+
+def test_surveyed_points(peer: Peer, environment: dict[str, str], tmp_path: Path) -> None:
+    flight = simulate(9, 30.0)
+    points = messages_of(flight.groundtruth[::200], TRUTH, POINT)
+    bag = tmp_path / "bag"
+    write_messages(bag, [*points, *messages_of(flight.estimate, ODOMETRY, ODOM)])
+    nodes = {"evaluator": {"gauge": "yaw", "lengths": "4"}}
+    done = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=4.0)["evaluator"]
+    recorded = offline(bag, tmp_path, TRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "4")
+    assert_same(done.result, recorded)
+    assert done.result["runs"][0]["association"]["method"] == "groundtruth-stamps"

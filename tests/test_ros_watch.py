@@ -1,0 +1,197 @@
+"""The watch over DDS: a fault in what one process publishes is an alarm of another's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_processes import Peer, evaluating, parameters, run_evaluator
+from watched_flights import learned_limits, watched_bag, watched_sources
+
+from trajeval_ros.cli.app import main
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytest.importorskip("sensor_msgs", reason="sensor_msgs is missing; `make ros-environment` has it")
+pytestmark = pytest.mark.ros
+
+RATE = 9.0
+WATCHED = {"estimates": ["/odom"], "watch_with": "/vio", "imu_topic": "/imu"}
+
+
+@pytest.fixture(scope="module")
+def limits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return learned_limits(tmp_path_factory.mktemp("good"))
+
+
+@pytest.fixture(scope="module")
+def diverging(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return watched_bag(tmp_path_factory.mktemp("run"), "bag", 4, "diverging 1 m/s2")
+
+
+@pytest.fixture(scope="module")
+def offline(diverging: Path, limits: Path) -> Any:
+    """What `trajeval watch` says of the run."""
+    path = diverging.with_name("watch.json")
+    command = ["watch", *watched_sources(diverging), "--limits", str(limits), "--quiet"]
+    assert main([*command, "--json", str(path)]) == 0
+    return json.loads(path.read_text())
+
+
+def values_of(status: Any) -> dict[str, str]:
+    return {each.key: each.value for each in status.values}
+
+
+def alarms_of(events: list[Any]) -> dict[str, int]:
+    """Return when each signal's first alarm began, by the events."""
+    found: dict[str, int] = {}
+    for each in events:
+        values = values_of(each)
+        if values["kind"] == "alarm" and each.level != b"\0":
+            found.setdefault(values["subject"], int(values["stamp_ns"]))
+    return found
+
+
+def test_an_injected_fault_is_the_alarm_that_the_recording_has(
+    peer: Peer,
+    environment: dict[str, str],
+    limits: Path,
+    diverging: Path,
+    offline: Any,
+    tmp_path: Path,
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    expected: dict[str, int] = {}
+    for each in sorted(offline["alarms"], key=lambda each: each["begin_ns"]):
+        expected.setdefault(each["signal"], each["begin_ns"])
+    assert {"pair_m_1s", "pair_m_5s"} <= expected.keys()
+    events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
+    diagnostics = peer.hear("/diagnostics", DiagnosticArray)
+    values: dict[str, Any] = {**WATCHED, "groundtruth": "", "watch": str(limits)}
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 1, "/vio": 1, "/imu": 1}, ["evaluator"], RATE)
+        peer.until(lambda: alarms_of(events).keys() >= expected.keys(), "all alarms")
+        peer.until(
+            lambda: any(
+                each.name == "/evaluator: odom watch" and each.level == b"\2"
+                for array in diagnostics
+                for each in array.status
+            ),
+            "diagnostics have the error",
+        )
+        assert evaluator.end() == 0
+    assert not (tmp_path / "out").exists()
+    found = alarms_of(events)
+    assert found.keys() == expected.keys()
+    np.testing.assert_allclose(
+        [found[each] for each in expected], list(expected.values()), rtol=0.0, atol=1
+    )
+    [first, *_] = [each for each in events if values_of(each)["kind"] == "alarm"]
+    assert "(95 %, 3/hours)" in values_of(first)["evidence"]
+    status = [each for array in diagnostics for each in array.status][-1]
+    assert "pair_m_1s" in status.message
+    assert "(95 %, 3/hours)" in values_of(status)["evidence"]
+
+
+def test_it_watches_beside_an_evaluation(
+    peer: Peer, environment: dict[str, str], limits: Path, diverging: Path, tmp_path: Path
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
+    diagnostics = peer.hear("/diagnostics", DiagnosticArray)
+    values: dict[str, Any] = {**WATCHED, "groundtruth": "/truth", "watch": str(limits)}
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 2, "/vio": 1, "/imu": 1, "/truth": 1}, ["evaluator"], RATE)
+        peer.until(lambda: "pair_m_1s" in alarms_of(events), "an alarm of pair_m_1s")
+        peer.until(
+            lambda: any(
+                {each.name for each in array.status}
+                >= {"/evaluator: odom", "/evaluator: odom watch"}
+                for array in diagnostics
+            ),
+            "both statuses",
+        )
+        assert evaluator.end() == 0
+    assert evaluator.run_of("/odom")["ate"]["position_m"]["rmse"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [
+        ({"watch": "none.yaml"}, "none.yaml"),
+        ({"watch": "", "imu_topic": "/imu"}, "parameter imu_topic needs the parameter watch"),
+        ({"watch": "", "groundtruth_topic": ""}, "without groundtruth, set watch to a file"),
+        ({"watch": "ALONE", "imu_topic": "/imu"}, "the limits were learned without an IMU"),
+    ],
+)
+def test_what_it_lacks_is_one_sentence(
+    values: dict[str, Any],
+    complaint: str,
+    environment: dict[str, str],
+    limits: Path,
+    tmp_path: Path,
+) -> None:
+    text = limits.read_text().splitlines(keepends=True)
+    alone = tmp_path / "alone.yaml"
+    inertial = ("  gyro", "  gravity", "  standstill")
+    alone.write_text("".join(line for line in text if not line.startswith(inertial)))
+    values = {"groundtruth_topic": "/truth", "estimate_topics": ["/odom"], **values}
+    values["watch"] = values["watch"].replace("ALONE", str(alone))
+    output = tmp_path / "out"
+    done = run_evaluator(environment, *parameters(output=str(output), **values))
+    assert done.returncode == 2, done.stderr
+    [said] = [line for line in done.stderr.splitlines() if line.startswith("trajeval: ")]
+    assert complaint in said
+    assert "Traceback" not in done.stderr
+    assert not output.exists()
+
+
+@pytest.mark.slow
+def test_an_alarm_leaves_a_clip_that_can_be_evaluated(
+    peer: Peer, environment: dict[str, str], limits: Path, diverging: Path, tmp_path: Path
+) -> None:
+    values: dict[str, Any] = {
+        **WATCHED, "groundtruth": "/truth", "watch": str(limits), "black_box": "4s+0.5s",
+        "black_box_folder": str(tmp_path / "clips"),
+    }  # fmt: skip
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 3, "/vio": 2, "/imu": 2, "/truth": 2}, ["evaluator"], RATE)
+        evaluator.wait_for("clip of ")
+        assert evaluator.end() == 0
+    [clip] = (tmp_path / "clips").iterdir()
+    about = json.loads((clip / "clip.json").read_text())
+    assert about["causes"][0]["subject"] in clip.name
+    assert "(95 %, 3/hours)" in about["causes"][0]["evidence"]
+    assert about["parameters"]["black_box"] == "4s+0.5s"
+    assert about["signals"]["largest_by_second"]["jump_m"]
+    assert about["topics"].keys() == {"/odom", "/vio", "/imu", "/truth"}
+    assert about["left_out"] == []
+    file, output = clip / "clip.mcap", tmp_path / "clip.json"
+    sources = ["-g", f"{file}:/truth", "-e", f"{file}:/odom"]
+    assert main(["evaluate", *sources, "--json", str(output), "--quiet"]) == 0
+    assert json.loads(output.read_text())["runs"][0]["association"]["pairs"] > 100
+
+
+def test_a_failed_limit_of_the_evaluation_leaves_a_clip(
+    peer: Peer, environment: dict[str, str], diverging: Path, tmp_path: Path
+) -> None:
+    values: dict[str, Any] = {
+        "groundtruth": "/truth", "estimates": ["/odom"], "black_box": "4s+30s",
+        "black_box_folder": str(tmp_path / "clips"), "error_position_error_m": 5.0,
+    }  # fmt: skip
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 2, "/truth": 2}, ["evaluator"], RATE)
+        # The end comes before the 30 s are over: the clip has what there is.
+        assert evaluator.end() == 0
+    [clip] = (tmp_path / "clips").iterdir()
+    about = json.loads((clip / "clip.json").read_text())
+    assert about["causes"][0]["subject"] == "position_error_m"
+    assert about["causes"][0]["limit"] == 5.0
+    assert about["topics"].keys() == {"/odom", "/truth"}
+    assert main(["info", str(clip / "clip.mcap")]) == 0

@@ -1,0 +1,117 @@
+"""The records of a comparison on disk: one file of entries, and one of each shard it was made of.
+
+Entries are appended, each by one call of the system, so that a kill loses what is in flight. What
+stands behind an entry that isn't whole is cut off by the next one that writes there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from trajeval_ros.batch.records import HEAD_BYTES, EntryHead, Record, decode, entry_head
+from trajeval_ros.io.writing import refused_by_disk
+
+RECORDS = "runs"  # their folder in that of a comparison
+SUFFIX = ".records"
+OWN = f"all{SUFFIX}"
+
+
+class RecordStore:
+    """All records in a folder, by key; of several with one key the last one counts."""
+
+    def __init__(self, folder: Path, own: str = OWN) -> None:
+        """Find all entries.
+
+        Args:
+            folder: With files of records; it may not exist yet.
+            own: Name of the file that records are added to.
+        """
+        self._own = folder / own
+        self._end = 0  # of what is whole in that file
+        self._places: dict[str, tuple[Path, int]] = {}
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
+            for key, begin, end in _entries(path):
+                self._places[key] = (path, begin)
+                if path == self._own:
+                    self._end = end
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def add(self, entry: bytes) -> None:
+        """Append an encoded record.
+
+        Raises:
+            InputError: It can't be written; nothing of it is left.
+        """
+        head = entry_head(entry)
+        assert head is not None
+        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        with refused_by_disk(str(self._own)):
+            file = os.open(self._own, flags, 0o666)
+            try:
+                os.ftruncate(file, self._end)
+                _write_all(file, entry, self._end)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    os.ftruncate(file, self._end)
+                raise
+            finally:
+                os.close(file)
+        self._places[head.key] = (self._own, self._end)
+        self._end += len(entry)
+
+    def read(self, key: str, *, with_pooled: bool = True) -> Record | None:
+        """Return a record; None if there is none that can be read.
+
+        Args:
+            key: Which.
+            with_pooled: Whether with the errors of its sub-trajectories, which are large.
+        """
+        if key not in self._places:
+            return None
+        path, begin = self._places[key]
+        try:
+            with path.open("rb", buffering=0) as file:
+                file.seek(begin)
+                head = entry_head(file.read(HEAD_BYTES))
+                if head is None or head.key != key:
+                    return None
+                drawn = file.read(head.drawn_bytes)
+                pooled = file.read(head.pooled_bytes) if with_pooled else None
+        except OSError:
+            return None
+        return decode(head, drawn, pooled)
+
+    def forget(self, key: str) -> None:
+        """Take a record for none, since it can't be read."""
+        self._places.pop(key, None)
+
+
+def _entries(path: Path) -> Iterator[tuple[str, int, int]]:
+    """Yield key, begin and end of the entries of a file, up to the first that isn't whole."""
+    try:
+        with path.open("rb", buffering=0) as file:
+            size, begin = os.fstat(file.fileno()).st_size, 0
+            while (head := _head_at(file.fileno(), begin)) and begin + head.size <= size:
+                yield head.key, begin, begin + head.size
+                begin += head.size
+    except OSError:
+        return
+
+
+def _head_at(file: int, begin: int) -> EntryHead | None:
+    return entry_head(os.pread(file, HEAD_BYTES, begin))
+
+
+def _write_all(file: int, data: bytes, begin: int) -> None:
+    rest = memoryview(data)
+    while rest:
+        written = os.pwrite(file, rest, begin)
+        rest, begin = rest[written:], begin + written

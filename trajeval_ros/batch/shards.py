@@ -1,0 +1,277 @@
+"""A comparison in shards, for the jobs of an array: each evaluates a part, then they are merged.
+
+What is merged is the same as what one job makes, byte for byte: the records are the same, and what
+makes tables of them is, too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
+from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.record_store import RECORDS, SUFFIX, RecordStore
+from trajeval_ros.batch.records import Record
+from trajeval_ros.batch.results_table import load_pyarrow, settings_of
+from trajeval_ros.batch.source_hash import hash_of_package
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.io.schema import require_schema
+from trajeval_ros.io.writing import refused_by_disk, write_whole
+
+SHARD = "shard.parquet"
+SCHEMA = "trajeval-shard/1"
+_TEXTS = (
+    "algorithm", "sequence", "trial", "groundtruth", "estimate", "missing", "planned_key", "key",
+    "reason",
+)  # fmt: skip
+_COLUMNS = {"place": "int64", **dict.fromkeys(_TEXTS, "string"), "own_coverage": "float64"}
+_RUN = _TEXTS[:6]
+_MEND = "run the shards again, all from the same file with the same version"
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several parts of a comparison.
+
+    Attributes:
+        number: Which, from 1.
+        count: How many there are.
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Read "3/16".
+
+        Raises:
+            SettingsError: It is something else.
+        """
+        match = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text)
+        if match is None or not 1 <= int(match[1]) <= int(match[2]):
+            raise SettingsError(
+                f"--shard {text} is not valid; write I/N with I from 1 to N, such as 3/16"
+            )
+        return cls(int(match[1]), int(match[2]))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def places(self, plan: Plan) -> list[int]:
+        """Return the places of its runs in the plan, in order.
+
+        Shards are as large as each other but for one run, and runs of a sequence are together, as
+        they share its groundtruth; where they share a time span, too, they are in one shard.
+        """
+        order = sorted(
+            range(len(plan.runs)),
+            key=lambda place: (plan.runs[place].sequence, plan.runs[place].groundtruth),
+        )
+        first: dict[str, int] = {}
+        own = []
+        for position, place in enumerate(order):
+            if plan.common_time_span:
+                position = first.setdefault(plan.runs[place].sequence, position)
+            if position * self.count // len(order) == self.number - 1:
+                own.append(place)
+        return sorted(own)
+
+    def of(self, plan: Plan) -> Plan:
+        """Return the plan of its runs alone."""
+        return replace(plan, runs=tuple(plan.runs[place] for place in self.places(plan)))
+
+
+def write_shard(folder: Path, shard: Shard, plan: Plan, finished: FinishedComparison) -> None:
+    """Write how the runs of a shard ended, for merging.
+
+    Args:
+        folder: The shard's.
+        shard: Which.
+        plan: Of all shards together.
+        finished: Its runs.
+
+    Raises:
+        InputError: It can't be written.
+    """
+    arrow, parquet = load_pyarrow()
+    rows = [
+        {
+            **{name: getattr(each.run, name) for name in _RUN},
+            **{name: value for name, value in each._asdict().items() if name != "run"},
+            "place": place,
+        }
+        for place, each in zip(shard.places(plan), finished.runs, strict=True)
+    ]
+    head = {
+        "schema": SCHEMA,
+        "shard": str(shard),
+        "title": finished.title,
+        "settings": json.dumps(finished.settings),
+        "runs": str(len(plan.runs)),
+        "plan": _hash_of(plan),
+        "package": hash_of_package(),
+    }
+    schema = arrow.schema(
+        [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
+        metadata={f"trajeval.{name}": value for name, value in head.items()},
+    )
+    table = arrow.Table.from_pylist(rows, schema=schema)
+    write_whole(folder / SHARD, lambda temporary: parquet.write_table(table, temporary))
+
+
+def _hash_of(plan: Plan) -> str:
+    """Return what tells two plans apart; where their files lie may differ from host to host."""
+    digest = hashlib.sha256(json.dumps(settings_of(plan)).encode())
+    for run in plan.runs:
+        part = (run.algorithm, run.sequence, run.trial, bool(run.missing))
+        digest.update(json.dumps(part).encode())
+    return digest.hexdigest()
+
+
+def merged(folders: Sequence[Path]) -> FinishedComparison:
+    """Return the comparison that all shards together are.
+
+    Args:
+        folders: Of all shards.
+
+    Raises:
+        InputError: One of them is no shard or of another comparison, is there twice, or is
+            missing.
+    """
+    heads = {folder: _head_of(folder) for folder in folders}
+    first, *others = heads
+    for folder in others:
+        for name, what in (
+            ("title", "title"), ("package", "version of trajeval"), ("settings", "settings"),
+            ("plan", "runs"), ("runs", "runs"),
+        ):  # fmt: skip
+            if heads[folder][name] != heads[first][name]:
+                raise InputError(f"{first} and {folder} have different {what}; {_MEND}")
+    _require_all(heads)
+    total = int(heads[first]["runs"])
+    runs: list[FinishedRun | None] = [None] * total
+    for folder in folders:
+        _place(folder, runs)
+    if None in runs:
+        raise InputError(
+            f"run {runs.index(None) + 1} of {total} is missing in the shards; {_MEND}"
+        )
+    return FinishedComparison(
+        heads[first]["title"],
+        json.loads(heads[first]["settings"]),
+        [each for each in runs if each is not None],
+    )
+
+
+def write_merged(finished: FinishedComparison, folders: Sequence[Path], output: Path) -> None:
+    """Write the tables of a comparison that was made of shards, and put their records beside them.
+
+    Args:
+        finished: As of `merged`.
+        folders: Of all shards.
+        output: For the comparison.
+
+    Raises:
+        InputError: Records can't be read, or the output can't be written.
+    """
+    with refused_by_disk(f"the folder {output / RECORDS}"):
+        (output / RECORDS).mkdir(parents=True, exist_ok=True)
+    _adopt_records(folders, output / RECORDS)
+    if finished.is_in(output):
+        return
+    records = RecordStore(output / RECORDS)
+
+    def record_of(each: FinishedRun) -> Record:
+        record = records.read(each.key)
+        if record is None:
+            raise InputError(f"the record of {each.run.name} can't be read; run its shard again")
+        return record
+
+    finished.write_tables(output, record_of)
+
+
+def _head_of(folder: Path) -> dict[str, str]:
+    _, parquet = load_pyarrow()
+    path = folder / SHARD
+    try:
+        metadata = parquet.read_schema(path).metadata or {}
+    except FileNotFoundError as error:
+        raise InputError(
+            f"no finished shard in {folder}; give the --output of a finished trajeval compare "
+            "--shard"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} can't be read: {error}; run that shard again") from error
+    text = {key.decode(): value.decode(errors="replace") for key, value in metadata.items()}
+    head = {key.removeprefix("trajeval."): value for key, value in text.items()}
+    require_schema(path, head.get("schema"), SCHEMA, "shard of a comparison", "run it again")
+    return head
+
+
+def _require_all(heads: dict[Path, dict[str, str]]) -> None:
+    """Check that each of the shards is there once."""
+    of_number: dict[int, Path] = {}
+    counts = {Shard.parse(head["shard"]).count for head in heads.values()}
+    if len(counts) > 1:
+        totals = " and ".join(map(str, sorted(counts)))
+        raise InputError(f"the shards have different totals, {totals}; {_MEND}")
+    for folder, head in heads.items():
+        number = Shard.parse(head["shard"]).number
+        if number in of_number:
+            raise InputError(
+                f"{of_number[number]} and {folder} are both shard {head['shard']}; give only one"
+            )
+        of_number[number] = folder
+    (count,) = counts
+    missing = [f"{each}/{count}" for each in range(1, count + 1) if each not in of_number]
+    if missing:
+        some = ", ".join(missing[:10]) + (", …" if len(missing) > 10 else "")
+        raise InputError(
+            f"{len(missing)} of {count} shards are missing: {some}; run them, or give their "
+            "folders"
+        )
+
+
+def _place(folder: Path, runs: list[FinishedRun | None]) -> None:
+    _, parquet = load_pyarrow()
+    try:
+        with parquet.ParquetFile(folder / SHARD) as file:
+            for batch in file.iter_batches(columns=list(_COLUMNS)):
+                for row in batch.to_pylist():
+                    runs[row["place"]] = _finished(row)
+    except (OSError, ValueError, LookupError) as error:
+        raise InputError(
+            f"{folder / SHARD} can't be read: {error}; run that shard again"
+        ) from error
+
+
+def _finished(row: dict[str, Any]) -> FinishedRun:
+    run = PlannedRun(**{name: row[name] for name in _RUN})
+    return FinishedRun(run, row["planned_key"], row["key"], row["reason"], row["own_coverage"])
+
+
+def _adopt_records(folders: Sequence[Path], records: Path) -> None:
+    """Put the records of shards into another folder: as links, or as copies on another disk."""
+    for folder in folders:
+        name = _head_of(folder)["shard"].replace("/", "-of-")
+        for file in sorted((folder / RECORDS).glob(f"*{SUFFIX}")):
+            write_whole(records / f"shard-{name}-{file.name}", partial(_link, file))
+
+
+def _link(file: Path, other: Path) -> None:
+    """Give a file a second name, or copy it where that can't be."""
+    other.unlink()
+    try:
+        os.link(file, other)
+    except OSError:
+        shutil.copyfile(file, other)

@@ -1,0 +1,127 @@
+"""Options for the figures of `trajeval trajectory`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trajeval_ros.cli.figure_options import FIGURES
+from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.ground_image import GroundImage, parse_bounds, read_ground_image
+from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+from trajeval_ros.report.motion_figures import COLOURS_BY, PLOTS, motion_drawings
+
+PlotOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIST",
+        help=f"Figures to draw into the output folder, separated by commas: {','.join(PLOTS)}. "
+        "Positions (xyz), angles (rpy) and speeds are drawn over time.",
+        rich_help_panel=FIGURES,
+    ),
+]
+ColourByOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(COLOURS_BY),
+        help="Colour of paths in a plane: error (distance from the reference) or speed.",
+        rich_help_panel=FIGURES,
+    ),
+]
+MapOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="FILE",
+        help="Background of the path in xy: a ROS map (its YAML file), or an image with a world "
+        "file next to it. It must be in the frame of the drawn trajectories.",
+        rich_help_panel=FIGURES,
+    ),
+]
+MapBoundsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0,Y0,X1,Y1",
+        help="Lower left and upper right corner of an image without a world file, in metres.",
+        rich_help_panel=FIGURES,
+    ),
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Plotting:
+    """What to draw.
+
+    Attributes:
+        kinds: Of `PLOTS`; none for no figures.
+        colour_by: What paths are coloured by; None for a colour each.
+        ground: What lies below; None for nothing.
+        style: Formats and look.
+    """
+
+    kinds: tuple[str, ...]
+    colour_by: str | None
+    ground: GroundImage | None
+    style: FigureStyle
+
+    @classmethod
+    def parse(
+        cls,
+        plot: str | None,
+        colour_by: str | None,
+        map_file: Path | None,
+        map_bounds: str | None,
+        style: FigureStyle,
+    ) -> Plotting:
+        """Read what was said, and the map.
+
+        Raises:
+            SettingsError: It can't be meant.
+            InputError: The map or the style sheet can't be read.
+        """
+        more = (colour_by, map_file, map_bounds)
+        if plot is None and (style != PLAIN or any(each is not None for each in more)):
+            raise SettingsError(
+                f"the options of figures need --plot; add it, as in --plot {PLOTS[0]}"
+            )
+        kinds = () if plot is None else tuple(dict.fromkeys(plot.split(",")))
+        for each in kinds:
+            require_one_of(each, PLOTS, "plot")
+        if colour_by is not None:
+            require_one_of(colour_by, COLOURS_BY, "colour")
+        if map_bounds is not None and map_file is None:
+            raise SettingsError("--map-bounds needs an image; add --map IMAGE")
+        if map_file is not None and "xy" not in kinds:
+            raise SettingsError("--map needs the figure xy; add xy to --plot")
+        style.check()
+        bounds = None if map_bounds is None else parse_bounds(map_bounds)
+        ground = None if map_file is None else read_ground_image(map_file, bounds)
+        return cls(kinds, colour_by, ground, style)
+
+    def write(
+        self, folder: Path, trajectories: Sequence[Trajectory], reference: Trajectory | None
+    ) -> list[Path]:
+        """Draw into a folder; what exists there is never overwritten.
+
+        Raises:
+            InputError: A file exists or can't be written, or a figure can't be drawn.
+        """
+        if not self.kinds:
+            return []
+        drawings = motion_drawings(
+            self.kinds, trajectories, reference, colour_by=self.colour_by, ground=self.ground
+        )
+        for name in drawings:
+            for suffix in self.style.formats:
+                if (file := folder / f"{name}.{suffix}").exists():
+                    raise InputError(f"{file} exists; choose another folder with --output")
+        with refused_by_disk(f"the folder {folder}"):
+            folder.mkdir(parents=True, exist_ok=True)
+        return canvas.save_all(drawings, folder, self.style)

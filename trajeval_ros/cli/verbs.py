@@ -1,0 +1,63 @@
+"""The verbs. Each is imported when it is asked for: none waits for the libraries of another."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from typing import Any, Final
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from trajeval_ros.cli.verb_classes import RosCommand, VerbCommand, without_types_of_flags
+
+# By name, in the order of the help: the file whose function of that name it is, and its class.
+VERBS: dict[str, tuple[str, type[VerbCommand]]] = {
+    "compare": ("compare", VerbCommand),
+    "evaluate": ("evaluate", VerbCommand),
+    "compare-association": ("compare_association", VerbCommand),
+    "demo": ("demo", VerbCommand),
+    "diagnose": ("diagnose", VerbCommand),
+    "evaluator": ("live_evaluator", RosCommand),
+    "finish": ("finish", VerbCommand),
+    "gauge-study": ("gauge_study", VerbCommand),
+    "info": ("info", VerbCommand),
+    "replay": ("replay", RosCommand),
+    "simulate": ("simulate", VerbCommand),
+    "trajectory": ("edit_trajectories", VerbCommand),
+    "view": ("view", VerbCommand),
+    "watch": ("watch", VerbCommand),
+}
+MARKUP: Final = "markdown"
+
+
+@cache
+def verb(name: str) -> Any:
+    """Import a verb of the table, and return its command."""
+    file, command_class = VERBS[name]
+    function = getattr(import_module(f"trajeval_ros.cli.{file}"), name.replace("-", "_"))
+    alone = typer.Typer(add_completion=False, rich_markup_mode=MARKUP)
+    alone.command(name, cls=command_class)(function)
+    return get_command(alone)
+
+
+class VerbGroup(TyperGroup):
+    """All verbs."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        # The names are what a misspelt one is compared with; `get_command` has the verbs.
+        self.commands: Any = dict.fromkeys(VERBS)
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Return the verbs' names in the order of the help."""
+        return list(VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """Return a verb; None if there is none of that name."""
+        return verb(cmd_name) if cmd_name in VERBS else None
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters before the verb."""
+        return without_types_of_flags(super().get_params(ctx))

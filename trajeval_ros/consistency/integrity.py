@@ -1,0 +1,219 @@
+"""What a covariance is worth as a promise: protection levels, and whether errors keep them.
+
+A protection level is what an error of the stated covariance exceeds with a stated probability, the
+risk. Beside an alert limit, what the user can bear, each pose falls into one of five areas of the
+Stanford diagram (Tossaint et al., "The Stanford - ESA integrity diagram", 2007).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta, chi2
+
+from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.consistency.time_to_alert import TimeToAlert, times_to_alert
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+
+DEFAULT_RISK = 1e-5
+AREAS = ("nominal", "unavailable", "misleading", "hazardous", "misleading_unavailable")
+_CONFIDENCE = 0.95
+_INFLATION_SHARE = 0.999
+# Rows and columns of the errors and covariances; dimensions of a protection level.
+_PARTS = {"horizontal": slice(0, 2), "vertical": slice(2, 3), "heading": slice(5, 6)}
+
+
+@dataclass(frozen=True)
+class IntegrityRequest:
+    """What errors a user can bear, and how rarely more may happen unannounced.
+
+    Attributes:
+        alert_limit_m: Of horizontal and of vertical errors.
+        alert_limit_deg: Of the heading; None to leave that out.
+        risk: Probability that an error may exceed its protection level.
+    """
+
+    alert_limit_m: float
+    alert_limit_deg: float | None = None
+    risk: float = DEFAULT_RISK
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing.
+
+        Raises:
+            SettingsError: A limit that isn't above zero, or a risk that is no probability.
+        """
+        limits = [self.alert_limit_m]
+        limits += [] if self.alert_limit_deg is None else [self.alert_limit_deg]
+        if not all(0.0 < each < math.inf for each in limits):
+            raise SettingsError(
+                "the alert limit must be greater than zero, in metres and, for the heading, in "
+                "degrees, as in --alert-limit 0.5,2"
+            )
+        if not 0.0 < self.risk < 1.0:
+            raise SettingsError(f"the risk must be a probability such as 1e-5, not {self.risk:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class PartIntegrity:
+    """Integrity of one part of the pose.
+
+    Attributes:
+        part: `horizontal`, `vertical` or `heading`.
+        unit: Of errors, levels and limit: m or deg.
+        alert_limit: What the user can bear.
+        errors: (N,), sizes.
+        levels: (N,), protection levels.
+        areas: Share of the poses in each of `AREAS`; they sum up to 1.
+        episodes: How often poses in a row entered each area.
+        availability: Share with a level within the limit.
+        bounded: Share with an error within its level.
+        effective: How many independent poses say as much as these, which follow each other.
+        hazardous_95: Interval of the hazardous share, by the effective number.
+        inflation: What levels must be multiplied by to bound 99.9 % of the errors.
+        time_to_alert: From errors beyond the limit to an alert.
+    """
+
+    part: str
+    unit: str
+    alert_limit: float
+    errors: Floats
+    levels: Floats
+    areas: dict[str, float]
+    episodes: dict[str, int]
+    availability: float
+    bounded: float
+    effective: float
+    hazardous_95: tuple[float, float]
+    inflation: float
+    time_to_alert: TimeToAlert
+
+
+@dataclass(frozen=True, eq=False)
+class Integrity:
+    """Whether an estimate keeps what its covariances promise.
+
+    Attributes:
+        risk: By which protection levels were made.
+        exactness: Of the covariances, as of `Consistency`: with `bound`, levels are upper bounds,
+            so that what is misleading is so, and what isn't may be.
+        parts: Horizontal, vertical, and heading if asked for.
+    """
+
+    risk: float
+    exactness: str
+    parts: tuple[PartIntegrity, ...]
+
+
+def protection_levels(covariances: Floats, risk: float) -> Floats:
+    """Return the protection levels (N,) of covariances (N, d, d).
+
+    The error is taken along the axis of the largest variance in all d directions: an upper bound
+    of the exact quantile of the quadratic form, and equal to it where variances are.
+    """
+    largest = np.linalg.eigvalsh(covariances)[:, -1]
+    levels: Floats = np.sqrt(np.maximum(largest, 0.0) * chi2.isf(risk, covariances.shape[-1]))
+    return levels
+
+
+def integrity_of(
+    consistency: Consistency,
+    request: IntegrityRequest,
+    stamps: Stamps,
+    warnings: Sequence[tuple[int, int]] = (),
+) -> Integrity:
+    """Compare errors with protection levels, both in the gauge of the alignment.
+
+    Args:
+        consistency: Errors and their covariances, groundtruth noise included.
+        request: Limits and risk.
+        stamps: (N,) of the pairs, ns.
+        warnings: First and last stamps of warnings from elsewhere, which are alerts, too.
+
+    Raises:
+        InputError: There are no covariances of single poses.
+    """
+    if consistency.covariances is None or consistency.nees is None:
+        raise InputError(
+            "integrity needs the covariance of every pose, and the run is too long to compute "
+            "them from the joint covariance; use --covariance message, or a shorter run"
+        )
+    # Without the pose that the alignment has made exact.
+    judged = np.isfinite(consistency.nees)
+    parts = []
+    for name, rows in _PARTS.items():
+        unit, limit = "m", request.alert_limit_m
+        factor = 1.0
+        if name == "heading":
+            if request.alert_limit_deg is None:
+                continue
+            unit, limit, factor = "deg", request.alert_limit_deg, 180.0 / math.pi
+        own = consistency.errors[judged, rows]
+        levels = protection_levels(consistency.covariances[judged, rows, rows], request.risk)
+        errors, levels = factor * np.linalg.norm(own, axis=1), factor * levels
+        alerts = times_to_alert(stamps[judged], errors, levels, limit, warnings)
+        parts.append(_part(name, unit, limit, errors, levels, alerts))
+    return Integrity(request.risk, consistency.exactness, tuple(parts))
+
+
+def _part(
+    part: str, unit: str, limit: float, errors: Floats, levels: Floats, alerts: TimeToAlert
+) -> PartIntegrity:
+    bounded, available, bearable = errors <= levels, levels <= limit, errors <= limit
+    areas: dict[str, Booleans] = {
+        "nominal": bounded & available,
+        "unavailable": bounded & ~available,
+        "misleading": ~bounded & available & bearable,
+        "hazardous": ~bounded & available & ~bearable,
+        "misleading_unavailable": ~bounded & ~available,
+    }
+    ratio = errors / np.maximum(levels, np.finfo(float).tiny)
+    effective = effective_number(ratio)
+    hazardous = float(areas["hazardous"].mean())
+    return PartIntegrity(
+        part=part,
+        unit=unit,
+        alert_limit=limit,
+        errors=errors,
+        levels=levels,
+        areas={name: float(each.mean()) for name, each in areas.items()},
+        episodes={
+            name: int(np.count_nonzero(np.diff(each.astype(np.int8), prepend=0) > 0))
+            for name, each in areas.items()
+        },
+        availability=float(available.mean()),
+        bounded=float(bounded.mean()),
+        effective=effective,
+        hazardous_95=share_interval(hazardous, effective),
+        inflation=float(np.quantile(ratio, _INFLATION_SHARE)),
+        time_to_alert=alerts,
+    )
+
+
+def effective_number(values: Floats) -> float:
+    """Return how many independent values say as much of a mean as these, which follow each other.
+
+    N / (1 + 2 sum of autocorrelations), summed until they vanish (Geyer's initial sequence).
+    """
+    count = len(values)
+    centred = values - values.mean()
+    energy = float(centred @ centred)
+    if energy <= 0.0 or count < 2:
+        return 1.0
+    spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
+    correlation = np.fft.irfft(spectrum)[:count] / energy
+    vanished = np.flatnonzero(correlation <= 0.0)
+    some = correlation[1 : vanished[0] if len(vanished) else count]
+    return float(min(max(count / (1.0 + 2.0 * some.sum()), 1.0), count))
+
+
+def share_interval(share: float, effective: float) -> tuple[float, float]:
+    """Return the 95 % interval of a share of so many independent poses: Clopper and Pearson."""
+    hits, tail = share * effective, 0.5 * (1.0 - _CONFIDENCE)
+    low = 0.0 if hits <= 0.0 else float(beta.ppf(tail, hits, effective - hits + 1.0))
+    high = 1.0 if share >= 1.0 else float(beta.isf(tail, hits + 1.0, effective - hits))
+    return low, high

@@ -1,0 +1,72 @@
+"""One recording as a diagnosis sees it: both sides, and how they are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.association import INTERPOLATING
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.protocol import Protocol
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Groundtruth and an estimate, as they are compared.
+
+    Attributes:
+        groundtruth: As it was read.
+        estimate: As it was read.
+        truth: Its columns, as they stand.
+        track: Columns of the estimate, its stamps with the time offset that is applied.
+        gauge: Of the alignment.
+        max_gap_s: Longest step of the groundtruth to interpolate across.
+        time_offset_s: What is added to the estimate's stamps.
+        by_time: Whether states are paired by their stamps, so that these mean something.
+    """
+
+    groundtruth: Trajectory
+    estimate: Trajectory
+    truth: MotionTrack
+    track: MotionTrack
+    gauge: Gauge
+    max_gap_s: float
+    time_offset_s: float
+    by_time: bool
+
+    @classmethod
+    def of(
+        cls,
+        groundtruth: Trajectory,
+        estimate: Trajectory,
+        protocol: Protocol,
+        *,
+        time_offset_s: float | None = None,
+    ) -> Recording:
+        """Take two trajectories as a protocol compares them.
+
+        Args:
+            groundtruth: One state at least.
+            estimate: One state at least.
+            protocol: The settings.
+            time_offset_s: What is still to be added to the estimate's stamps; None for the
+                protocol's.
+        """
+        rule = protocol.association
+        offset_s = rule.time_offset_s if time_offset_s is None else time_offset_s
+        epoch_ns = int(groundtruth.stamps.min())
+        interpolates = rule.method in INTERPOLATING
+        return cls(
+            groundtruth,
+            estimate,
+            MotionTrack.of(groundtruth, epoch_ns),
+            MotionTrack.of(estimate, epoch_ns, offset_s),
+            protocol.gauge,
+            rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s,
+            rule.time_offset_s,
+            rule.method != "index" and groundtruth.stamped and estimate.stamped,
+        )

@@ -1,0 +1,374 @@
+"""The causes that a diagnosis knows: what each is called, says, advises, and how it is mended.
+
+A test names a cause and gives the numbers behind it (`Seen`); what is said of it stands here.
+docs/diagnosis.md explains each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+EXACT, CORRELATED, FITTED = "exact", "correlated", "fitted"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What a user may have got wrong.
+
+    Attributes:
+        name: A stable identifier, for `--fix` and for programs.
+        rank: The larger, the graver: what makes other tests meaningless comes first.
+        confidence: What it rests on: equality of numbers, a correlation, or a fit.
+        sentence: What is wrong and how it is seen, to be filled in with the numbers.
+        advice: What to do.
+        mend: Words of the command line that mend it, to be filled in; empty where none does.
+        of_conventions: Whether poses mean something else than what was read.
+    """
+
+    name: str
+    rank: float
+    confidence: str
+    sentence: str
+    advice: str
+    mend: Mapping[str, str] = field(default_factory=dict)
+    of_conventions: bool = False
+
+
+_AGREE = "corrected, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %"
+_UNALIKE = "the motions do not correlate at any clock offset or with any axes"
+_OTHER_RUN = f"{_UNALIKE} (largest correlation {{peak:.2f}}): the "
+_OTHER_RUN += "groundtruth is from another run, or tracking was lost at the start"
+
+_TABLE = (
+    Cause(
+        "identical",
+        10.0,
+        EXACT,
+        "estimate and groundtruth are identical: positions at equal timestamps differ by "
+        "{difference_m:.1e} m",
+        "give the file or topic of the estimator: --estimate SOURCE",
+    ),
+    Cause(
+        "same_estimate",
+        9.8,
+        EXACT,
+        "the estimate is identical to {other}: all poses are equal",
+        "give another file or topic: --estimate SOURCE",
+    ),
+    Cause(
+        "stands_still",
+        9.5,
+        EXACT,
+        "the {side} does not move, while the {other} moves {path_m:.3g} m",
+        "check the positions and the topic of the {side}: trajeval info SOURCE",
+    ),
+    Cause(
+        "stamps_rounded",
+        9.0,
+        EXACT,
+        "the {side}'s timestamps are rounded to {step_s:g} s: {poses_per_stamp:.0f} different "
+        "poses per timestamp",
+        "write timestamps with all digits",
+    ),
+    Cause(
+        "swapped",
+        8.8,
+        EXACT,
+        "groundtruth and estimate are probably swapped: {groundtruth} is given as groundtruth, "
+        "{estimate} as the estimate",
+        "swap them",
+        {"swap": ""},
+    ),
+    Cause(
+        "duplicated",
+        8.6,
+        EXACT,
+        "{percent:.0f} % of the {side}'s poses occur twice, {rows_apart:.0f} rows apart: a part "
+        "was recorded twice",
+        "remove the second copy, or record again",
+    ),
+    Cause(
+        "few_pairs",
+        8.5,
+        EXACT,
+        "{said}",
+        "evaluate a longer recording, or pair more poses with --max-time-difference and --max-gap",
+    ),
+    Cause(
+        "clock_offset",
+        8.0,
+        CORRELATED,
+        "the clocks differ by {offset_s:+.2f} s{known_as}: the correlation of angular rate and "
+        "speed is {peak:.2f} with this offset, and {as_stamped:.2f} without",
+        "shift the estimate's timestamps",
+        {"time_offset": "{total_s:.3f}"},
+    ),
+    Cause(
+        "other_run",
+        7.0,
+        CORRELATED,
+        _OTHER_RUN,
+        "check that both are from the same run: trajeval info SOURCE",
+    ),
+    Cause(
+        "clock_drift",
+        6.9,
+        CORRELATED,
+        "the clock rates differ by {ppm:+.0f} ppm, {growth_ms:+.0f} ms over the run",
+        "use one clock for both, or rescale the estimate's timestamps",
+        {"clock_rate": "{ppm:.1f}", "time_offset": "{total_s:.3f}"},
+    ),
+    Cause(
+        "truth_held",
+        6.5,
+        FITTED,
+        "the groundtruth repeats every pose for {held_s:.2f} s at {rate_hz:.0f} Hz while the "
+        "estimate moves",
+        "use the measured groundtruth without repeated poses: trajeval trajectory SOURCE "
+        "--motion-filter 1e-6,1e-6 --save-as tum",
+    ),
+    Cause(
+        "truth_frozen",
+        6.4,
+        FITTED,
+        "the groundtruth is frozen for {frozen_s:.1f} s from {at_s:.1f} s, while the estimate "
+        "moves {moved_m:.2f} m: the motion capture system lost the body",
+        "evaluate the parts before and after this interval: --end {at_s:.1f}, and --start "
+        "{after_s:.1f}",
+    ),
+    Cause(
+        "truth_bridged",
+        6.3,
+        FITTED,
+        "the groundtruth is linear for {bridged_s:.1f} s from {at_s:.1f} s, where the estimate "
+        "deviates by {bent_m:.2f} m from a line: a dropout was filled by interpolation "
+        "(number of such intervals: {stretches:.0f})",
+        "remove the interpolated poses, or evaluate the parts before and after them: --end "
+        "{at_s:.1f}, and --start {after_s:.1f}",
+    ),
+    Cause(
+        "gap_bridged",
+        6.2,
+        FITTED,
+        "--max-gap {max_gap_s:g} interpolates across groundtruth gaps of up to {longest_s:.1f} "
+        "s (number: {holes:.0f}), where the estimate deviates by up to {bent_m:.2f} m from a "
+        "line; {percent:.0f} % of the poses are affected",
+        "reduce the limit",
+        {"max_gap": "0.5"},
+    ),
+    Cause(
+        "restart",
+        6.1,
+        FITTED,
+        "the estimate jumps by {jump_m:.2f} m and {jump_deg:.0f} deg at {at_s:.1f} s{where}, "
+        "while the groundtruth moves {true_m:.2f} m: a restart; separate alignments of the "
+        "parts reduce the squared error to {left_percent:.0f} %",
+        "evaluate the parts separately, such as the first part",
+        {"end": "{cut_s:.3f}"},
+    ),
+    Cause(
+        "wxyz",
+        6.0,
+        FITTED,
+        "{side}'s quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
+        f"{_AGREE}",
+        "read them as w, x, y, z",
+        {"quaternion_order": "{order}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "wxyz_transposed",
+        6.0,
+        FITTED,
+        "{side}'s quaternions are in the order w, x, y, z and inverse (world in body): "
+        f"{_AGREE}",
+        "correct both",
+        {"quaternion_order": "{order}", "inverse": "{inverse}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "transposed",
+        6.0,
+        FITTED,
+        f"{{side}}'s rotations are inverse (world in body), and its positions are not: {_AGREE}",
+        "invert the rotations",
+        {"inverse": "{inverse}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "inverse",
+        6.0,
+        FITTED,
+        f"{{side}}'s poses are inverse (world in body): {_AGREE}",
+        "invert the poses",
+        {"inverse": "{inverse}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "mirrored",
+        6.0,
+        FITTED,
+        "the axes of one side are left-handed (an axis was flipped, or two were exchanged): "
+        "mirrored, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %",
+        "flip an axis of the estimate",
+        {"estimate_axes": "{axes}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "axes_mixed",
+        6.0,
+        FITTED,
+        f"positions and rotations of one side have different axes: {_AGREE}",
+        "apply the same conversion to positions and rotations",
+        {"estimate_axes": "{axes}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "convention_tie",
+        5.9,
+        FITTED,
+        f"one side's poses are {{causes}}, which this motion can't distinguish: {_AGREE}",
+        "check the conventions of the file, and use --quaternion-order, --inverse or "
+        "--estimate-axes",
+        of_conventions=True,
+    ),
+    Cause(
+        "estimate_mm",
+        5.85,
+        FITTED,
+        "the estimate is in millimetres: the groundtruth's motions are {scale:.3g} times the "
+        "estimate's",
+        "divide its positions by 1000",
+        {"estimate_scale": "0.001"},
+    ),
+    Cause(
+        "truth_mm",
+        5.85,
+        FITTED,
+        "the groundtruth is in millimetres: its motions are {scale:.4g} times the estimate's",
+        "divide its positions by 1000",
+        {"groundtruth_scale": "0.001"},
+    ),
+    Cause(
+        "truth_up_axis",
+        5.8,
+        FITTED,
+        "{said}",
+        "align by all rotations",
+        {"gauge": "se3"},
+    ),
+    Cause(
+        "up_axis",
+        5.8,
+        FITTED,
+        "the vertical axis of {side}'s frame is probably {axis}{called}, within {off_deg:.0f} "
+        "deg; this alignment leaves a tilt of {tilt_deg:.0f} deg",
+        "set the vertical axis",
+        {"up": "{axes_up}"},
+        of_conventions=True,
+    ),
+    Cause(
+        "up_axis_or_mirrored",
+        5.8,
+        FITTED,
+        "z points down in the frame of one side, as in NED, or its axes are left-handed; planar "
+        "motion can't distinguish them",
+        "if z points down, set the vertical axis",
+        {"up": "z,-z"},
+        of_conventions=True,
+    ),
+    Cause(
+        "tilted",
+        5.7,
+        FITTED,
+        "the vertical axes of the two frames differ by {tilt_deg:.0f} deg, which this alignment "
+        "can't correct: at least one frame is not aligned with gravity",
+        "align by all rotations",
+        {"gauge": "se3"},
+    ),
+    Cause(
+        "scale",
+        5.5,
+        FITTED,
+        "the estimate has a scale error: the groundtruth's motions are {scale:.3g} times the "
+        "estimate's, as with a monocular estimator",
+        "align with scale",
+        {"gauge": "sim3"},
+    ),
+    Cause(
+        "frames_apart",
+        5.4,
+        FITTED,
+        "positions differ by a constant offset of ({offset}) m, which is {percent:.0f} % of the "
+        "squared error{kind}",
+        "align by translation, unless the offset is an error of the estimate",
+        {"gauge": "translation"},
+    ),
+    Cause(
+        "twist_body",
+        5.0,
+        FITTED,
+        "the {side}'s velocities are in the body frame: rotated to the world frame they differ "
+        "by {turned_percent:.0f} % from the derivative of its positions, instead of "
+        "{off_percent:.0f} %",
+        "write them in the world frame; other errors are not affected",
+    ),
+    Cause(
+        "body",
+        5.0,
+        FITTED,
+        "the body frames differ by a constant rotation of {angle_deg:.0f} deg (residual "
+        "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a "
+        "marker or a camera",
+        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
+        {"hand_eye": "auto"},
+    ),
+    Cause(
+        "lever_arm",
+        4.9,
+        FITTED,
+        "a lever arm of {lever_m:.2f} m explains {percent:.0f} % of the error over 2 s: the "
+        "trajectories are of different points of the body",
+        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
+        {"hand_eye": "auto"},
+    ),
+    Cause(
+        "small_clock_offset",
+        4.8,
+        CORRELATED,
+        "the clocks of groundtruth and estimate probably differ: {how} with {offset_ms:+.0f} ms "
+        "{more}added to the estimate's timestamps",
+        "estimate the offset with --time-offset auto",
+        {"time_offset": "auto"},
+    ),
+    Cause(
+        "covariance_order",
+        4.0,
+        FITTED,
+        "the estimate's covariances probably have rotation before position: the ratios of "
+        "squared error and variance are {exchanged:.2g} (position) and "
+        "{exchanged_rotation:.2g} (rotation) with exchanged blocks, and {as_read:.2g} and "
+        "{as_read_rotation:.2g} as read",
+        "write position before rotation",
+    ),
+    Cause(
+        "covariance_degrees",
+        4.0,
+        FITTED,
+        "the rotation covariances of the estimate are probably in square degrees: they are "
+        "{times:.0f} times too large for the errors, and position covariances are not",
+        "write them in square radians",
+    ),
+    Cause(
+        "keyframes",
+        1.0,
+        FITTED,
+        "the estimate has {rate_hz:.1f} poses per second at irregular times: these are "
+        "keyframes, which are optimised later, so the error differs from the error of the "
+        "live output",
+        "evaluate the pose of every frame to measure the live output",
+    ),
+)
+
+CAUSES: Mapping[str, Cause] = {each.name: each for each in _TABLE}

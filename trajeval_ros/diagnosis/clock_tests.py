@@ -1,0 +1,124 @@
+"""Tests of the clocks, before those of axes: whole offsets, rates, and small offsets."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
+from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.diagnosis.rates import (
+    LEAST_LIKELY,
+    ClockMatch,
+    offsets_of_parts,
+    unlikeness_ratio,
+)
+from trajeval_ros.geometry.arrays import Floats
+
+SMALL_S = 0.25  # the finer test's
+USABLE = 0.8  # correlation, of an offset that other tests take into account
+_GAIN = 0.1
+_LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
+_PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
+_LEAST_GROWTH_S, _LEAST_RATE = 0.06, 5e-5
+_TIMES_NOISE, _TIMES_NOISE_OF_POSITIONS = 5.0, 8.0
+_STRAIGHTER = 2.5
+_FEWEST_HZ = 3.0
+
+
+def clock_offset(match: ClockMatch | None, applied_s: float) -> Examined:
+    """Look for clocks that are far apart.
+
+    Args:
+        match: Of the rates of motion; None where they don't overlap.
+        applied_s: The offset that the estimate's stamps have already.
+    """
+    if match is None:
+        return Examined("clocks", why_not="no offset gives a common time span of 8 s")
+    scores = {
+        "offset_s": match.offset_s,
+        "peak": match.peak,
+        "as_stamped": match.zero,
+        "second": match.second,
+        "usable_from": USABLE,
+        "cell_s": match.cell_s,
+    }
+    far = abs(match.offset_s) > SMALL_S and match.peak - match.zero > _GAIN
+    if not (match.is_alone and far):
+        return Examined("clocks", scores)
+    whole = round(abs(match.offset_s))
+    leap = _LEAP_S.get(whole, "") if abs(abs(match.offset_s) - whole) < 0.3 else ""
+    values: dict[str, Value] = {
+        "offset_s": match.offset_s,
+        "total_s": applied_s + match.offset_s,
+        "known_as": f" ({leap})" if leap else "",
+        "peak": match.peak,
+        "as_stamped": match.zero,
+    }
+    explained = 1.0 - (1.0 - match.peak) / max(1.0 - match.zero, 1e-9)
+    return Examined("clocks", scores, (Seen("clock_offset", explained, values),))
+
+
+def clock_rate(
+    truth: MotionTrack,
+    estimate: MotionTrack,
+    match: ClockMatch | None,
+    offset_s: float,
+    applied_s: float,
+) -> Examined:
+    """Look for an offset that grows, part by part of the run.
+
+    Args:
+        truth: In order.
+        estimate: In order.
+        match: Of the whole run.
+        offset_s: The clocks' offset, as far as it is known.
+        applied_s: The offset that the estimate's stamps have already.
+    """
+    name = "clock rates"
+    if match is None or not match.is_alone:
+        return Examined(name, why_not="the rates of motion do not match at a common offset")
+    turns = not np.isnan(match.turning)
+    if min(match.turning if turns else 1.0, match.speed) <= 0.6:
+        return Examined(name, why_not="the correlation of the rates of motion is too low")
+    if len(estimate) <= _FEWEST_HZ * estimate.span_s:
+        return Examined(name, why_not="the rate of the estimate is too low")
+    parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
+    times, offsets = offsets_of_parts(match, offset_s, parts)
+    if len(times) < _FEWEST_PARTS:
+        return Examined(name, why_not="too few parts of the run determine an offset")
+    rate = _slope(times, offsets)
+    level = float(np.median(offsets - rate * times))
+    noise_s = _spread(offsets - level - rate * times)
+    constant_s = _spread(offsets - np.median(offsets))
+    growth_s = rate * float(times[-1] - times[0])
+    scores = {"ppm": 1e6 * rate, "growth_s": growth_s, "noise_s": noise_s, "offset_s": level}
+    limit_s = (_TIMES_NOISE if turns else _TIMES_NOISE_OF_POSITIONS) * noise_s
+    grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
+    if not (grows and constant_s > _STRAIGHTER * noise_s):
+        return Examined(name, scores)
+    before, after = estimate.shifted(offset_s), estimate.shifted(level, rate)
+    scores["unlikeness"] = unlikeness_ratio(truth, before, after)
+    if not scores["unlikeness"] < LEAST_LIKELY:
+        return Examined(name, scores)
+    values: dict[str, Value] = {
+        "ppm": 1e6 * rate,
+        "growth_ms": 1e3 * growth_s,
+        "offset_s": level,
+        "total_s": applied_s + level,
+    }
+    explained = 1.0 - (noise_s / constant_s) ** 2
+    return Examined(name, scores, (Seen("clock_drift", explained, values),))
+
+
+def _slope(times: Floats, offsets: Floats) -> float:
+    """Return the median slope of all pairs: what outliers don't move (Theil, 1950)."""
+    rows = np.array(list(itertools.combinations(range(len(times)), 2)))
+    steps = offsets[rows[:, 1]] - offsets[rows[:, 0]]
+    return float(np.median(steps / (times[rows[:, 1]] - times[rows[:, 0]])))
+
+
+def _spread(offsets: Floats) -> float:
+    """Return a standard deviation by the median, and 4 ms that no offset is better than."""
+    return 1.48 * float(np.median(np.abs(offsets))) + 0.004

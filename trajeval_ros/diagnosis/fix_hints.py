@@ -1,0 +1,214 @@
+"""What a reader must know of errors that were measured by GNSS fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.arrays import Floats
+    from trajeval_ros.geometry.fixes import Fixes, FixRule
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.evaluation import Evaluation
+    from trajeval_ros.metrics.own_error import OwnError
+
+# Claimed sigmas that span more than this are of two kinds, such as fixed and float RTK.
+_SPAN = 10.0
+# Heights this bad, as a share of the level extent, tilt an alignment that is free to.
+_HEIGHT_SHARE = 0.1
+# The tangent plane leaves the ground by d^2 / 2R, 2 m at this distance.
+_EXTENT_M = 5000.0
+# Geoid and ellipsoid are up to 100 m apart; a receiver's heights hardly step by this much.
+_GEOID_STEP_M = 8.0
+_STEP_FIXES = 10  # on both sides of a step
+# Linear interpolation is off by an eighth of a second difference: too much beside the ATE.
+_INTERPOLATION_SHARE = 0.1
+# Of a UTM zone; northings below are within 9 deg of the equator.
+_EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
+
+
+def require_fixes_fit(
+    groundtruth: Trajectory, estimates: Sequence[Trajectory], gauge: Gauge, rule: FixRule
+) -> None:
+    """Refuse a gauge that GNSS fixes can't serve.
+
+    Raises:
+        InputError: They have no heights, or a frame that nobody chose.
+    """
+    if groundtruth.fixes is None:
+        return
+    if not groundtruth.fixes.have_heights and gauge is not Gauge.PLANAR:
+        raise InputError("fixes have no height; use --gauge planar")
+    alike = all(each.fixes is not None for each in estimates)
+    if gauge is Gauge.NONE and rule.datum is None and not alike:
+        raise InputError(
+            "gauge none needs a common frame, and the origin of the fixes is arbitrary; give "
+            "the origin of the estimate's frame with --datum LAT,LON,HEIGHT, or use --gauge "
+            "yaw"
+        )
+
+
+def about_fixes(
+    evaluation: Evaluation, own: OwnError | None, why: str, *, lever_arm_known: bool, of: int
+) -> list[str]:
+    """Return warnings about an evaluation by GNSS fixes.
+
+    Args:
+        evaluation: Finished.
+        own: The error without the noise of the fixes, if there is one.
+        why: Why there is none, else.
+        lever_arm_known: Whether the antenna's place on the body was calibrated or given.
+        of: Number of estimates that were evaluated by these fixes.
+    """
+    pairs = evaluation.association
+    fixes = pairs.groundtruth.fixes
+    warnings = []
+    if own is None:
+        warnings.append(f"the ATE includes the noise of the fixes, which can't be removed: {why}")
+    else:
+        warnings += _about_jumps(own, of)
+    if evaluation.protocol.lever_m is None and not lever_arm_known:
+        warnings.append(
+            "the groundtruth is the position of the antenna, so rotations of the body add an "
+            "error; give the lever arm with --lever-arm X,Y,Z (metres, in the estimate's body "
+            "frame)"
+        )
+    if fixes is not None:
+        warnings += _about_sigmas(fixes, evaluation)
+    warnings += _about_heights(evaluation)
+    extent_m = float(np.ptp(pairs.groundtruth.positions[:, :2], axis=0).max())
+    if extent_m > _EXTENT_M and not evaluation.protocol.gauge.turns_freely:
+        warnings.append(
+            f"the fixes extend over {extent_m / 1e3:.1f} km, where the curvature of the Earth "
+            "causes vertical differences of metres"
+        )
+    return warnings + _about_interpolation(evaluation)
+
+
+def about_projection(name: str, side: Trajectory) -> list[str]:
+    """Return a warning if a side's positions are those of a UTM zone, which is no rigid frame.
+
+    Args:
+        name: Of the side.
+        side: At least one state.
+    """
+    level = np.abs(side.up.turned(side.positions)[:, :2])
+    low, high = level.min(axis=0), level.max(axis=0)
+    east, north = np.argsort(low)  # either may come first
+    is_zone = all(
+        least <= low[axis] and high[axis] <= most
+        for axis, (least, most) in ((east, _EASTING_M), (north, _NORTHING_M))
+    )
+    if not is_zone:
+        return []
+    return [
+        f"the {name} is probably in UTM coordinates (easting {low[east]:.0f} m, northing "
+        f"{low[north]:.0f} m): lengths are up to 0.4 m per km too short or long, and grid north "
+        "is up to 2 deg off; use latitude and longitude, or gauge sim3 to fit the scale"
+    ]
+
+
+def _about_jumps(own: OwnError, of: int) -> list[str]:
+    warnings = []
+    if own.jumps and of > 1:
+        warnings.append(
+            f"{counted(own.jumps, 'fix', 'fixes')} in jumps common to all {of} estimates, caused "
+            "by the receiver (multipath): included in the ATE, excluded from the own error"
+        )
+    elif own.jumps:
+        warnings.append(
+            f"{counted(own.jumps, 'fix', 'fixes')} in jumps away from the estimate and back: "
+            "included in the ATE, excluded from the own error; add a second estimate to "
+            "identify the cause"
+        )
+    if own.own_jumps:
+        warnings.append(
+            f"at {counted(own.own_jumps, 'fix', 'fixes')} only this estimate jumps, and others "
+            "do not: included in its own error"
+        )
+    return warnings
+
+
+def _about_sigmas(fixes: Fixes, evaluation: Evaluation) -> list[str]:
+    sigma = np.sort(fixes.sigma_level_m[fixes.known])
+    if not len(sigma) or sigma[-1] <= _SPAN * sigma[0]:
+        return []
+    if evaluation.protocol.align_weights != "none":
+        return []
+    # What parts them is the widest step between neighbours, in ratio.
+    place = int(np.argmax(sigma[1:] / sigma[:-1]))
+    limit = float(np.sqrt(sigma[place] * sigma[place + 1]))
+    worse, better = np.median(sigma[place + 1 :]), np.median(sigma[: place + 1])
+    return [
+        f"{len(sigma) - place - 1} of {len(sigma)} fixes have a standard deviation of "
+        f"{worse:.2g} m, the others {better:.2g} m (probably float and fixed RTK); exclude the "
+        f"former with --max-fix-sigma {limit:.1g}"
+    ]
+
+
+def _about_heights(evaluation: Evaluation) -> list[str]:
+    pairs, gauge = evaluation.association, evaluation.protocol.gauge
+    truth = pairs.groundtruth
+    warnings = []
+    if gauge.turns_freely and truth.fixes is not None:
+        rotation = evaluation.alignment.similarity.rotation
+        tilt_deg = float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))))
+        extent_m = float(np.ptp(truth.positions[:, :2], axis=0).max())
+        sigma_m = truth.fixes.sigma_up_m
+        bad = not np.isfinite(sigma_m).any() or float(np.nanmax(sigma_m)) > (
+            _HEIGHT_SHARE * max(extent_m, 1e-9)
+        )
+        if tilt_deg > 1.0 and (bad or tilt_deg > 5.0):
+            warnings.append(
+                f"gauge {gauge.value} tilts the estimate by {tilt_deg:.1f} deg to fit the "
+                "heights of the fixes; for an estimate with known gravity direction, use "
+                "--gauge yaw"
+            )
+    step_m = _height_step(truth.positions[:, 2] - evaluation.aligned.positions[:, 2])
+    if step_m is not None and gauge is not Gauge.PLANAR:
+        warnings.append(
+            f"the heights of the fixes change by {step_m:+.1f} m at once, as between ellipsoid "
+            "and mean sea level; use --gauge planar, or the horizontal error"
+        )
+    return warnings
+
+
+def _height_step(errors: Floats) -> float | None:
+    """Return by how much errors of height (N,) step for good, metres; None if they don't."""
+    if len(errors) < 2 * _STEP_FIXES:
+        return None
+    steps = np.diff(errors)
+    place = int(np.argmax(np.abs(steps)))
+    before, after = errors[: place + 1], errors[place + 1 :]
+    if min(len(before), len(after)) < _STEP_FIXES or abs(steps[place]) < _GEOID_STEP_M:
+        return None
+    level = float(np.median(after[:_STEP_FIXES]) - np.median(before[-_STEP_FIXES:]))
+    rest = float(np.median(np.abs(np.delete(steps, place))))
+    is_step = abs(level - steps[place]) < 0.2 * abs(level) and abs(level) > _SPAN * rest
+    return level if is_step else None
+
+
+def _about_interpolation(evaluation: Evaluation) -> list[str]:
+    estimate, position = evaluation.estimate, evaluation.ate["position_m"]
+    step_s = float(np.median(np.diff(estimate.stamps))) / NANOSECONDS if len(estimate) > 1 else 0.0
+    pairs = evaluation.association
+    if len(estimate) < 3 or position is None or not pairs.is_at_groundtruth:
+        return []
+    if np.array_equal(estimate.stamps, pairs.estimate.stamps):
+        return []  # none is between; or of a live run the others aren't known
+    curved = np.linalg.norm(np.diff(estimate.positions, n=2, axis=0), axis=1)
+    # A jump of the estimate is no curve.
+    off_m = float(np.percentile(curved, 99.0)) * evaluation.alignment.similarity.scale / 8.0
+    if off_m <= _INTERPOLATION_SHARE * position.rmse:
+        return []
+    return [
+        f"linear interpolation between the estimate's states, {step_s:.2g} s apart, adds an "
+        f"error of up to {off_m:.2g} m to the ATE; use an estimate with a higher rate"
+    ]

@@ -1,0 +1,121 @@
+"""Columns of one side of a recording in seconds of one clock, as short motions are taken from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+_ENOUGH = 2000  # steps, for a median
+
+
+class Between(NamedTuple):
+    """Poses between those of a track, row by row.
+
+    Attributes:
+        positions: (N, 3).
+        quaternions: (N, 4); None without orientations.
+        known: (N,) whether there is a pose on both sides, close enough.
+    """
+
+    positions: Floats
+    quaternions: Floats | None
+    known: Booleans
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTrack:
+    """Poses over seconds.
+
+    Attributes:
+        seconds: (N,) since an epoch that both sides share.
+        positions: (N, 3), in the unit of the source.
+        quaternions: (N, 4), xyzw; None without orientations.
+        velocities: (N, 3); None without any.
+    """
+
+    seconds: Floats
+    positions: Floats
+    quaternions: Floats | None = None
+    velocities: Floats | None = None
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, epoch_ns: int, offset_s: float = 0.0) -> MotionTrack:
+        """Take the columns of a trajectory, `offset_s` added to its stamps."""
+        return cls(
+            (trajectory.stamps - epoch_ns) / NANOSECONDS + offset_s,
+            trajectory.positions,
+            trajectory.quaternions,
+            trajectory.velocities,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.seconds)
+
+    def __getitem__(self, rows: slice | Indices | Booleans) -> MotionTrack:
+        """Return some of the poses."""
+        return MotionTrack(
+            self.seconds[rows],
+            self.positions[rows],
+            None if self.quaternions is None else self.quaternions[rows],
+            None if self.velocities is None else self.velocities[rows],
+        )
+
+    def in_order(self) -> MotionTrack:
+        """Return the poses sorted by time, of equal times the first."""
+        steps = np.diff(self.seconds)
+        if (steps > 0.0).all():
+            return self
+        order = np.argsort(self.seconds, kind="stable")
+        first = np.concatenate([[True], np.diff(self.seconds[order]) > 0.0])
+        return self[order[first]]
+
+    def shifted(self, offset_s: float, rate: float = 0.0) -> MotionTrack:
+        """Return the poses with an offset and a rate of the clock taken out, a track in order."""
+        seconds = self.seconds + offset_s + rate * (self.seconds - self.seconds[0])
+        return MotionTrack(seconds, self.positions, self.quaternions, self.velocities)
+
+    @property
+    def span_s(self) -> float:
+        """From the first pose to the last, of a track in order."""
+        return float(self.seconds[-1] - self.seconds[0]) if len(self) else 0.0
+
+    @property
+    def usual_step_s(self) -> float:
+        """The median step, of a track in order."""
+        if len(self) < 2:
+            return 1.0
+        some = np.unique(evenly(len(self) - 1, _ENOUGH))
+        return float(np.median(self.seconds[some + 1] - self.seconds[some]))
+
+    @property
+    def extent(self) -> float:
+        """Standard deviation of the positions about their mean."""
+        return float(np.linalg.norm(np.std(self.positions, axis=0))) if len(self) else 0.0
+
+    def at(self, seconds: Floats, max_gap_s: float = np.inf) -> Between:
+        """Return the poses at some times, of a track in order with two poses at least."""
+        after = np.clip(np.searchsorted(self.seconds, seconds, side="right"), 1, len(self) - 1)
+        before = after - 1
+        gap = self.seconds[after] - self.seconds[before]
+        fraction = (seconds - self.seconds[before]) / gap
+        known = (fraction > -1e-9) & (fraction < 1.0 + 1e-9) & (gap <= max_gap_s)
+        fraction = np.clip(fraction, 0.0, 1.0)
+        start, end = self.positions[before], self.positions[after]
+        quaternions = None
+        if self.quaternions is not None:
+            quaternions = lie.slerp(self.quaternions[before], self.quaternions[after], fraction)
+        return Between(start + fraction[:, None] * (end - start), quaternions, known)
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (N,) of vectors (N, k)."""
+    found: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return found

@@ -1,0 +1,116 @@
+"""Whether the estimate starts again: a step that no motion explains, then a world of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
+from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
+from trajeval_ros.diagnosis.short_motions import best_rotations
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.thinning import evenly
+
+_NAME = "restart"
+_STRANGE, _STRANGE_DEG = 10.0, 20.0
+_TIMES_TYPICAL, _SHARE_OF_EXTENT, _TIMES_TRUE, _LEAST_M = 40.0, 0.15, 1.5, 0.2
+_SPUN_DEG = 25.0
+_MOST = 20
+_HOME = 0.05  # of the path's extent
+_GAIN, _GAIN_AT_HOME = 0.9, 0.5
+_OTHER_UNIT = 0.2  # of the logarithm of the scale
+
+
+def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
+    """Look for jumps after which another alignment fits.
+
+    Args:
+        truth: In order, its clock the estimate's.
+        estimate: In order.
+    """
+    moved = lengths(np.diff(estimate.positions, axis=0))
+    strange = moved > _STRANGE * np.median(moved[np.unique(evenly(len(moved), 2000))])
+    if estimate.quaternions is not None:
+        q = estimate.quaternions
+        cosine = np.abs(np.einsum("ni,ni->n", q[1:], q[:-1]))
+        strange |= cosine < np.cos(np.radians(_STRANGE_DEG) / 2.0)
+    number = int(np.count_nonzero(strange))
+    if not 0 < number <= max(50, 0.02 * len(moved)):
+        return Examined(_NAME, {"strange_steps": float(number)})
+    # These steps, and some others to compare with.
+    kept = np.zeros(len(estimate), dtype=bool)
+    for rows in (np.flatnonzero(strange), np.unique(evenly(len(moved), 1000))):
+        kept[rows] = kept[rows + 1] = True
+    some = estimate[kept]
+    true = truth.at(some.seconds, 1.0)
+    both = true.known[1:] & true.known[:-1]
+    if np.count_nonzero(both) < 10:
+        return Examined(_NAME, why_not="too few steps with groundtruth")
+    steps, true_steps = (
+        lengths(np.diff(each, axis=0)) for each in (some.positions, true.positions)
+    )
+    usual = np.minimum(steps[both], 20.0 * np.median(steps[both]) + 1e-12)
+    unit = float(true_steps[both].sum()) / max(float(usual.sum()), 1e-12)
+    excess = np.abs(unit * steps - true_steps)
+    turned = _turned(some.quaternions, true.quaternions, len(steps))
+    extent = float(np.linalg.norm(np.std(true.positions[true.known], axis=0)))
+    limit = np.maximum(
+        max(_TIMES_TYPICAL * float(np.median(excess[both])), _SHARE_OF_EXTENT * extent, _LEAST_M),
+        _TIMES_TRUE * true_steps,
+    )
+    spun = turned > max(_SPUN_DEG, 40.0 * float(np.median(turned[both])))
+    jumps = np.flatnonzero(both & ((excess > limit) | spun))
+    if not 0 < len(jumps) <= _MOST:
+        return Examined(_NAME, {"jumps": float(len(jumps))})
+    worst = jumps[int(np.argmax(excess[jumps] / max(extent, 1e-9) + turned[jumps] / 180.0))]
+    cut = int(worst) + 1
+    if (some.positions[cut - 1] == some.positions[max(cut - 3, 0)]).all():
+        return Examined(_NAME, why_not="the jump ends an interval of repeated poses")
+    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
+    from_home = lengths(some.positions[jumps + 1] - some.positions[0])
+    home = jumps[from_home < _HOME * size]
+    at_home = worst in home
+    # Many parts explain anything; more than two only where each starts at the first pose.
+    cuts = np.union1d(home + 1, [cut]) if at_home and len(home) > 1 else np.array([cut])
+    metres = some.positions * (unit if abs(np.log(max(unit, 1e-12))) > _OTHER_UNIT else 1.0)
+    gain = _gain(metres, true.positions, true.known, cuts)
+    scores = {"jumps": float(len(jumps)), "gain": gain}
+    if gain <= (_GAIN_AT_HOME if at_home else _GAIN):
+        return Examined(_NAME, scores)
+    values: dict[str, Value] = {
+        "jump_m": unit * float(steps[worst]),
+        "jump_deg": float(turned[worst]),
+        "at_s": float(some.seconds[cut] - estimate.seconds[0]),
+        "cut_s": float(some.seconds[[cut - 1, cut]].mean() - truth.seconds[0]),
+        "true_m": float(true_steps[worst]),
+        "where": " at its first pose" if at_home else "",
+        "left_percent": 100.0 * (1.0 - gain),
+    }
+    return Examined(_NAME, scores, (Seen("restart", gain, values),))
+
+
+def _turned(ours: Floats | None, true: Floats | None, count: int) -> Floats:
+    """Return by how much the angles of the steps differ, deg; zeros without orientations."""
+    if ours is None or true is None:
+        return np.zeros(count)
+    angles = [lie.angle(lie.multiply(lie.conjugate(each[:-1]), each[1:])) for each in (ours, true)]
+    apart: Floats = np.degrees(np.abs(angles[0] - angles[1]))
+    return apart
+
+
+def _gain(ours: Floats, true: Floats, known: Booleans, cuts: Indices) -> float:
+    """Return the share of the squared error that an alignment of each part takes away."""
+    rows = np.flatnonzero(known)
+    one = _misfit(ours[rows], true[rows])
+    parts = np.split(rows, np.searchsorted(rows, cuts))
+    several = sum(_misfit(ours[each], true[each]) for each in parts)
+    return 1.0 - several / max(one, 1e-300)
+
+
+def _misfit(ours: Floats, true: Floats) -> float:
+    """Return the squared error after a rigid alignment; 0 of what is too short to have one."""
+    if len(ours) < 5:
+        return 0.0
+    a, b = ours - ours.mean(axis=0), true - true.mean(axis=0)
+    best = float(best_rotations(b.T @ a)[0])
+    return max(0.0, float(np.sum(a * a) + np.sum(b * b)) - 2.0 * best)

@@ -1,0 +1,155 @@
+"""Short motions of both sides: in two seconds drift is small, and a mistake isn't.
+
+They start and end at the estimate's own poses, since a sparse estimate that is interpolated moves
+along chords; the groundtruth is interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.thinning import evenly
+
+_COUNT = 600
+_FEWEST = 12
+# A step of so many times the usual one is a jump; more than so many are the estimate's nature.
+_JUMP, _MOST_JUMPS = 30.0, 20
+
+
+@dataclass(frozen=True, eq=False)
+class ShortMotions:
+    """N pairs of poses, some time apart, of both sides.
+
+    Attributes:
+        rows: (N, 2) rows of the estimate at which they start and end.
+        truth: (2, N, 3) positions of the groundtruth there.
+        estimate: (2, N, 3) positions of the estimate.
+        truth_turned: (2, N, 4) quaternions of the groundtruth; None unless both sides have some.
+        estimate_turned: (2, N, 4) quaternions of the estimate, likewise.
+    """
+
+    rows: Indices
+    truth: Floats
+    estimate: Floats
+    truth_turned: Floats | None
+    estimate_turned: Floats | None
+
+    @classmethod
+    def between(
+        cls, truth: MotionTrack, estimate: MotionTrack, apart_s: float, max_gap_s: float
+    ) -> ShortMotions:
+        """Take motions evenly from a recording whose clocks agree.
+
+        Args:
+            truth: In order.
+            estimate: In order.
+            apart_s: From the start of a motion to its end, at least.
+            max_gap_s: Longest step of the groundtruth to interpolate across.
+        """
+        times = estimate.seconds
+        inside = np.flatnonzero((times >= truth.seconds[0]) & (times <= truth.seconds[-1]))
+        start = inside[np.unique(evenly(len(inside), _COUNT))] if len(inside) else inside
+        end = np.searchsorted(times, times[start] + 0.999 * apart_s)
+        fits = end <= (inside[-1] if len(inside) else -1)
+        start, end = start[fits], end[fits]
+        fits = times[end] - times[start] < 2.0 * apart_s + 0.2
+        start, end = start[fits], end[fits]
+        begun, ended = (truth.at(times[each], max_gap_s) for each in (start, end))
+        known = begun.known & ended.known
+        start, end = start[known], end[known]
+        truth_turned = estimate_turned = None
+        if begun.quaternions is not None and ended.quaternions is not None:
+            truth_turned = np.stack([begun.quaternions[known], ended.quaternions[known]])
+        if truth_turned is not None and estimate.quaternions is not None:
+            estimate_turned = np.stack([estimate.quaternions[start], estimate.quaternions[end]])
+        else:
+            truth_turned = None
+        return cls(
+            np.column_stack([start, end]),
+            np.stack([begun.positions[known], ended.positions[known]]),
+            np.stack([estimate.positions[start], estimate.positions[end]]),
+            truth_turned,
+            estimate_turned,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return len(self.rows)
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are so many that they say something."""
+        return len(self) >= _FEWEST
+
+    @property
+    def true_steps(self) -> Floats:
+        """Displacements of the groundtruth, (N, 3)."""
+        steps: Floats = self.truth[1] - self.truth[0]
+        return steps
+
+    @property
+    def steps(self) -> Floats:
+        """Displacements of the estimate, (N, 3)."""
+        steps: Floats = self.estimate[1] - self.estimate[0]
+        return steps
+
+    def without_jumps(self, estimate: MotionTrack) -> ShortMotions:
+        """Return those that no jump of the estimate lies in: a restart turns its world."""
+        moved = lengths(np.diff(estimate.positions, axis=0))
+        far = moved > _JUMP * np.median(moved[np.unique(evenly(len(moved), 2000))])
+        jumps = np.concatenate([[0], np.cumsum(far)])
+        if not 0 < jumps[-1] <= _MOST_JUMPS:
+            return self
+        smooth = jumps[self.rows[:, 0]] == jumps[self.rows[:, 1]]
+        return self._only(smooth) if np.count_nonzero(smooth) >= _FEWEST else self
+
+    def _only(self, keep: Booleans) -> ShortMotions:
+        return ShortMotions(
+            self.rows[keep],
+            self.truth[:, keep],
+            self.estimate[:, keep],
+            None if self.truth_turned is None else self.truth_turned[:, keep],
+            None if self.estimate_turned is None else self.estimate_turned[:, keep],
+        )
+
+
+def turned_in_world(quaternions: Floats) -> Floats:
+    """Return the rotation vectors (N, 3) of R_end R_start^T: vectors of the world, (2, N, 4)."""
+    return lie.rotation_vector(lie.multiply(quaternions[1], lie.conjugate(quaternions[0])))
+
+
+def turned_in_body(quaternions: Floats) -> Floats:
+    """Return the rotation vectors (N, 3) of R_start^T R_end: vectors of the body, (2, N, 4)."""
+    return lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[0]), quaternions[1]))
+
+
+def bounded(vectors: Floats) -> Floats:
+    """Return vectors (N, 3) so shortened that none counts for much more than a usual one."""
+    size = lengths(vectors)
+    usual = float(np.median(size[size > 0.0])) if (size > 0.0).any() else 1.0
+    short: Floats = vectors / (size + 2.0 * usual)[:, None]
+    return short
+
+
+def moment(truth: Floats, estimate: Floats) -> Floats:
+    """Return the normalised sum (3, 3) of truth estimate^T over N vectors of each.
+
+    The trace of W^T times it is the correlation of the vectors under a rotation W.
+    """
+    norm = np.sqrt(np.sum(truth * truth) * np.sum(estimate * estimate))
+    summed: Floats = truth.T @ estimate / max(float(norm), 1e-300)
+    return summed
+
+
+def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
+    """Return the largest trace of W^T H over rotations W, (...), and W (..., 3, 3), for each H."""
+    u, s, vt = np.linalg.svd(moments)
+    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    flipped = u.copy()
+    flipped[..., :, 2] *= sign[..., None]
+    return s[..., 0] + s[..., 1] + sign * s[..., 2], flipped @ vt

@@ -1,0 +1,294 @@
+"""GNSS fixes: what a receiver says of where it is, and which of its fixes are used.
+
+Fixes are judged by what they say of themselves alone. One that disagrees with an estimate may be
+right, and the estimate wrong.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.geodesy import Datum, east_north_up, turned_covariances
+from trajeval_ros.geometry.trajectory import Trajectory, add_counts
+
+# sensor_msgs/NavSatStatus and the covariance types of sensor_msgs/NavSatFix.
+STATUS_UNKNOWN, STATUS_NO_FIX = -2, -1
+COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED = 0, 1
+_COVARIANCE_TYPES = {1: "approximated", 2: "diagonal", 3: "known"}
+FRAME = "east_north_up"
+DEFAULT_CORRELATION_S = 100.0
+# A datum further away than this is no origin of a run, but a mistake.
+_FARTHEST_M = 100_000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """The fixes of a receiver, as its messages have them.
+
+    Attributes:
+        places: (N, 3), latitude and longitude in degrees (WGS 84), height above the ellipsoid in
+            metres, NaN of a fix without height.
+        status: (N,), of sensor_msgs/NavSatStatus: -2 unknown, -1 none, 0 fix, 1 with satellite
+            and 2 with ground-based augmentation.
+        covariance_types: (N,), of sensor_msgs/NavSatFix: 0 unknown, 1 approximated, 2 diagonal
+            known, 3 known.
+        covariances: (N, 3, 3), m^2, about east, north and up at the fix.
+        datum: Where the frame's origin is that the fixes are expressed in; None before they are.
+    """
+
+    places: Floats
+    status: Indices
+    covariance_types: Indices
+    covariances: Floats
+    datum: Datum | None = None
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.places)
+
+    def __getitem__(self, rows: slice | Indices | Booleans) -> Fixes:
+        """Return those of a slice, a mask or an array of indices."""
+        return dataclasses.replace(
+            self,
+            places=self.places[rows],
+            status=self.status[rows],
+            covariance_types=self.covariance_types[rows],
+            covariances=self.covariances[rows],
+        )
+
+    @property
+    def have_heights(self) -> bool:
+        """Whether there are heights; without any, fixes can be used in the plane alone."""
+        return bool(np.isfinite(self.places[:, 2]).any())
+
+    @property
+    def known(self) -> Booleans:
+        """Which of them have a covariance, (N,): not of type unknown, and a positive diagonal."""
+        variances = np.diagonal(self.covariances, axis1=1, axis2=2)
+        level = np.isfinite(self.covariances).all(axis=(1, 2)) & (variances > 0.0).all(axis=1)
+        known: Booleans = level & (self.covariance_types != COVARIANCE_UNKNOWN)
+        return known
+
+    @property
+    def sigma_level_m(self) -> Floats:
+        """The standard deviation along the worst level axis, (N,), metres; NaN if unknown."""
+        known = self.known
+        sigma = np.full(len(self), np.nan)
+        level = self.covariances[known][:, :2, :2]
+        sigma[known] = np.sqrt(np.linalg.eigvalsh(level)[:, -1])
+        return sigma
+
+    @property
+    def sigma_up_m(self) -> Floats:
+        """The standard deviation of the height, (N,), metres; NaN if unknown."""
+        known = self.known
+        sigma = np.full(len(self), np.nan)
+        sigma[known] = np.sqrt(self.covariances[known, 2, 2])
+        return sigma
+
+    def positions(self) -> Floats:
+        """Return them in the frame of their datum, (N, 3), metres; level without heights."""
+        assert self.datum is not None
+        if self.have_heights:
+            return east_north_up(self.places, self.datum)
+        level = np.column_stack([self.places[:, :2], np.full(len(self), self.datum.height_m)])
+        return east_north_up(level, self.datum)
+
+    def pose_covariances(self) -> Floats:
+        """Return covariances of poses (N, 6, 6) in the datum's frame, NaN where unknown."""
+        assert self.datum is not None
+        known = self.known
+        covariances = np.full((len(self), 6, 6), np.nan)
+        covariances[known, :3, :3] = turned_covariances(
+            self.covariances[known], self.places[known], self.datum
+        )
+        return covariances
+
+
+def quality_of(fixes: Fixes) -> str:
+    """Return what fixes say of themselves: "status 1: 989; sigma 0.80-1.70 m level, ..."."""
+    counts = zip(*np.unique(fixes.status, return_counts=True), strict=True)
+    said = ", ".join(f"status {status}: {count}" for status, count in counts)
+    known = fixes.known
+    if not known.any():
+        return f"{said}; covariance unknown"
+    level, up = fixes.sigma_level_m[known], fixes.sigma_up_m[known]
+    kinds = np.unique(fixes.covariance_types[known]).tolist()
+    names = " and ".join(_COVARIANCE_TYPES.get(kind, f"type {kind}") for kind in kinds)
+    some = "" if known.all() else f" of {np.count_nonzero(known)} of them"
+    return (
+        f"{said}; sigma{some} {level.min():.3g}-{level.max():.3g} m level, "
+        f"{up.min():.3g}-{up.max():.3g} m up, covariance {names}"
+    )
+
+
+@dataclass(frozen=True)
+class FixRule:
+    """Which fixes are used, in which frame, and how long their errors last.
+
+    Attributes:
+        datum: The frame's origin; None for the first fix that is used.
+        min_status: The least status of a fix that is used; None for any fix.
+        max_sigma_m: The largest standard deviation along a level axis; None for any.
+        correlation_s: After how long the errors of fixes have forgotten themselves to 1/e.
+
+    Raises:
+        SettingsError: Values that mean nothing.
+
+    Example:
+        >>> from trajeval_ros.geometry.fixes import FixRule
+        >>> FixRule(max_sigma_m=0.05).correlation_s
+        100.0
+    """
+
+    datum: Datum | None = None
+    min_status: int | None = None
+    max_sigma_m: float | None = None
+    correlation_s: float = DEFAULT_CORRELATION_S
+
+    def __post_init__(self) -> None:
+        """Refuse what no rule can mean."""
+        if self.min_status is not None and self.min_status not in (0, 1, 2):
+            raise SettingsError(
+                "the minimum fix status must be 0 (any fix), 1 (satellite-based augmentation) "
+                f"or 2 (ground-based, such as RTK), not {self.min_status}"
+            )
+        if self.max_sigma_m is not None and not 0.0 < self.max_sigma_m < np.inf:
+            raise SettingsError(
+                f"the largest sigma of a fix must be greater than 0 m, not {self.max_sigma_m}"
+            )
+        if not 0.0 < self.correlation_s < np.inf:
+            raise SettingsError(
+                "the correlation time of fix errors must be greater than 0 s, not "
+                f"{self.correlation_s}; a typical value is 100 s"
+            )
+
+    def usable(self, fixes: Fixes) -> tuple[Booleans, dict[str, int]]:
+        """Return which fixes are used, (N,), and how many are not, by reason."""
+        kept = np.ones(len(fixes), dtype=bool)
+        dropped: dict[str, int] = {}
+        for reason, bad in self._faults(fixes):
+            dropped[reason] = int(np.count_nonzero(kept & bad))
+            kept &= ~bad
+        return kept, dropped
+
+    def _faults(self, fixes: Fixes) -> list[tuple[str, Booleans]]:
+        known, status, places = fixes.known, fixes.status, fixes.places
+        level = places[:, :2]
+        finite = np.isfinite(level).all(axis=1)
+        on_earth = (np.abs(places[:, 0]) <= 90.0) & (np.abs(places[:, 1]) <= 360.0)
+        no_fix = (status == STATUS_NO_FIX) | ((status == STATUS_UNKNOWN) & ~known)
+        faults = [
+            ("no_fix", no_fix | (finite & (level == 0.0).all(axis=1))),
+            ("not_finite", ~(finite & on_earth) | np.isinf(places[:, 2])),
+        ]
+        if fixes.have_heights:
+            faults.append(("no_height", ~np.isfinite(places[:, 2])))
+        if self.min_status is not None:
+            faults.append(("below_fix_status", status < self.min_status))
+        if self.max_sigma_m is not None:
+            sigma = fixes.sigma_level_m
+            faults.append(("fix_sigma_unknown", np.isnan(sigma)))
+            faults.append(("fix_sigma_above_limit", sigma > self.max_sigma_m))
+        return faults
+
+    def datum_of(self, stamps: Stamps, fixes: Fixes) -> Datum:
+        """Return the frame's origin: that of the rule, or the first of the used fixes (N > 0).
+
+        Raises:
+            InputError: The rule's is on another continent.
+        """
+        first = fixes.places[int(np.argmin(stamps))]
+        height = float(first[2]) if np.isfinite(first[2]) else 0.0
+        if self.datum is None:
+            return Datum(float(first[0]), float(first[1]), height)
+        away_m = float(np.linalg.norm(_away(first, height, self.datum)))
+        if away_m > _FARTHEST_M:
+            raise InputError(
+                f"the datum {self.datum} is {away_m / 1e3:.0f} km away from the first fix "
+                f"({first[0]:.6f},{first[1]:.6f}); check the order and the signs of latitude "
+                "and longitude"
+            )
+        return self.datum
+
+    def applied(self, trajectory: Trajectory) -> Trajectory:
+        """Return the fixes of a trajectory that are used, in the frame of the rule's datum.
+
+        What isn't made of fixes stays as it is.
+
+        Raises:
+            InputError: None of them is used, or the datum is on another continent.
+        """
+        fixes = trajectory.fixes
+        if fixes is None or (self.datum, self.min_status, self.max_sigma_m) == (None, None, None):
+            return trajectory
+        kept, dropped = self.usable(fixes)
+        return _located(trajectory, fixes, kept, dropped, self)
+
+
+def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajectory:
+    """Return the trajectory of fixes, in the frame of the first that is one; others are counted.
+
+    Args:
+        stamps: (N,), nanoseconds.
+        fixes: N of them.
+        **attributes: Others of `Trajectory`.
+
+    Raises:
+        InputError: None of them can be used, or all are the same.
+    """
+    rule = FixRule()
+    kept, dropped = rule.usable(fixes)
+    states = Trajectory(stamps, np.zeros((len(stamps), 3)), frame=FRAME, **attributes)
+    return _located(states, fixes, kept, dropped, rule)
+
+
+def _located(
+    trajectory: Trajectory, fixes: Fixes, kept: Booleans, dropped: dict[str, int], rule: FixRule
+) -> Trajectory:
+    """Return the states whose fixes are kept, where these are.
+
+    Args:
+        trajectory: Of N states, with any positions.
+        fixes: N of them.
+        kept: (N,).
+        dropped: How many are not kept, by reason.
+        rule: Of the datum.
+
+    Raises:
+        InputError: None is kept, all are the same, or the datum is on another continent.
+    """
+    if not kept.any():
+        why = ", ".join(
+            f"{count} {reason.replace('_', ' ')}" for reason, count in dropped.items() if count
+        )
+        raise InputError(
+            f"no usable fix among {len(fixes)} ({why}); check the receiver, --min-fix-status and "
+            "--max-fix-sigma"
+        )
+    used = fixes[kept]
+    if len(used) > 1 and (used.places[:, :2] == used.places[0, :2]).all():
+        raise InputError(
+            f"all fixes ({len(used)}) are at the same place, "
+            f"{used.places[0, 0]:.7f},{used.places[0, 1]:.7f}: the driver repeats its last "
+            "fix, or the receiver is set to a fixed position"
+        )
+    used = dataclasses.replace(used, datum=rule.datum_of(trajectory.stamps[kept], used))
+    states = trajectory[kept]
+    return dataclasses.replace(
+        states,
+        positions=used.positions(),
+        covariances=used.pose_covariances(),
+        fixes=used,
+        dropped=add_counts(trajectory.dropped, dropped),
+    )
+
+
+def _away(place: Floats, height: float, datum: Datum) -> Floats:
+    return east_north_up(np.array([[place[0], place[1], height]]), datum)

@@ -1,0 +1,151 @@
+"""Latitude, longitude and height to a local east-north-up frame: WGS 84, closed formulas.
+
+East-north-up is a rigid frame, tangent to the ellipsoid at its datum, and no projection: lengths
+and angles are true, while grid north of a projection such as UTM is not north.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats
+
+_SEMI_MAJOR_M = 6378137.0
+_FLATTENING = 1.0 / 298.257223563
+_ECCENTRICITY_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
+_HIGHEST_M = 1e6
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Datum:
+    """The origin of an east-north-up frame.
+
+    Attributes:
+        latitude_deg: Geodetic, from -90 to 90.
+        longitude_deg: From -180 to 360.
+        height_m: Above the ellipsoid.
+
+    Raises:
+        SettingsError: There is no such place.
+
+    Example:
+        >>> from trajeval_ros.geometry.geodesy import Datum
+        >>> Datum(47.4, 8.5, 430.0).latitude_deg
+        47.4
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+    def __post_init__(self) -> None:
+        """Refuse what is no place."""
+        if not (
+            abs(self.latitude_deg) <= 90.0
+            and -180.0 <= self.longitude_deg <= 360.0
+            and abs(self.height_m) <= _HIGHEST_M
+        ):
+            raise SettingsError(
+                f"the datum {self} is out of range; give a latitude from -90 to 90 deg, a "
+                "longitude from -180 to 360 deg and a height in metres"
+            )
+
+    def __str__(self) -> str:
+        """Write it as the command line takes it, to the last digit."""
+        return f"{self.latitude_deg!r},{self.longitude_deg!r},{self.height_m!r}"
+
+    @property
+    def coordinates(self) -> Floats:
+        """Latitude and longitude in degrees, height in metres, (3,)."""
+        return np.array([self.latitude_deg, self.longitude_deg, self.height_m])
+
+
+def parse_datum(text: str) -> Datum:
+    """Read "47.4,8.5,430": latitude and longitude in degrees, height in metres.
+
+    Raises:
+        SettingsError: It is no place.
+    """
+    try:
+        latitude, longitude, height = (float(part) for part in text.split(","))
+    except ValueError:
+        raise SettingsError(
+            f"the datum {text!r} is not valid; give latitude and longitude in degrees and height "
+            "in metres, as in --datum 47.4,8.5,430"
+        ) from None
+    return Datum(latitude, longitude, height)
+
+
+def east_north_up(places: Floats, datum: Datum) -> Floats:
+    """Return places in the frame of a datum, to 5e-9 m within 50 km of it.
+
+    Args:
+        places: (N, 3), latitude and longitude in degrees, height above the ellipsoid in metres.
+        datum: Where the frame's origin is.
+
+    Returns:
+        (N, 3), east, north and up, metres.
+    """
+    origin = datum.coordinates
+    moved: Floats = (_earth_fixed(places) - _earth_fixed(origin)) @ _axes(origin).T
+    return moved
+
+
+def turned_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
+    """Return covariances (N, 3, 3) about east, north and up of each place in a datum's frame."""
+    turns = _axes(datum.coordinates) @ np.swapaxes(_axes(places), -1, -2)
+    turned: Floats = turns @ covariances @ np.swapaxes(turns, -1, -2)
+    return turned
+
+
+def _earth_fixed(places: Floats) -> Floats:
+    """Return places (..., 3) in the earth-centred, earth-fixed frame, metres."""
+    latitude, longitude = np.radians(places[..., 0]), np.radians(places[..., 1])
+    height, level = places[..., 2], np.cos(latitude)
+    radius = _SEMI_MAJOR_M / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
+    return np.stack(
+        [
+            (radius + height) * level * np.cos(longitude),
+            (radius + height) * level * np.sin(longitude),
+            (radius * (1.0 - _ECCENTRICITY_SQUARED) + height) * np.sin(latitude),
+        ],
+        axis=-1,
+    )
+
+
+def _axes(places: Floats) -> Floats:
+    """Return the rows east, north and up of the tangent frames of places, (..., 3, 3)."""
+    latitude, longitude = np.radians(places[..., 0]), np.radians(places[..., 1])
+    sin_f, cos_f = np.sin(latitude), np.cos(latitude)
+    sin_l, cos_l = np.sin(longitude), np.cos(longitude)
+    east = np.stack([-sin_l, cos_l, np.zeros_like(sin_l)], axis=-1)
+    north = np.stack([-sin_f * cos_l, -sin_f * sin_l, cos_f], axis=-1)
+    up = np.stack([cos_f * cos_l, cos_f * sin_l, sin_f], axis=-1)
+    return np.stack([east, north, up], axis=-2)
+
+
+def places_at(positions: Floats, datum: Datum) -> Floats:
+    """Return the places of positions in the frame of a datum: the inverse of `east_north_up`.
+
+    Args:
+        positions: (N, 3), east, north and up, metres, within 100 km; no datum near a pole.
+        datum: Where the frame's origin is.
+
+    Returns:
+        (N, 3), latitude and longitude in degrees, height in metres; to a nanometre.
+    """
+    sine = np.sin(np.radians(datum.latitude_deg))
+    level = 1.0 - _ECCENTRICITY_SQUARED * sine**2
+    across = _SEMI_MAJOR_M / np.sqrt(level)
+    along = across * (1.0 - _ECCENTRICITY_SQUARED) / level
+    across *= np.cos(np.radians(datum.latitude_deg))
+    per_metre = np.array([np.degrees(1.0 / along), np.degrees(1.0 / across), 1.0])
+    places = np.tile(datum.coordinates, (len(positions), 1))
+    # Each round leaves a share of the error as of the distance in the earth's radius.
+    for _ in range(_ROUNDS):
+        places += (positions - east_north_up(places, datum))[:, [1, 0, 2]] * per_metre
+    return places

@@ -1,0 +1,120 @@
+"""The bags and trajectory files below a folder, to choose from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.io.text.head import recognise_text
+
+DEEPEST, MOST = 4, 200  # levels of folders below, sources listed
+_MOST_FILES = 20_000  # looked at
+_BAGS = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "ROS 1 bag"}
+_TEXTS = {".txt", ".csv", ".tum", ".kitti", ".dat", ".log", ".tsv", ""}
+
+
+@dataclass(frozen=True)
+class FoundSource:
+    """A bag or a file with a trajectory.
+
+    Attributes:
+        path: Below the folder.
+        kind: Its format.
+        topics: Those with poses, of a bag.
+        problem: Why it can't be opened; empty if it can.
+    """
+
+    path: Path
+    kind: str
+    topics: tuple[str, ...] = ()
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class FolderContents:
+    """What is below a folder.
+
+    Attributes:
+        sources: In order of their paths.
+        others: Number of files that hold no trajectory.
+        left_out: What was not looked at, one sentence each.
+    """
+
+    sources: tuple[FoundSource, ...]
+    others: int
+    left_out: tuple[str, ...]
+
+
+def find_sources(
+    folder: Path, advance: Callable[[int, int], None] = lambda done, total: None
+) -> FolderContents:
+    """Return the bags and trajectory files below a folder, down to `DEEPEST` levels.
+
+    Args:
+        folder: Exists. Hidden folders and links to folders below it are not entered.
+        advance: Called with the files done and all files, now and then.
+    """
+    left_out: list[str] = []
+    candidates: list[Path] = []
+    for path in _walk(folder, left_out):
+        if len(candidates) == _MOST_FILES:
+            left_out.append(f"files after the first {_MOST_FILES}")
+            break
+        candidates.append(path)
+    found: list[FoundSource] = []
+    others = 0
+    for place, path in enumerate(sorted(candidates)):
+        if len(found) == MOST:
+            left_out.append(f"{len(candidates) - place} files after the first {MOST} sources")
+            break
+        source = _recognised(path)
+        advance(place, len(candidates))
+        if source is None:
+            others += 1
+        else:
+            found.append(source)
+    return FolderContents(tuple(found), others, tuple(left_out))
+
+
+def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
+    """Yield files, and the folders that are bags; add what is not entered to `left_out`."""
+    too_deep = 0
+    for place, folders, files in os.walk(folder):
+        here = Path(place)
+        if "metadata.yaml" in files:
+            folders.clear()
+            yield here
+            continue
+        folders[:] = sorted(each for each in folders if not each.startswith("."))
+        if len(here.relative_to(folder).parts) == DEEPEST:
+            too_deep += len(folders)
+            folders.clear()
+        yield from (here / each for each in sorted(files) if not each.startswith("."))
+    if too_deep:
+        left_out.append(f"{counted(too_deep, 'folder')} more than {DEEPEST} levels deep")
+
+
+def _recognised(path: Path) -> FoundSource | None:
+    """Return a file or a bag's folder as a source; None if it holds no trajectory."""
+    if path.is_dir() or path.name.removesuffix(".zstd").endswith(tuple(_BAGS)):
+        from trajeval_ros.io.bags.bag import Bag
+
+        ending = Path(path.name.removesuffix(".zstd")).suffix
+        kind = "rosbag2" if path.is_dir() else _BAGS[ending]
+        try:
+            with Bag(path, None) as bag:
+                topics = [each.name for each in bag.topics if each.holds_poses and each.count]
+                topics += [each.name for each in bag.topics if each.holds_transforms]
+        except (InputError, OSError) as error:
+            return FoundSource(path, kind, problem=str(error))
+        return FoundSource(path, kind, tuple(topics))
+    if path.suffix.lower() not in _TEXTS or not path.is_file():
+        return None
+    try:
+        return FoundSource(path, recognise_text(path).layout.name)
+    except (InputError, OSError):
+        return None

@@ -1,0 +1,68 @@
+"""The GNSS fixes of a live run on disk, as their messages had them.
+
+`groundtruth.fixes` lies beside the pair files, which hold where the fixes are in metres. It is
+made of chunks, too. A row is a stamp, int64 nanoseconds, and 14 float64: latitude and longitude in
+degrees, height in metres, status, type of covariance, and the covariance about east, north and up,
+m^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes
+from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.io.fix_rows import fixes_of_rows
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
+from trajeval_ros.io.schema import require_schema
+
+FORMAT = "trajeval-fixes/1"
+NAME = "groundtruth.fixes"
+
+_MAGIC = b"TEFX"
+_ROW = np.dtype([("stamp", "<i8"), ("fix", "<f8", 14)])
+
+
+class FixWriter(ChunkWriter):
+    """Appends to the file of fixes in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the file, which must not exist.
+
+        Raises:
+            InputError: It can't be made.
+        """
+        text = json_text({"format": FORMAT}).encode()
+        super().__init__(folder / NAME, _MAGIC, np.empty(0, _ROW), text)
+
+    def append(self, stamps: Stamps, fixes: Floats) -> None:
+        """Add fixes: stamps (N,), and places and quality as in messages, (N, 14)."""
+        rows = np.empty(len(stamps), _ROW)
+        rows["stamp"], rows["fix"] = stamps, fixes
+        self.add(_MAGIC, rows)
+        self.write()
+
+
+def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
+    """Return the fixes of a live run, of each stamp the one that came first, in order.
+
+    Args:
+        folder: Of the run.
+        datum: Of their frame.
+
+    Raises:
+        InputError: The file can't be read, or is none.
+    """
+    path = folder / NAME
+    chunks, _ = read_chunks(path, {_MAGIC: _ROW})
+    schema = chunks[0][0].get("format") if chunks else None
+    require_schema(path, schema, FORMAT, "file of fixes", "evaluate a recording of the run")
+    rows = np.concatenate([rows for _, rows in chunks])
+    stamps, first = np.unique(rows["stamp"].astype(np.int64), return_index=True)
+    found = rows["fix"][first].astype(np.float64)
+    return stamps, replace(fixes_of_rows(found[:, :3], found[:, 3:]), datum=datum)

@@ -1,0 +1,85 @@
+"""Limits of a watchdog in a file: YAML, that a person may read and change."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.schema import require_schema
+from trajeval_ros.io.writing import write_text
+from trajeval_ros.io.yaml_file import read_mapping, require_known
+from trajeval_ros.watchdog.limits import HealthyValues, WatchLimits
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+
+SCHEMA = "trajeval-limits/1"
+_KNOWN = ("schema", "evidence", "healthy")
+_MEND = "learn limits with trajeval watch RUN --learn FILE"
+
+
+def write_limits(path: Path, limits: WatchLimits) -> None:
+    """Write limits, whole or not at all.
+
+    Raises:
+        InputError: The file can't be written.
+    """
+    lines = [
+        "# Largest and typical values of a healthy run; a limit is twice the largest by default.",
+        f"schema: {SCHEMA}",
+        "evidence:",
+        f"  hours: {limits.hours:.6f}",
+        f"  checked: {json.dumps(limits.checked)}",
+        "  sources:",
+        *(f"    {name}: {json.dumps(source)}" for name, source in limits.sources.items()),
+        "healthy:",
+    ]
+    for name, values in limits.healthy.items():
+        unit = SIGNAL_NAMED[name].unit
+        lines.append(
+            f"  {name}: {{largest: {values.largest:.6g}, typical: {values.typical:.6g}}}"
+            + (f"  # {unit}" if unit else "")
+        )
+    write_text(path, "\n".join(lines) + "\n", follow_link=True)
+
+
+def read_limits(path: Path) -> WatchLimits:
+    """Read limits.
+
+    Raises:
+        InputError: It can't be read, or what it says means nothing.
+    """
+    found = read_mapping(path, "limits")
+    require_schema(path, found.get("schema"), SCHEMA, "file with limits", _MEND)
+    require_known(found, _KNOWN, str(path))
+    evidence, healthy = (_mapping(path, found, name) for name in ("evidence", "healthy"))
+    require_known(evidence, ("hours", "checked", "sources"), f"{path}: evidence")
+    require_known(healthy, SIGNAL_NAMED, f"{path}: healthy")
+    hours = _number(path, "hours", evidence.get("hours"))
+    if hours <= 0.0 or not healthy:
+        raise InputError(f"{path} has no healthy hours or no values; {_MEND}")
+    values = {}
+    for name, each in healthy.items():
+        if not isinstance(each, dict) or set(each) != {"largest", "typical"}:
+            raise InputError(f"{path}: {name} must be {{largest: VALUE, typical: VALUE}}")
+        values[name] = HealthyValues(
+            *(_number(path, f"{name}.{part}", each[part]) for part in ("largest", "typical"))
+        )
+    sources = {str(name): str(each) for name, each in (evidence.get("sources") or {}).items()}
+    return WatchLimits(values, hours, sources, str(evidence.get("checked", "")))
+
+
+def _mapping(path: Path, found: dict[str, Any], name: str) -> dict[str, Any]:
+    value = found.get(name)
+    if not isinstance(value, dict):
+        raise InputError(f"{path} has no {name}; {_MEND}")
+    return value
+
+
+def _number(path: Path, name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{path}: {name} must be a number, not {value!r}")
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{path}: {name} must be a number of at least 0, not {value!r}")
+    return float(value)

@@ -1,0 +1,265 @@
+"""Errors as an MCAP file, by the topics and in the messages that the live evaluator publishes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trajeval_ros import __version__
+from trajeval_ros.diagnosis.vertical import doubt_of
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.topic_names import part_of_topic
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.upright import between_own_axes
+from trajeval_ros.io.bags.alignment_messages import encode_alignment, encode_paths
+from trajeval_ros.io.bags.encode_messages import encode_numbers, encode_vector_stamped
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE
+from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.online.error_topics import (
+    ALIGNMENT,
+    ALIGNMENT_TYPE,
+    DIAGNOSTICS,
+    DIAGNOSTICS_TYPE,
+    NODE,
+    NUMBER_TYPE,
+    NUMBERS,
+    VECTOR_TYPE,
+    VECTORS,
+    numbers_of,
+    relative_error_topic,
+    status_texts,
+    status_values,
+    vectors_of,
+    window_numbers,
+)
+from trajeval_ros.online.notices import OK, WARN
+from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.relative_errors import RunningErrors
+from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.trail import Trail
+from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+
+_LATEST_NS = 2**31 * NANOSECONDS  # of what a ROS stamp can hold
+
+
+class _Channel(NamedTuple):
+    """Messages of one topic, with the times at which they are logged."""
+
+    topic: str
+    type: str
+    times: Stamps
+    messages: Iterable[bytes]
+
+
+def write_error_recording(path: Path, outcome: Outcome) -> None:
+    """Write errors, paths, alignments and statistics as ROS 2 messages, whole or not at all.
+
+    Errors are logged at the stamps of the estimate's messages, so that they stand beside what
+    else was recorded. What is known of a whole run is logged at its first pair; the window's
+    numbers, which are those of the whole run here, at its last one as well.
+
+    Args:
+        path: The file; one that exists is replaced.
+        outcome: What `run` returned.
+
+    Raises:
+        InputError: It can't be written, or stamps are before 1970 or after 2038.
+    """
+    channels: list[_Channel] = []
+    statuses = []
+    for run, name in zip(outcome.runs, _topic_parts(outcome.runs), strict=True):
+        recorded = _RecordedRun(outcome, run, name)
+        channels += recorded.channels()
+        statuses.append(recorded.status())
+    times = np.concatenate([each.times for each in channels])
+    if not 0 <= times.min() <= times.max() < _LATEST_NS:
+        raise InputError(f"{path} can't have timestamps before 1970 or after 2038, a limit of ROS")
+    message = _diagnostics(int(times.max()), statuses)
+    channels.append(_Channel(DIAGNOSTICS, DIAGNOSTICS_TYPE, times.min(keepdims=True), [message]))
+    write_whole(path, lambda temporary: _write(temporary, channels), follow_link=True)
+
+
+def _topic_parts(runs: Sequence[RunOutcome]) -> list[str]:
+    """Return a part of a topic's name for each run, all different."""
+    names = [part_of_topic(run.estimate.name) for run in runs]
+    return [
+        name if names.count(name) == 1 else f"{name}_{place}"
+        for place, name in enumerate(names, start=1)
+    ]
+
+
+class _RecordedRun:
+    """What is recorded of one estimate."""
+
+    def __init__(self, outcome: Outcome, run: RunOutcome, name: str) -> None:
+        """Measure its pairs as the live evaluator does, under the alignment of the whole run."""
+        self._evaluation, self._frame, self._name = run.evaluation, outcome.groundtruth.frame, name
+        self._child_frame, up = run.estimate.frame, outcome.groundtruth.up
+        self._sources = {
+            "groundtruth": outcome.groundtruth.source,
+            "estimate": run.estimate.source,
+        }
+        self._pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
+        rotation = not run.evaluation.withheld
+        self._errors = PairErrors(self._pairs, self._alignment, up, rotation=rotation)
+        self._snapshot = _snapshot(run.evaluation)
+        rule = run.evaluation.association.rule
+        self._offset_ns = round(rule.time_offset_s * NANOSECONDS)
+        self._times = self._pairs.stamps - self._offset_ns
+
+    def channels(self) -> Iterator[_Channel]:
+        """Yield its topics."""
+        errors, knows_up = self._errors, not doubt_of(self._evaluation.groundtruth)
+        begin, whole = self._times[:1], self._times[[0, -1]]
+        for topic in VECTORS:
+            stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)
+            messages = _each(encode_vector_stamped(stamps, vectors, self._frame))
+            yield self._channel(topic, VECTOR_TYPE, stamps, messages)
+        for topic in NUMBERS:
+            values = numbers_of(errors, topic, knows_up=knows_up)
+            if values is not None:
+                yield self._numbers(topic, self._times, values)
+        for segment in self._evaluation.segments or ():
+            found, topic = segment.errors, relative_error_topic(str(segment.length))
+            yield self._numbers(topic, self._times[found.ends], found.position_m)
+        for topic, value in window_numbers(self._snapshot).items():
+            if value is not None:
+                yield self._numbers(topic, whole, np.repeat(value, len(whole)))
+        frames = self._frame, self._child_frame
+        transform = encode_alignment(self._alignment, self._times[-1:], frames)
+        yield self._channel(ALIGNMENT, ALIGNMENT_TYPE, begin, [transform])
+        trail = Trail()
+        trail.add(self._pairs)
+        for topic, path in encode_paths(trail, self._alignment, self._frame).items():
+            yield self._channel(topic, PATH_TYPE, begin, [path])
+
+    def status(self) -> Any:
+        """Return diagnostic_msgs/DiagnosticStatus: statistics, and what is to be known of them."""
+        types, warnings = _message_types().types, self._evaluation.warnings
+        values = status_values(self._snapshot, Update(errors=(self._errors,)))
+        return types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level=WARN if warnings else OK,
+            name=f"{NODE}: {self._name}",
+            message=one_line("; ".join(warnings)) or "evaluated",
+            hardware_id="",
+            values=[
+                types["diagnostic_msgs/msg/KeyValue"](key, one_line(value))
+                for key, value in status_texts(self._sources | values).items()
+            ],
+        )
+
+    def _numbers(self, topic: str, times: Stamps, values: Floats) -> _Channel:
+        return self._channel(topic, NUMBER_TYPE, times, _each(encode_numbers(values)))
+
+    def _channel(
+        self, topic: str, message_type: str, times: Stamps, messages: Iterable[bytes]
+    ) -> _Channel:
+        return _Channel(f"/{NODE}/{self._name}/{topic}", message_type, times, messages)
+
+
+def _as_live(
+    evaluation: Evaluation, truth_up: UpAxis, estimate_up: UpAxis
+) -> tuple[Pairs, Similarity]:
+    """Return pairs and alignment between the frames' own axes, which a gauge may have turned."""
+    pairs, similarity = evaluation.association, evaluation.alignment.similarity
+    truth, estimate = pairs.groundtruth, pairs.estimate
+    if evaluation.protocol.is_upright:
+        similarity = between_own_axes(similarity, truth_up, estimate_up)
+        truth, estimate = _turned_back(truth, truth_up), _turned_back(estimate, estimate_up)
+    return Pairs(pairs.estimate.stamps, _rows(truth), _rows(estimate)), similarity
+
+
+def _turned_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
+    if up.name == "z":
+        return trajectory
+    return Similarity(up.matrix.T, np.zeros(3)).trajectory(trajectory)
+
+
+def _rows(trajectory: Trajectory) -> Floats:
+    return states(trajectory.positions, trajectory.quaternions, trajectory.velocities)
+
+
+def _snapshot(evaluation: Evaluation) -> Snapshot:
+    """Return an evaluation as the live one is at its end, with a window that is the whole run."""
+    pairs, position = evaluation.association, evaluation.ate["position_m"]
+    rmse = None if position is None else position.rmse
+    relative = {}
+    for each in evaluation.segments or ():
+        positions, rotations = (each.statistics[name] for name in ("position_m", "rotation_deg"))
+        if positions is not None and rotations is not None:
+            count = each.count
+            relative[str(each.length)] = RunningErrors(count, positions.mean, rotations.mean)
+    return Snapshot(
+        pairs=len(pairs),
+        warming_up="",
+        alignment=evaluation.alignment,
+        position_rmse_m=rmse,
+        window_position_rmse_m=rmse,
+        ate=evaluation.ate,
+        window_pairs=len(pairs),
+        relative=relative,
+        estimate_coverage=pairs.estimate_coverage,
+        coverage=pairs.coverage,
+        dropped=pairs.dropped,
+        waiting=0,
+    )
+
+
+def _diagnostics(stamp: int, statuses: list[Any]) -> bytes:
+    store = _message_types()
+    time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp, NANOSECONDS))
+    header = store.types["std_msgs/msg/Header"](time, "")
+    message = store.types[DIAGNOSTICS_TYPE](header, statuses)
+    return bytes(store.serialize_cdr(message, DIAGNOSTICS_TYPE))
+
+
+def _each(rows: Any) -> Iterator[bytes]:
+    return (row.tobytes() for row in rows)
+
+
+def _write(path: Path, channels: Sequence[_Channel]) -> None:
+    """Write all messages, merged by time."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", f"trajeval_ros {__version__}")
+        schemas = {
+            name: writer.register_schema(name, "ros2msg", _definition(name))
+            for name in sorted({each.type for each in channels})
+        }
+        numbers = [
+            writer.register_channel(each.topic, "cdr", schemas[each.type]) for each in channels
+        ]
+        owners = np.repeat(np.arange(len(channels)), [len(each.times) for each in channels])
+        times = np.concatenate([each.times for each in channels])
+        order = np.argsort(times, kind="stable")
+        payloads = [iter(each.messages) for each in channels]
+        counts = [itertools.count() for _ in channels]
+        for owner, time in zip(owners[order].tolist(), times[order].tolist(), strict=True):
+            payload = next(payloads[owner])
+            writer.add_message(numbers[owner], time, payload, time, next(counts[owner]))
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _definition(message_type: str) -> bytes:
+    text: str = _message_types().generate_msgdef(message_type, ros_version=2)[0]
+    return text.encode()
+
+
+@cache
+def _message_types() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)

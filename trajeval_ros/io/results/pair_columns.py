@@ -1,0 +1,104 @@
+"""What is known of every pair of a run, as columns: errors, their vectors, aligned poses."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
+from trajeval_ros.metrics.error_vectors import error_vectors
+from trajeval_ros.pipeline.outcome import RunOutcome
+
+if TYPE_CHECKING:  # it imports scipy.stats
+    from trajeval_ros.consistency.result import Consistency
+
+_XYZ, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
+_COMPONENTS = {3: _XYZ, 4: (*_XYZ, "w"), 6: (*_XYZ, *_TURNS)}
+
+
+def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
+    """Return a run's columns by name, each of N rows, one a pair.
+
+    Args:
+        run: What was found about an estimate.
+        up: The groundtruth's up axis, as read: vectors and poses are along its frame's own axes,
+            even if the run was evaluated in a world with z up.
+
+    Returns:
+        `stamps` (N,) int64 ns, each error of `AbsoluteErrors` (N,), each vector of `ErrorVectors`
+        (N, 3), `aligned_positions` (N, 3), `aligned_quaternions` (N, 4); what can't be had is
+        left out. Where consistency was asked for, `consistency.errors`, `.sigmas` (N, 6),
+        `.nees`, `.position_nees`, `.rotation_nees` (N,); where groundtruth was continuous,
+        `probabilistic.residuals` and others.
+    """
+    evaluation = run.evaluation
+    aligned, vectors = evaluation.aligned, error_vectors(evaluation)
+    if evaluation.protocol.is_upright and up.name != "z":
+        back = Similarity(up.matrix.T, np.zeros(3))
+        aligned = back.trajectory(aligned)
+        turn = vectors.rotation_world_deg
+        vectors = dataclasses.replace(
+            vectors,
+            position_world_m=back.vectors(vectors.position_world_m),
+            rotation_world_deg=None if turn is None else back.vectors(turn),
+        )
+    columns = {
+        "stamps": evaluation.association.estimate.stamps,
+        **columns_of(evaluation.absolute),
+        **columns_of(vectors),
+        "aligned_positions": aligned.positions,
+    }
+    if aligned.quaternions is not None:
+        columns["aligned_quaternions"] = aligned.quaternions
+    found: dict[str, Any] = {}
+    if run.consistency is not None:
+        found["consistency"] = _consistency_columns(run.consistency)
+    if run.likelihood is not None:
+        found["probabilistic"] = probabilistic_columns(run.likelihood)
+    return columns | {
+        f"{kind}.{name}": column for kind, group in found.items() for name, column in group.items()
+    }
+
+
+def columns_of(errors: Any) -> dict[str, NDArray[Any]]:
+    """Return the columns of errors (a dataclass) that are not None."""
+    return {
+        field.name: column
+        for field in dataclasses.fields(errors)
+        if (column := getattr(errors, field.name)) is not None
+    }
+
+
+def component_columns(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return columns (N,) alone: those of vectors become one for each component.
+
+    `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`, rotations `_roll`,
+    `_pitch` and `_yaw`. Points in names become underscores.
+    """
+    found = {}
+    for name, column in columns.items():
+        plain = name.replace(".", "_")
+        if column.ndim == 1:
+            found[plain] = column
+            continue
+        width = column.shape[1]
+        names = _TURNS if width == 3 and name.startswith("rotation") else _COMPONENTS[width]
+        found |= {f"{plain}_{each}": column[:, at] for at, each in enumerate(names)}
+    return found
+
+
+def _consistency_columns(consistency: Consistency) -> dict[str, Any]:
+    columns: dict[str, Any] = {"errors": consistency.errors}
+    if consistency.pose_nees is not None:
+        columns |= {
+            "sigmas": consistency.sigmas,
+            "nees": consistency.pose_nees.pose,
+            "position_nees": consistency.pose_nees.position,
+            "rotation_nees": consistency.pose_nees.rotation,
+        }
+    return columns

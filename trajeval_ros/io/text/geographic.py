@@ -1,0 +1,159 @@
+"""Fixes in text: columns that a header calls latitude and longitude, and NMEA 0183 GGA lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.fix_rows import trajectory_of_rows
+
+_KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
+
+_GGA = re.compile(
+    rb"^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
+    rb"(\d),[^,]*,[^,]*,(-?[\d.]+),M?,(-?[\d.]*),[^*\r\n]*)\*([0-9A-Fa-f]{2})",
+    re.MULTILINE,
+)
+_ANY_GGA = re.compile(rb"^\$..GGA,", re.MULTILINE)
+_DATE = re.compile(
+    rb"^\$(?:..RMC,(\d{6})(?:\.\d+)?(?:,[^,]*){7},(\d\d)(\d\d)(\d\d)"
+    rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4}))",
+    re.MULTILINE,
+)
+_HALF_A_DAY_S, _DAY_S = 43_200, 86_400
+# GGA's quality as a status of sensor_msgs/NavSatFix: none, fix, differential, PPS, fixed and float
+# RTK, dead reckoning, entered by hand, simulated.
+_QUALITIES = np.array([-1.0, 0.0, 1.0, 0.0, 2.0, 2.0, -1.0, -1.0, 0.0, 0.0])
+
+
+def fixes_of(
+    path: Path,
+    stamps: Stamps,
+    groups: Mapping[str, Floats],
+    *,
+    stamped: bool,
+    dropped: dict[str, int],
+    notes: Sequence[str],
+) -> Trajectory:
+    """Return the fixes in the columns of a file.
+
+    Args:
+        path: For messages.
+        stamps: (N,), nanoseconds.
+        groups: (N, width) of each group in the layout.
+        stamped: Whether these are times.
+        dropped: Rows that were left out, by reason.
+        notes: What to tell about the file.
+
+    Raises:
+        InputError: They have no times, or none of them can be used.
+    """
+    if not stamped:
+        raise InputError(
+            f"{path} has latitude and longitude, but no time; add a column named time, or name "
+            "the columns with --columns 't latitude longitude height'"
+        )
+    count = len(stamps)
+    if "place" in groups:
+        places = groups["place"]
+    else:
+        places = np.column_stack([groups["level_place"], np.full(count, np.nan)])
+    quality = np.zeros((count, 11))
+    if "fix_status" in groups:
+        quality[:, 0] = np.nan_to_num(groups["fix_status"][:, 0], nan=-1.0)
+    if "place_sigma" in groups:
+        quality[:, 1] = _KNOWN
+        quality[:, [2, 6, 10]] = groups["place_sigma"] ** 2
+    return trajectory_of_rows(
+        str(path), stamps, places, quality, name=path.stem, dropped=dropped, notes=tuple(notes)
+    )
+
+
+def read_nmea(path: Path) -> Trajectory | None:
+    """Read the GGA lines of a file; None if it has none in its beginning.
+
+    Days are those of RMC and ZDA lines; without any, the first is 1970-01-01. Heights are above
+    the ellipsoid: GGA's altitude and its separation of the geoid.
+
+    Raises:
+        InputError: None of the lines can be used.
+    """
+    with path.open("rb") as file:
+        beginning = file.read(1 << 16)
+    if not _ANY_GGA.search(beginning):
+        return None
+    data = path.read_bytes()
+    matches = list(_GGA.finditer(data))
+    intact = _intact(data, matches)
+    lines = [each for each, good in zip(matches, intact.tolist(), strict=True) if good]
+    broken = len(_ANY_GGA.findall(data)) - len(lines)
+    if not lines:
+        raise InputError(f"{path}: no complete fix in {counted(broken, 'GGA line')}")
+    fields = [each.groups() for each in lines]
+    clock = np.array([field[1:4] for field in fields]).astype(np.int64)
+    seconds = clock @ np.array([3600, 60, 1])
+    parts = np.array([(field[4] or b"0").ljust(9, b"0")[:9] for field in fields]).astype(np.int64)
+    days, timing = _days(data, [each.start() for each in lines], seconds)
+    stamps = (days * _DAY_S + seconds) * NANOSECONDS + parts
+    level = np.array([(field[5], field[7]) for field in fields]).astype(np.float64)
+    whole = np.floor(level / 100.0)
+    level = whole + (level - 100.0 * whole) / 60.0
+    level[[field[6] == b"S" for field in fields], 0] *= -1.0
+    level[[field[8] == b"W" for field in fields], 1] *= -1.0
+    heights = np.array([(field[10], field[11] or b"0") for field in fields]).astype(np.float64)
+    quality = np.zeros((len(lines), 11))
+    quality[:, 0] = _QUALITIES[np.array([field[9] for field in fields]).astype(np.int64)]
+    quality[:, 1] = _UNKNOWN
+    return trajectory_of_rows(
+        str(path),
+        stamps,
+        np.column_stack([level, heights.sum(axis=1)]),
+        quality,
+        name=path.stem,
+        dropped={"undecodable": broken},
+        notes=("format: NMEA 0183, GGA", *timing),
+    )
+
+
+def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
+    """Return which lines have the checksum that they say, (N,)."""
+    if not matches:
+        return np.zeros(0, dtype=bool)
+    ends = np.array([each.span(1) for each in matches]).ravel()
+    sums = np.bitwise_xor.reduceat(np.frombuffer(data, dtype=np.uint8), ends)[::2]
+    said = np.array([int(each.group(13), 16) for each in matches])
+    return np.asarray(sums == said)
+
+
+def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices, tuple[str, ...]]:
+    """Return the days since 1970 of lines (N,), and what to tell about them.
+
+    Args:
+        data: The file.
+        places: (N,) where each line begins.
+        seconds: (N,) of its day.
+    """
+    days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
+    said = _DATE.search(data)
+    if said is None:
+        note = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
+        return days, (note,)
+    rmc_time, day, month, year, zda_time, *zda = said.groups()
+    time = rmc_time or zda_time
+    if rmc_time is None:
+        day, month, year = zda
+    number = int(year) + (2000 if rmc_time is not None else 0)
+    told = date(number, int(month), int(day)).toordinal() - date(1970, 1, 1).toordinal()
+    # The line's own day is that of its neighbour, unless midnight lies between the two.
+    row = max(int(np.searchsorted(places, said.start())) - 1, 0)
+    own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
+    between = round((own_s - int(seconds[row])) / _DAY_S)
+    return days + told - int(days[row]) + between, ()

@@ -1,0 +1,213 @@
+"""The names that programs give to columns, in the words of `layouts.NAMES`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+from trajeval_ros.io.text.layouts import (
+    FRAME,
+    GROUPS,
+    IGNORED,
+    OPENVINS_STATE,
+    Layout,
+)
+
+SEPARATORS = (",", ";", "\t")  # of columns one by one; spaces come in any number
+_UNIT = re.compile(r"\[([^\]]*)\]|\(([^)]*)\)")
+_WORDS = re.compile(r"[^a-z0-9]+")
+_UNITS = {
+    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
+    **dict.fromkeys(("us", "usec", "microseconds"), "us"),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("s", "sec", "secs", "seconds"), "s"),
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
+    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
+}
+_TIME = re.compile(
+    r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
+)
+_FRAME = re.compile(r"frame|frame_(?:index|number)|index|image|image_id|id|no")
+# Names of x in each group; the last word or letter tells which element a column holds.
+_VECTORS = {
+    "position": r"(?:(?:t|p|pos|position|p_[a-z_]+)?_?"
+    r"|(?:.*_)?(?:position|translation|point|pos)_){}",
+    "quaternion": r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
+    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_){}",
+    "body_velocity": r"(?:.*_)?twist_linear_{}",
+    "velocity": r"(?:(?:v|vel|velocity|v_[a-z_]+)_?|(?:.*_)?linear_velocity_){}",
+    "gyroscope_bias": r"b_?[wg](?:_[a-z_]+)?_?{}",
+    "accelerometer_bias": r"b_?a(?:_[a-z_]+)?_?{}",
+}
+_ANGLE = re.compile(r"(?:.*_)?(roll|pitch|yaw)(?:_(deg|degrees|rad|radians))?")
+_THETA = re.compile(r"theta(?:_(deg|degrees|rad|radians))?")
+_COVARIANCE = re.compile(r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?")
+_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+_AXIS = "|".join(_AXES)
+_VARIANCE = re.compile(rf"(?:.*_)?(?:var|variance)_?({_AXIS})")
+_PAIR = re.compile(rf"(?:.*_)?(?:cov|covariance)_?({_AXIS})_?({_AXIS})")
+_OPENVINS_TRIANGLES = {
+    **{f"pr{each}": f"pr{each}" for each in (11, 12, 13, 22, 23, 33)},
+    **{f"pt{each}": f"pt{each}" for each in (11, 12, 13, 22, 23, 33)},
+    "qrr": "pr11", "qrp": "pr12", "qry": "pr13", "qpp": "pr22", "qpy": "pr23", "qyy": "pr33",
+    "pxx": "pt11", "pxy": "pt12", "pxz": "pt13", "pyy": "pt22", "pyz": "pt23", "pzz": "pt33",
+}  # fmt: skip
+# Of GNSS fixes; no more of them is looked for without latitude and longitude.
+_FIXES = {
+    "latitude": re.compile(r"(?:lat|latitude)(?:_?deg)?"),
+    "longitude": re.compile(r"(?:lon|lng|long|longitude)(?:_?deg)?"),
+    "height": re.compile(r"(?:h|height|alt|altitude|ellipsoidal_?height|elevation)(?:_?m)?"),
+    "sigma_east": re.compile(r"(?:s|sd|std|sigma)_?(?:e|east|x)(?:_?m)?"),
+    "sigma_north": re.compile(r"(?:s|sd|std|sigma)_?(?:n|north|y)(?:_?m)?"),
+    "sigma_up": re.compile(r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?"),
+    "fix_status": re.compile(r"(?:fix_?)?status(?:_status)?"),
+}
+# OpenVINS writes whole vectors under one name each: quaternion (xyzw) first.
+_OPENVINS = re.compile(r"\bq p v bg ba\b")
+_TRAJECTOPY = re.compile(r"\s*#?\s*fields\s+")
+
+
+def separator_of(line: str) -> str:
+    """Return what separates the names of a line: a comma, a semicolon, a tab, or "" for spaces."""
+    return next((each for each in SEPARATORS if each in line), "")
+
+
+def from_header(line: str, columns: int) -> Layout | None:
+    """Return the layout that a header line describes, if it names every column.
+
+    Args:
+        line: Without its comment sign.
+        columns: Of the rows below it.
+
+    Returns:
+        None if it has another number of names, or names no position.
+    """
+    plain = _TRAJECTOPY.sub("", line)
+    if _OPENVINS.search(_UNIT.sub("", plain).lower()) and columns >= len(OPENVINS_STATE.columns):
+        rest = (IGNORED,) * (columns - len(OPENVINS_STATE.columns))
+        return Layout(OPENVINS_STATE.name, (*OPENVINS_STATE.columns, *rest))
+    separator = separator_of(plain)
+    names = [each.strip() for each in plain.split(separator or None)]
+    if not separator:  # a unit behind a space is no name of its own
+        names = [each for each in names if not _UNIT.fullmatch(each)]
+    if names and not names[-1]:
+        names.pop()
+    if len(names) != columns:
+        return None
+    found = _columns(names)
+    layout = Layout("", found)
+    groups = layout.groups
+    if not layout.has_places:
+        return None
+    used = {place for places in groups.values() for place in places} | {layout.time}
+    ignored = [name for place, name in enumerate(names) if place not in used]
+    note = f"ignored columns: {', '.join(ignored)}" if ignored else ""
+    return Layout(_title(layout, line), found, note)
+
+
+def _columns(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the name in our words of each column, each once."""
+    plain = [_WORDS.sub("_", _UNIT.sub("", name).lower()).strip("_") for name in names]
+    units = [_unit(name) for name in names]
+    found = [IGNORED] * len(names)
+
+    def name(place: int, word: str) -> None:
+        if word not in found and found[place] == IGNORED:
+            found[place] = word
+
+    for place, word in enumerate(plain):
+        if word in _OPENVINS_TRIANGLES:
+            name(place, _OPENVINS_TRIANGLES[word])
+    _name_time(plain, units, name)
+    _name_covariances(plain, name)
+    for group, pattern in _VECTORS.items():
+        for word, element in zip(GROUPS[group], "xyzw", strict=False):
+            places = [at for at, each in enumerate(plain) if _matches(pattern, element, each)]
+            for place in places[:1]:
+                name(place, word)
+    for place, word in enumerate(plain):
+        match = _ANGLE.fullmatch(word) or _THETA.fullmatch(word)
+        if match:
+            axis = match[1] if match.re is _ANGLE else "yaw"
+            unit = _UNITS.get(match[match.lastindex or 1] or "", "") or units[place]
+            name(place, f"{axis}_deg" if unit == "deg" else axis)
+    _name_fixes(plain, name)
+    return tuple(found)
+
+
+def _matches(pattern: str, element: str, word: str) -> bool:
+    return re.fullmatch(pattern.format(element), word) is not None
+
+
+def _unit(name: str) -> str:
+    match = _UNIT.search(name)
+    return _UNITS.get((match[1] or match[2] or "").strip().lower(), "") if match else ""
+
+
+def _name_time(
+    plain: Sequence[str], units: Sequence[str], name: Callable[[int, str], None]
+) -> None:
+    """Name the stamps: those of the measurement, if there are others as well; else frames."""
+    times = [place for place, word in enumerate(plain) if _TIME.fullmatch(word)]
+    times.sort(key=lambda place: (not plain[place].endswith("header_stamp"), place))
+    for place in times[:1]:
+        unit = units[place] or _UNITS.get(plain[place].rpartition("_")[2], "")
+        name(place, f"t_{unit}" if unit in ("ns", "us", "ms", "s") else "t")
+    if not times:
+        frames = [place for place, word in enumerate(plain) if _FRAME.fullmatch(word)]
+        for place in frames[:1]:
+            name(place, FRAME)
+
+
+def _name_fixes(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
+    """Name latitude and longitude, and what else says something of fixes."""
+    places = {
+        word: [at for at, each in enumerate(plain) if pattern.fullmatch(each)]
+        for word, pattern in _FIXES.items()
+    }
+    if places["latitude"] and places["longitude"]:
+        for word, at in places.items():
+            for place in at[:1]:
+                name(place, word)
+
+
+def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
+    """Name covariances by number (0 to 35, 11 to 66 or 00 to 55) or by axes."""
+    numbered = {
+        place: f"{match[1]}{match[2] or ''}"
+        for place, word in enumerate(plain)
+        if (match := _COVARIANCE.fullmatch(word))
+    }
+    digits = set(numbered.values())
+    row_major = digits == {str(each) for each in range(36)}
+    first = 0 if any("0" in each for each in digits) else 1
+    for place, number in numbered.items():
+        if row_major:
+            row, column = divmod(int(number), 6)
+        elif len(number) == 2:
+            row, column = int(number[0]) - first, int(number[1]) - first
+        else:
+            continue
+        if 0 <= row < 6 and 0 <= column < 6:
+            name(place, f"c{row + 1}{column + 1}")
+    for place, word in enumerate(plain):
+        if match := _PAIR.fullmatch(word):
+            name(place, f"c{_AXES.index(match[1]) + 1}{_AXES.index(match[2]) + 1}")
+        elif match := _VARIANCE.fullmatch(word):
+            name(place, f"c{_AXES.index(match[1]) + 1}{_AXES.index(match[1]) + 1}")
+
+
+def _title(layout: Layout, line: str) -> str:
+    """Return what a file with these named columns is called."""
+    groups = layout.groups
+    if _TRAJECTOPY.match(line):
+        return "trajectopy"
+    if "rotation_covariance" in groups:
+        return "OpenVINS with covariance"
+    if "gyroscope_bias" in groups:
+        return "EuRoC/ASL"
+    if layout.is_geographic:
+        return "latitude, longitude" + (", height" if "place" in groups else "")
+    if layout.columns[1:] == ("x", "y", "z", "qx", "qy", "qz", "qw"):
+        return "TUM"
+    return "columns named by the header"

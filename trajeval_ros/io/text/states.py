@@ -1,0 +1,173 @@
+"""Positions, orientations, velocities and covariances from the columns of a text file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.text.layouts import BODY_TWISTS, GROUPS, Layout
+
+_LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, in files of few digits
+_LARGEST_SUM = 1e9  # rad; of more turns, the digits don't tell the angle
+_COVARIANCES = {
+    *("covariance", "covariance_upper", "covariance_lower", "variances"),
+    *("rotation_covariance", "position_covariance"),
+}
+_NO_Z = "no column z: assumed 0"
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """What the columns say of N states; None where they say nothing.
+
+    Attributes:
+        positions: (N, 3), metres.
+        quaternions: (N, 4), xyzw, NaN where there is no rotation.
+        velocities: (N, 3), m/s, in the frame.
+        covariances: (N, 6, 6), position first, about the frame's fixed axes.
+        matrices: (N, 3, 3), KITTI's, as they are.
+        notes: What to tell about them.
+    """
+
+    positions: Floats
+    quaternions: Floats | None
+    velocities: Floats | None
+    covariances: Floats | None
+    matrices: Floats | None
+    notes: tuple[str, ...]
+
+
+def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: int) -> States:
+    """Return the states of a file.
+
+    Args:
+        path: For messages.
+        layout: Of the file.
+        groups: (N, width) of each group in the layout.
+        count: N.
+
+    Raises:
+        InputError: Angles that are said to be in radians aren't.
+    """
+    notes = []
+    matrices = None
+    if "matrix" in groups:
+        whole = groups["matrix"].reshape(-1, 3, 4)
+        matrices, positions = whole[:, :, :3], np.ascontiguousarray(whole[:, :, 3])
+        quaternions: Floats | None = _of_matrices(matrices)
+    else:
+        quaternions = groups.get("quaternion")
+        if quaternions is None:
+            quaternions = _of_angles(path, layout, groups, count)
+        if "position" in groups:
+            positions = groups["position"]
+        else:
+            positions = np.column_stack([groups["planar"], np.zeros(count)])
+            notes.append(_NO_Z)
+    velocities = groups.get("velocity")
+    if velocities is None and "body_velocity" in groups and quaternions is not None:
+        velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
+    covariances = None
+    if quaternions is not None and _COVARIANCES & groups.keys():
+        covariances, said = _covariances(layout, groups, _usable(quaternions))
+        notes += said
+    return States(positions, quaternions, velocities, covariances, matrices, tuple(notes))
+
+
+def _usable(quaternions: Floats) -> Floats:
+    """Return unit quaternions (N, 4), the identity where there is no rotation."""
+    usable = np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)
+    found = np.tile([0.0, 0.0, 0.0, 1.0], (len(quaternions), 1))
+    found[usable] = lie.normalized(quaternions[usable])
+    return found
+
+
+def _of_matrices(rotations: Floats) -> Floats:
+    """Return quaternions (N, 4) of matrices (N, 3, 3), NaN of those that are no rotations."""
+    valid = np.asarray(np.isfinite(rotations).all(axis=(1, 2)))
+    valid[valid] = np.linalg.det(rotations[valid]) > 0.0
+    quaternions = np.full((len(rotations), 4), np.nan)
+    if valid.any():
+        quaternions[valid] = lie.from_matrices(_nearest_rotations(rotations[valid]))
+    return quaternions
+
+
+def _nearest_rotations(matrices: Floats) -> Floats:
+    """Return the rotations nearest to (N, 3, 3) matrices of few digits.
+
+    scipy's own repair of such matrices differs from version to version, by 5e-7 of the errors.
+    """
+    u, _, vt = np.linalg.svd(matrices)
+    nearest: Floats = u @ vt
+    return nearest
+
+
+def _of_angles(
+    path: Path, layout: Layout, groups: Mapping[str, Floats], count: int
+) -> Floats | None:
+    """Return quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None if there are no angles."""
+    group = next(
+        (each for each in ("angles", "angles_deg", "heading", "heading_deg") if each in groups),
+        None,
+    )
+    if group is None:
+        return None
+    angles = groups[group]
+    if group.endswith("_deg"):
+        angles = np.radians(angles)
+    elif layout.name != "g2o":  # whose angles may have been added up
+        beyond = np.abs(angles) > _LARGEST_ANGLE
+        if beyond.any():
+            row, column = np.argwhere(beyond)[0]
+            name = GROUPS[group][column]
+            raise InputError(
+                f"{path}, row {row + 1}: {name} is {angles[row, column]:g}, which is not in "
+                f"radians; if it is in degrees, name the column {name}_deg"
+            )
+    angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # such a row is no pose
+    roll, pitch, yaw = angles.T if angles.shape[1] == 3 else (0.0, 0.0, angles[:, 0])
+    turns = np.zeros((3, count, 3))
+    for axis, angle in enumerate((roll, pitch, yaw)):
+        turns[axis, :, axis] = angle
+    about_x, about_y, about_z = map(lie.from_rotation_vector, turns)
+    return lie.normalized(lie.multiply(lie.multiply(about_z, about_y), about_x))
+
+
+def _covariances(
+    layout: Layout, groups: Mapping[str, Floats], quaternions: Floats
+) -> tuple[Floats | None, list[str]]:
+    """Return covariances (N, 6, 6) about fixed axes, and what to tell about them."""
+    count = len(quaternions)
+    found = np.zeros((count, 6, 6))
+    if "rotation_covariance" in groups and "position_covariance" in groups:
+        from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+
+        rows, columns = np.triu_indices(3)
+        for first, group in ((0, "position_covariance"), (3, "rotation_covariance")):
+            found[:, rows + first, columns + first] = groups[group]
+            found[:, columns + first, rows + first] = groups[group]
+        note = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
+        return world_from_body_rotations(found, lie.to_matrix(quaternions)), [note]
+    if "covariance" in groups:
+        found = groups["covariance"].reshape(-1, 6, 6)
+    elif "covariance_upper" in groups or "covariance_lower" in groups:
+        upper = "covariance_upper" in groups
+        rows, columns = np.triu_indices(6) if upper else np.tril_indices(6)
+        values = groups["covariance_upper" if upper else "covariance_lower"]
+        found[:, rows, columns] = found[:, columns, rows] = values
+    elif "variances" in groups:
+        found[:, range(6), range(6)] = groups["variances"]
+    else:
+        return None, []
+    if layout.covariances == BODY_TWISTS:
+        from trajeval_ros.geometry.covariance_frames import world_from_body_twists
+
+        return world_from_body_twists(found, lie.to_matrix(quaternions)), []
+    note = "covariances read as position first, in the fixed frame"
+    return np.ascontiguousarray(found), [note]

@@ -1,0 +1,72 @@
+"""SOURCEs of a watchdog: an estimate, an IMU, a second estimate."""
+
+from __future__ import annotations
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import Advance, parse_source, read_many
+from trajeval_ros.watchdog.recording import WatchedRun
+
+
+def read_watched(
+    estimate: str,
+    imu: str | None,
+    partner: str | None,
+    groundtruth: str | None,
+    advance: Advance | None = None,
+) -> tuple[WatchedRun, Trajectory | None]:
+    """Read what is watched, and groundtruth where it is named.
+
+    Args:
+        estimate: SOURCE of the estimate; of an odometry in a bag its turn rates are read, too.
+        imu: SOURCE of IMU messages in a bag.
+        partner: SOURCE of a second estimate.
+        groundtruth: SOURCE of groundtruth.
+        advance: Called with what is done and all there is, now and then.
+
+    Raises:
+        InputError: One can't be read.
+    """
+    poses = [each for each in (estimate, partner, groundtruth) if each is not None]
+    read = dict(zip(poses, read_many(poses, advance=advance, covariances=False), strict=True))
+    run = WatchedRun(
+        read[estimate],
+        _twist_of(estimate),
+        None if imu is None else _imu_of(imu),
+        None if partner is None else read[partner],
+    )
+    return run, None if groundtruth is None else read[groundtruth]
+
+
+def _twist_of(estimate: str) -> InertialReadings | None:
+    """Return the turn rates of an odometry in a bag; None of anything else."""
+    parts = parse_source(estimate)
+    if not parts.is_bag or parts.frames is not None:
+        return None
+    from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.rate_messages import ODOMETRY_TYPE, read_rates
+
+    with Bag(parts.path, None) as bag:
+        names = [
+            topic.name
+            for topic in bag.topics
+            if topic.type == ODOMETRY_TYPE and parts.topic in ("", topic.name)
+        ]
+    return read_rates(parts.path, names[0]) if len(names) == 1 else None
+
+
+def _imu_of(source: str) -> InertialReadings:
+    parts = parse_source(source)
+    if not parts.is_bag or not parts.topic or parts.frames is not None:
+        raise InputError(
+            f"{source} is not a topic of a bag; give an IMU topic, as in run.mcap:/imu"
+        )
+    from trajeval_ros.io.bags.rate_messages import read_rates
+
+    readings = read_rates(parts.path, parts.topic)
+    if readings.accelerations is None:
+        raise InputError(
+            f"{source} is odometry, not an IMU; give a topic of type sensor_msgs/msg/Imu"
+        )
+    return readings

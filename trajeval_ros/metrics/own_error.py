@@ -1,0 +1,244 @@
+"""The estimate's own error: the ATE without what the noise of GNSS fixes adds to it.
+
+With e the estimate's errors, n the noise of the fixes with covariance C, and P what an alignment
+leaves of both, residuals are r = P (e + n), so that E|r|^2 = |Pe|^2 + tr(PC). The errors of fixes
+are correlated for minutes: hundreds of fixes may be worth a few independent ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.fixes import COVARIANCE_APPROXIMATED
+from trajeval_ros.geometry.gauge import Gauge, orbit_basis
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.evaluation import Evaluation, align_pairs
+from trajeval_ros.metrics.fix_jumps import jumps_of
+
+# Of the variance of a fix, which is new each time; the rest is correlated.
+_WHITE = 0.2
+_Z_95 = 1.959963984540054
+_MOST_FIXES = 2000  # the cost grows with their square
+_FEWEST_FIXES = 10
+# More flags than this share are multipath that no covariance announced; clean RTK has 0.3 %.
+_MULTIPATH = 0.01
+
+
+@dataclass(frozen=True)
+class OwnError:
+    """The position error of an estimate at the fixes that were paired, without their noise.
+
+    Attributes:
+        correlation_s: For how long the errors of fixes are taken to be correlated.
+        ate_m: The rmse without the noise of fixes, and without fixes that jump.
+        interval_m: Of 95 %.
+        with_jumps_m: The rmse without the noise of fixes, those that jump included.
+        noise_rms_m: What the noise of the fixes adds to the ATE, in squares.
+        effective_fixes: How many independent fixes these are worth.
+        fixes: How many were used.
+        jumps: How many were left out, since all estimates are suddenly apart from them.
+        own_jumps: How many are apart from this estimate and not from all; they were used.
+        by_guess: Whether the covariances of the fixes are the driver's guess.
+        resolved: Whether more can be said than that the error is below the interval's upper end.
+
+    Example:
+        >>> from trajeval_ros.metrics.own_error import OwnError
+        >>> OwnError(100.0, 0.5, (0.4, 0.6), 0.5, 0.1, 9.0, 500, 0, 0, False, True).resolved
+        True
+    """
+
+    correlation_s: float
+    ate_m: float
+    interval_m: tuple[float, float]
+    with_jumps_m: float
+    noise_rms_m: float
+    effective_fixes: float
+    fixes: int
+    jumps: int
+    own_jumps: int
+    by_guess: bool
+    resolved: bool
+
+
+@dataclass(frozen=True)
+class Debiased:
+    """An rmse without the noise of what it was measured by.
+
+    Attributes:
+        ate_m: The rmse; 0 where the noise explains more than there is.
+        interval_m: Of 95 %.
+        noise_rms_m: What the noise adds, in squares.
+        effective: How many independent samples there are.
+    """
+
+    ate_m: float
+    interval_m: tuple[float, float]
+    noise_rms_m: float
+    effective: float
+
+
+def debiased(
+    errors: Floats, aligned: Floats, covariances: Floats, correlations: Floats, gauge: Gauge
+) -> Debiased:
+    """Return the rmse of errors that an unweighted alignment left, without the noise in them.
+
+    Args:
+        errors: (N, 3), groundtruth less aligned estimate, metres.
+        aligned: (N, 3), the aligned positions.
+        covariances: (N, 3, 3) of the groundtruth, m^2; zero across a plane.
+        correlations: (N, N), of the noise of one state with another's.
+        gauge: Of the alignment.
+    """
+    count = len(errors)
+    values, axes = np.linalg.eigh(covariances)
+    halves = (axes * np.sqrt(np.maximum(values, 0.0))[:, None]) @ axes.swapaxes(1, 2)
+    basis = np.linalg.qr(_tangent(gauge, aligned))[0]
+
+    def times_covariance(columns: Floats) -> Floats:
+        """Return C X for X (3N, m), C_ij = S_i^(1/2) K_ij S_j^(1/2)."""
+        wide = halves @ columns.reshape(count, 3, -1)
+        mixed = (correlations @ wide.reshape(count, -1)).reshape(wide.shape)
+        found: Floats = (halves @ mixed).reshape(columns.shape)
+        return found
+
+    turned = times_covariance(basis)
+    products = covariances.reshape(count, 9) @ covariances.reshape(count, 9).T
+    square = float(np.vdot(correlations**2, products))
+    noise = float(np.trace(covariances, axis1=1, axis2=2).sum() - np.vdot(basis, turned))
+    noise_square = (
+        square - 2.0 * float(np.vdot(turned, turned)) + float(np.square(basis.T @ turned).sum())
+    )
+    column = errors.reshape(-1, 1)
+    crossed = max(0.0, float(np.vdot(column, times_covariance(column))) - noise_square)
+    value = (float(np.vdot(errors, errors)) - noise) / count
+    half_width = _Z_95 * np.sqrt(2.0 * max(0.0, noise_square) + 4.0 * crossed) / count
+    effective = count * float(products.diagonal().sum()) / square if square else float(count)
+    return Debiased(
+        ate_m=_root(value),
+        interval_m=(_root(value - half_width), _root(value + half_width)),
+        noise_rms_m=_root(noise / count),
+        effective=effective,
+    )
+
+
+def correlations_of(stamps: Stamps, correlation_s: float) -> Floats:
+    """Return how the noise of fixes at N stamps is correlated, (N, N)."""
+    seconds = (stamps - stamps[0]) / NANOSECONDS
+    apart = np.abs(seconds[:, None] - seconds)
+    correlations: Floats = (1.0 - _WHITE) * np.exp(-apart / correlation_s)
+    correlations[np.diag_indices(len(stamps))] = 1.0
+    return correlations
+
+
+def own_errors(
+    evaluations: Sequence[Evaluation], correlation_s: float
+) -> list[tuple[OwnError | None, str]]:
+    """Return the own error of each of several estimates of one run, or why there is none.
+
+    A jump that all estimates show is the fix's; one that some don't show is their own.
+
+    Args:
+        evaluations: By the same fixes.
+        correlation_s: For how long the errors of fixes are correlated, to 1/e.
+    """
+    flags = [_flagged(each) for each in evaluations]
+    paired = [each.association.groundtruth.stamps for each in evaluations]
+    blamed = flags[0]
+    for own, stamps in zip(flags[1:], paired[1:], strict=True):
+        blamed = np.intersect1d(blamed, np.union1d(own, np.setdiff1d(blamed, stamps)))
+    found: list[tuple[OwnError | None, str]] = []
+    for each, own in zip(evaluations, flags, strict=True):
+        why = _why_not(each)
+        if why:
+            found.append((None, why))
+            continue
+        stamps = each.association.groundtruth.stamps
+        jumps = np.isin(stamps, np.intersect1d(own, blamed))
+        own_jumps = len(np.setdiff1d(own, blamed))
+        found.append((_own_error(each, correlation_s, jumps, own_jumps), ""))
+    return found
+
+
+def _flagged(evaluation: Evaluation) -> Stamps:
+    """Return the stamps of the pairs that lie in a jump."""
+    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    errors = truth.up.turned(truth.positions - aligned.positions)
+    return truth.stamps[jumps_of(truth.stamps, errors)]
+
+
+def _why_not(evaluation: Evaluation) -> str:
+    """Return why the noise of the fixes can't be taken out, or nothing."""
+    protocol, truth = evaluation.protocol, evaluation.association.groundtruth
+    if protocol.align_states is not None or protocol.align_weights != "none":
+        return "the alignment does not use all fixes with equal weights"
+    fixes = truth.fixes
+    if fixes is None or truth.covariances is None:
+        return "this association has no covariances of the fixes; use --association auto"
+    unknown = int(np.count_nonzero(~fixes.known))
+    if unknown:
+        return f"{unknown} of the {len(fixes)} paired fixes have no covariance"
+    if len(fixes) < _FEWEST_FIXES:
+        return f"too few fixes ({len(fixes)})"
+    return ""
+
+
+def _own_error(
+    evaluation: Evaluation, correlation_s: float, jumps: Booleans, own_jumps: int
+) -> OwnError:
+    fixes = evaluation.association.groundtruth.fixes
+    assert fixes is not None
+    without = np.flatnonzero(~jumps)
+    best = _of_rows(evaluation, without, correlation_s)
+    everything = best
+    if jumps.any():
+        everything = _of_rows(evaluation, np.arange(len(jumps)), correlation_s)
+    half_width = (best.interval_m[1] - best.interval_m[0]) / 2.0
+    is_multipath = np.count_nonzero(jumps) > _MULTIPATH * len(jumps)
+    return OwnError(
+        correlation_s=correlation_s,
+        ate_m=best.ate_m,
+        interval_m=best.interval_m,
+        with_jumps_m=everything.ate_m,
+        noise_rms_m=best.noise_rms_m,
+        effective_fixes=best.effective,
+        fixes=min(len(without), _MOST_FIXES),
+        jumps=int(np.count_nonzero(jumps)),
+        own_jumps=own_jumps,
+        by_guess=bool((fixes.covariance_types == COVARIANCE_APPROXIMATED).any()),
+        resolved=half_width <= best.ate_m / 2.0 and not is_multipath,
+    )
+
+
+def _of_rows(evaluation: Evaluation, rows: Indices, correlation_s: float) -> Debiased:
+    """Return the debiased error of some pairs, aligned by these alone; of many, evenly thinned."""
+    if len(rows) > _MOST_FIXES:
+        rows = rows[np.linspace(0, len(rows) - 1, _MOST_FIXES).round().astype(np.int64)]
+    pairs, gauge = evaluation.association, evaluation.protocol.gauge
+    truth, estimate = pairs.groundtruth[rows], pairs.estimate[rows]
+    pairs = dataclasses.replace(pairs, groundtruth=truth, estimate=estimate)
+    aligned = align_pairs(pairs, evaluation.protocol).similarity.positions(estimate.positions)
+    assert truth.covariances is not None
+    covariances = truth.covariances[:, :3, :3]
+    if gauge is Gauge.PLANAR:
+        covariances = covariances * np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0])
+    correlations = correlations_of(truth.stamps, correlation_s)
+    return debiased(truth.positions - aligned, aligned, covariances, correlations, gauge)
+
+
+def _tangent(gauge: Gauge, aligned: Floats) -> Floats:
+    """Return how an alignment moves positions, (3N, k), about their mean."""
+    centred = aligned - aligned.mean(axis=0)
+    if gauge is Gauge.TRANSLATION:
+        return orbit_basis(Gauge.YAW, centred)[:, :3, 1:].reshape(-1, 3)
+    within = Gauge.YAW if gauge is Gauge.PLANAR else gauge
+    basis = orbit_basis(within, centred)[:, :3]
+    return basis.reshape(len(aligned) * 3, -1)
+
+
+def _root(square: float) -> float:
+    return float(np.sqrt(max(0.0, square)))

@@ -1,0 +1,73 @@
+"""Rows of states brought from a marker to the body that carries it, as offline before pairing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.online.state_rows import (
+    COVARIANCE,
+    POSITION,
+    QUATERNION,
+    VELOCITY,
+    WIDTH,
+    turned_covariances,
+)
+
+
+def body_rows(rows: Floats, hand_eye: HandEye) -> Floats:
+    """Return the groundtruth's states (N, 10) of the body, from poses of the marker.
+
+    A state without orientation can't be moved, and has no position here. Velocities are the
+    marker's and are left out if there is a lever arm.
+    """
+    moved, oriented = _moved(rows, hand_eye)
+    body = hand_eye.of_body(_poses(rows[oriented]))
+    moved[oriented, POSITION] = body.positions
+    moved[oriented, QUATERNION] = body.quaternions
+    return moved
+
+
+def marker_rows(rows: Floats, hand_eye: HandEye, rotation_frame: str) -> Floats:
+    """Return the estimate's states (N, 10) or (N, 46) with the marker's position, in metres.
+
+    For groundtruth of positions alone. What `body_rows` says of orientations and velocities is
+    true here of the body's. Covariances are those of the marker's position.
+
+    Args:
+        rows: The states.
+        hand_eye: The marker's pose in the body.
+        rotation_frame: Axes of rotation covariances, which they keep: `world` or `body`.
+    """
+    if rotation_frame == "body":
+        moved = marker_rows(turned_covariances(rows), hand_eye, "world")
+        return turned_covariances(moved, to_body=True)
+    moved, oriented = _moved(rows, hand_eye)
+    poses = _poses(rows[oriented])
+    if rows.shape[1] > WIDTH:
+        covariances = rows[oriented, COVARIANCE].reshape(-1, 6, 6)
+        poses = replace(poses, covariances=covariances)
+    marker = hand_eye.of_marker(poses, 1.0)
+    moved[oriented, POSITION] = marker.positions
+    if marker.covariances is not None:
+        moved[oriented, COVARIANCE] = marker.covariances.reshape(-1, 36)
+    return moved
+
+
+def _moved(rows: Floats, hand_eye: HandEye) -> tuple[Floats, Booleans]:
+    """Return a copy without what can't be moved, and which rows have an orientation."""
+    moved: Floats = rows.copy()
+    oriented: Booleans = np.logical_and.reduce(np.isfinite(rows[:, : QUATERNION.stop]), axis=1)
+    moved[np.isnan(rows[:, QUATERNION.start]), POSITION] = np.nan
+    if hand_eye.lever_m.any():
+        moved[:, VELOCITY] = np.nan
+    return moved, oriented
+
+
+def _poses(rows: Floats) -> Trajectory:
+    stamps = np.zeros(len(rows), dtype=np.int64)
+    return Trajectory(stamps, rows[:, POSITION], rows[:, QUATERNION])

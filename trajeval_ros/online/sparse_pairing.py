@@ -1,0 +1,111 @@
+"""Pairs at the stamps of fixes and points, between which the estimate is interpolated."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import add_counts, travelled_distance
+from trajeval_ros.metrics.pair_steps import POSE, StampedPoses
+from trajeval_ros.online.intake import Intake, Limits
+from trajeval_ros.online.pairing import Decided, Pairing
+from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
+
+
+class SparsePairing(Pairing):
+    """Pairs groundtruth states with the interpolated estimate: association `groundtruth-stamps`.
+
+    A fix or a point waits for the estimate beyond it.
+    """
+
+    interpolated: ClassVar[str] = "estimate"
+    waits: ClassVar[tuple[str, str]] = "fix or point", "fixes or points"
+
+    def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
+        """Create it empty; see `Pairing`."""
+        super().__init__(max_gap_s, limits)
+        self._missing: list[StampedPoses] = []
+        self._passed = 0
+        self._first_ns, self._newest_ns = 0, 0
+        self._newest = np.empty((0, 3))  # position of the newest state that has passed
+        self._path_m = 0.0
+
+    @classmethod
+    def after(cls, before: Pairing) -> SparsePairing:
+        """Start with the estimated states that another pairing had before any groundtruth."""
+        begun = cls(before.max_gap_s, before.limits)
+        stamps, rows = before._waiting.held
+        begun.add_estimate(stamps.copy(), rows.copy())
+        begun.estimate_intake = before.estimate_intake
+        begun.estimate_intake.dropped = add_counts(before.dropped)
+        return begun
+
+    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
+        """Take groundtruth states, (N,) and (N, 10), in any order."""
+        self._let_wait(stamps, rows)
+
+    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
+        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order.
+
+        Their covariances are left out, as offline: a state between two has none.
+        """
+        self._interpolate(stamps, rows[:, :WIDTH])
+
+    def take_waypoints(self) -> StampedPoses:
+        """Return the groundtruth states that were decided since the last call and are missing.
+
+        That is, which are in no pair.
+        """
+        missing, self._missing = StampedPoses.joined(self._missing), []
+        return missing
+
+    @property
+    def newest_groundtruth(self) -> tuple[Stamps, Floats]:
+        """Copies of the groundtruth states that wait."""
+        stamps, rows = self._waiting.held
+        return stamps.copy(), rows.copy()
+
+    @property
+    def groundtruth_count(self) -> int:
+        """Number of groundtruth states so far, without those that wait."""
+        return self._passed
+
+    @property
+    def groundtruth_time(self) -> int:
+        """Time from the first to the newest groundtruth state, nanoseconds: no step is a gap."""
+        return self._newest_ns - self._first_ns
+
+    @property
+    def groundtruth_path_m(self) -> float:
+        """Length of the path through the groundtruth states, metres."""
+        return self._path_m
+
+    @property
+    def estimate_count(self) -> int:
+        """Number of estimated states so far."""
+        return self._track_count
+
+    @property
+    def _sides(self) -> tuple[Intake, Intake]:
+        return self.estimate_intake, self.groundtruth_intake
+
+    def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
+        return Pairs(stamps, waited, between)
+
+    def _pass(self, decided: Decided) -> None:
+        """Count the groundtruth states that were decided, and keep those that are missing."""
+        super()._pass(decided)
+        stamps, rows = decided.stamps, decided.rows
+        missing = ~decided.bracket.usable
+        if missing.any():
+            self._missing.append(StampedPoses(stamps[missing], rows[missing, POSE]))
+        if not self._passed:
+            self._first_ns = self._newest_ns = int(stamps[0])
+        self._passed += len(stamps)
+        new = stamps >= self._newest_ns  # late ones add no path
+        if new.any():
+            path = np.concatenate([self._newest, rows[new, POSITION]])
+            self._path_m += float(travelled_distance(path)[-1])
+            self._newest, self._newest_ns = path[-1:].copy(), int(stamps[-1])

@@ -1,0 +1,1 @@
+"""A request and trajectories in, an outcome out."""

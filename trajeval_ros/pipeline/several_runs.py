@@ -1,0 +1,63 @@
+"""What is found by looking at several estimates of one groundtruth together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+from trajeval_ros.diagnosis.fix_hints import about_fixes
+from trajeval_ros.diagnosis.mending import same_estimate
+from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.metrics.input_summary import InputSummary
+from trajeval_ros.pipeline.outcome import RunOutcome
+
+
+def compared_with(others: Sequence[InputSummary], found: RunOutcome) -> RunOutcome:
+    """Return an outcome that says so if its estimate is one of the others."""
+    same = same_estimate(found.estimate, others)
+    if same is None:
+        return found
+    warnings = (same.text, *found.evaluation.warnings)
+    return dataclasses.replace(
+        found,
+        evaluation=dataclasses.replace(found.evaluation, warnings=warnings),
+        diagnosis=found.diagnosis.with_others([same]),
+    )
+
+
+def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
+    """Yield the runs, their likelihoods compared with those of the others."""
+    assessments = [each.likelihood for each in runs if each.likelihood is not None]
+    if len(assessments) < 2:
+        yield from runs
+        return
+    from trajeval_ros.likelihood.assessment import compared
+
+    names = [each.estimate.name for each in runs]
+    for each, assessment in zip(runs, compared(names, assessments), strict=True):
+        yield dataclasses.replace(each, likelihood=assessment)
+
+
+def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
+    """Return the runs, with their errors without the noise of the GNSS fixes."""
+    if runs[0].evaluation.groundtruth.fixes is None:
+        return runs
+    from trajeval_ros.metrics.own_error import own_errors
+
+    evaluations = [run.evaluation for run in runs]
+    found = own_errors(evaluations, rule.correlation_s)
+    named = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
+    return [
+        dataclasses.replace(
+            run,
+            own_error=own,
+            evaluation=dataclasses.replace(
+                run.evaluation,
+                warnings=(
+                    *about_fixes(run.evaluation, own, why, lever_arm_known=named, of=len(runs)),
+                    *run.evaluation.warnings,
+                ),
+            ),
+        )
+        for run, (own, why) in zip(runs, found, strict=True)
+    ]

@@ -1,0 +1,248 @@
+"""Figures of trajectories as they are: paths, positions, angles and speeds over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.flattening import PLANES
+from trajeval_ros.geometry.lie import euler_angles
+from trajeval_ros.geometry.speeds import speeds
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.ground_image import GroundImage
+from trajeval_ros.metrics.association import AssociationRule, associate
+from trajeval_ros.report import canvas
+from trajeval_ros.report.line_thinning import thinned
+from trajeval_ros.report.plane_panels import PlanePanels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TIMES = ("xyz", "rpy", "speed")
+PLOTS = (*PLANES, "3d", *TIMES)
+COLOURS_BY = {"error": "position error [m]", "speed": "speed [m/s]"}
+_GAP_S = 0.5
+_PANEL_IN, _REST_IN = 1.25, 0.5
+_3D_IN = 0.85  # height, in widths
+_MOST_COLOURED = 4000  # pieces of a path
+_REFERENCE = -1  # the place of its line
+
+
+def motion_drawings(
+    kinds: Sequence[str],
+    trajectories: Sequence[Trajectory],
+    reference: Trajectory | None,
+    *,
+    colour_by: str | None = None,
+    ground: GroundImage | None = None,
+) -> dict[str, canvas.Drawing]:
+    """Return what draws each figure, by the name of its file.
+
+    Args:
+        kinds: Of `PLOTS`.
+        trajectories: Each with a name.
+        reference: Another one, drawn behind them; None for none.
+        colour_by: One of `COLOURS_BY`, for paths in a plane; None for a colour each.
+        ground: What lies below the path in xy.
+
+    Raises:
+        SettingsError: There is no such kind.
+        InputError: A trajectory hasn't what a figure needs.
+    """
+    for kind in kinds:
+        require_one_of(kind, PLOTS, "plot")
+    everything = [*trajectories, *([] if reference is None else [reference])]
+    needs_stamps = set(kinds) & set(TIMES) or colour_by == "speed"
+    for each in everything:
+        if needs_stamps and not each.stamped:
+            raise InputError(f"{each.name} has no timestamps, which figures over time need")
+        if "rpy" in kinds and each.quaternions is None:
+            raise InputError(f"{each.name} has no orientations; remove rpy")
+    drawings: dict[str, canvas.Drawing] = {}
+    for kind in kinds:
+        if kind in PLANES:
+            below = ground if kind == "xy" else None
+            drawings[f"path_{kind}"] = partial(
+                _plane, trajectories, reference, kind, colour_by, below
+            )
+        elif kind == "3d":
+            drawings["path_3d"] = partial(_space, trajectories, reference)
+        else:
+            drawings[f"{kind}_over_time"] = partial(_over_time, trajectories, reference, kind)
+    return drawings
+
+
+def _plane(
+    trajectories: Sequence[Trajectory],
+    reference: Trajectory | None,
+    plane: str,
+    colour_by: str | None,
+    ground: GroundImage | None,
+) -> Figure:
+    across, up = ("xyz".index(axis) for axis in plane)
+    names = canvas.short_names([each.name for each in trajectories])
+    paths = [each.positions[:, (across, up)] for each in trajectories]
+    truth = None if reference is None else reference.positions[:, (across, up)]
+    panels = PlanePanels(
+        [*paths, *([] if truth is None else [truth])],
+        dict(enumerate(names)),
+        "",
+        is_split=colour_by is not None or None,
+    )
+    if ground is not None:
+        for axes in panels.panels:
+            _draw_ground(axes, ground)
+    if colour_by is None:
+        for place, (each, path) in enumerate(zip(trajectories, paths, strict=True)):
+            panels.draw_path(place, thinned(path, each.stamps, _GAP_S))
+    else:
+        known = [_values(each, reference, colour_by) for each in trajectories]
+        largest = max(float(values.max()) for _, _, values in known)
+        for place, (positions, stamps, values) in enumerate(known):
+            panels.draw_coloured(
+                place, _pieces(positions[:, (across, up)], stamps, values), largest
+            )
+        panels.add_ramp(COLOURS_BY[colour_by])
+    marked = truth if truth is not None else paths[0] if len(paths) == 1 else None
+    line = None if reference is None or truth is None else thinned(truth, reference.stamps, _GAP_S)
+    return panels.finish(line, marked, (plane[0], plane[1]), "reference")
+
+
+def _values(
+    trajectory: Trajectory, reference: Trajectory | None, colour_by: str
+) -> tuple[Floats, Stamps, Floats]:
+    """Return positions (N, 3), stamps and what their colours are."""
+    if colour_by == "speed":
+        linear, _ = speeds(trajectory)
+        return trajectory.positions[1:], trajectory.stamps[1:], linear
+    if reference is None:
+        raise InputError("errors need a reference; give --reference SOURCE")
+    pairs = associate(reference, trajectory, AssociationRule())
+    errors = np.linalg.norm(pairs.estimate.positions - pairs.groundtruth.positions, axis=1)
+    return pairs.estimate.positions, pairs.estimate.stamps, errors
+
+
+def _pieces(path: Floats, stamps: Stamps, values: Floats) -> tuple[Floats, Floats]:
+    """Return lines (M, 2, 2) between states, few, and the largest value along each."""
+    every = max(1, -(-len(path) // _MOST_COLOURED))
+    rows = np.unique([*range(0, len(path), every), len(path) - 1])
+    if len(rows) < 2:
+        return np.empty((0, 2, 2)), np.empty(0)
+    lines = np.stack([path[rows[:-1]], path[rows[1:]]], axis=1)
+    largest = np.maximum.reduceat(values, rows[:-1])
+    steps = np.diff(stamps)
+    gap = steps > max(_GAP_S * NANOSECONDS, 5.0 * float(np.median(steps)))
+    passed = np.concatenate([[0], np.cumsum(gap)])[rows]
+    connected = np.diff(passed) == 0
+    return lines[connected], largest[connected]
+
+
+def _draw_ground(axes: object, ground: GroundImage) -> None:
+    from matplotlib.axes import Axes
+    from matplotlib.transforms import Affine2D
+
+    assert isinstance(axes, Axes)
+    height, width = ground.pixels.shape[:2]
+    limits = axes.get_xlim(), axes.get_ylim()
+    matrix = np.vstack([ground.to_world, [0.0, 0.0, 1.0]])
+    axes.imshow(
+        ground.pixels,
+        extent=(0, width, height, 0),
+        transform=Affine2D(matrix) + axes.transData,
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        zorder=0,
+    )
+    axes.set_xlim(limits[0])
+    axes.set_ylim(limits[1])
+    axes.grid(visible=False)
+
+
+def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> Figure:
+    figure = canvas.new_figure(_3D_IN * canvas.width_in())
+    axes = figure.add_subplot(projection="3d")
+    for place, name, each in _lines(trajectories, reference):
+        rows = thinned(each.positions, each.stamps, _GAP_S)
+        axes.plot(*rows.T, **_look(place), label=name)
+    # Equal axes, with room for the labels around.
+    axes.autoscale_view(tight=True)
+    spans = [np.ptp(each) for each in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
+    axes.set_box_aspect(np.maximum(spans, 1e-3 * max(spans)), zoom=0.85)
+    for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), spans, strict=True):
+        axis.get_major_locator().set_params(nbins=6 if span > 0.3 * max(spans) else 2)
+    first = trajectories[0] if reference is None else reference
+    if len(trajectories) == 1 or reference is not None:
+        canvas.mark_ends(axes, first.positions)
+    for axis, name in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", strict=True):
+        canvas.label_coordinates(axis, name)
+    canvas.legend_below(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def _over_time(
+    trajectories: Sequence[Trajectory], reference: Trajectory | None, kind: str
+) -> Figure:
+    lines = _lines(trajectories, reference)
+    origin = min(int(each.stamps.min()) for _, _, each in lines)
+    labels = {
+        "xyz": ("x [m]", "y [m]", "z [m]"),
+        "rpy": ("roll [deg]", "pitch [deg]", "yaw [deg]"),
+        "speed": ("speed [m/s]", "turn rate [deg/s]"),
+    }[kind]
+    if kind == "speed" and all(each.quaternions is None for _, _, each in lines):
+        labels = labels[:1]
+    figure = canvas.new_figure(_PANEL_IN * len(labels) + _REST_IN)
+    panels = figure.subplots(len(labels), 1, sharex=True, squeeze=False).ravel()
+    for place, name, each in lines:
+        stamps, columns = _columns(each, kind)
+        seconds = (stamps - origin) / NANOSECONDS
+        rows = thinned(np.column_stack([seconds, columns]), stamps, _GAP_S)
+        for axes, column in zip(panels, rows.T[1:], strict=False):
+            axes.plot(rows[:, 0], column, **_look(place), label=name)
+    for axes, label in zip(panels, labels, strict=True):
+        if kind == "xyz":
+            canvas.label_coordinates(axes.yaxis, label[0])
+        else:
+            axes.set_ylabel(label)
+        if kind == "speed":
+            axes.set_ylim(bottom=0.0)
+    panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels()
+    canvas.legend_below(figure, *panels[0].get_legend_handles_labels())
+    return figure
+
+
+def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
+    """Return stamps (M,) and what is drawn at them (M, K)."""
+    if kind == "xyz":
+        return trajectory.stamps, trajectory.positions
+    if kind == "speed":
+        linear, turning = speeds(trajectory)
+        columns = [linear] if turning is None else [linear, np.degrees(turning)]
+        return trajectory.stamps[1:], np.column_stack(columns)
+    assert trajectory.quaternions is not None
+    angles = euler_angles(trajectory.quaternions)[:, ::-1]
+    # No jump from 180 to -180 degrees.
+    return trajectory.stamps, np.degrees(np.unwrap(angles, axis=0))
+
+
+def _lines(
+    trajectories: Sequence[Trajectory], reference: Trajectory | None
+) -> list[tuple[int, str, Trajectory]]:
+    """Return place, name and states of each line, the reference first."""
+    names = canvas.short_names([each.name for each in trajectories])
+    lines = list(zip(range(len(trajectories)), names, trajectories, strict=True))
+    return lines if reference is None else [(_REFERENCE, "reference", reference), *lines]
+
+
+def _look(place: int) -> Mapping[str, object]:
+    if place == _REFERENCE:
+        return {"color": canvas.truth_colour(), "linewidth": 1.6}
+    colour, dashes = canvas.line_style(place)
+    return {"color": colour, "linestyle": dashes, "linewidth": 1.0}

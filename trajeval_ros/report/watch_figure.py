@@ -1,0 +1,79 @@
+"""Signals of a watchdog over time, as multiples of their limits, with the alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.report import canvas
+from trajeval_ros.report.line_thinning import thinned
+from trajeval_ros.watchdog.alarm_book import AlarmBook
+from trajeval_ros.watchdog.recording import Watched
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PANEL_IN, _BELOW_IN = 1.4, 0.4
+_PANELS = {"pair": "second estimate", "imu": "IMU", "twist": "twist", "": "only poses"}
+_LEAST = 1e-2
+_GAP_S = 2.0
+_MOST_CURVES = 6
+_NARROWEST_ALARM_S = 0.1
+
+
+def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
+    """Draw signals over limit, one panel for each kind of source.
+
+    Args:
+        seen: What was seen.
+        book: The same, compared with limits.
+        name: What the figure calls the estimate.
+    """
+    judged = [each for each in seen.signals if book.limits.limit(each, book.factor) is not None]
+    kinds = [each for each in _PANELS if any(SIGNAL_NAMED[one].needs == each for one in judged)]
+    title = f"{name}, {counted(len(book.alarms), 'alarm')} in {3600 * seen.hours:.0f} s"
+    figure = canvas.new_figure(_PANEL_IN * len(kinds) + _BELOW_IN, title)
+    if not kinds:
+        return figure
+    rows = 0
+    panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, kind in zip(panels, kinds, strict=True):
+        _draw(axes, seen, book, [each for each in judged if SIGNAL_NAMED[each].needs == kind])
+        axes.set_ylabel(f"{_PANELS[kind]}\nvalue / limit")
+        rows += canvas.legend_above(axes)
+    panels[-1].set_xlim(0.0, seen.end_s)
+    panels[-1].set_xlabel("time since the first message [s]")
+    canvas.grow(figure, rows)
+    return figure
+
+
+def _draw(axes: Axes, seen: Watched, book: AlarmBook, names: Sequence[str]) -> None:
+    """Draw the signals that come nearest to their limits, and the alarms."""
+    ratios = {}
+    for each in names:
+        limit = book.limits.limit(each, book.factor)
+        if limit and len(seen.signals[each].values):
+            ratios[each] = seen.signals[each].values / limit
+    largest = sorted(ratios, key=lambda each: -float(ratios[each].max()))[:_MOST_CURVES]
+    for number, each in enumerate(one for one in ratios if one in largest):
+        seconds = seen.signals[each].seconds
+        stamps = np.rint(seconds * NANOSECONDS).astype(np.int64)
+        columns = np.stack([seconds, np.maximum(ratios[each], _LEAST)], axis=1)
+        colour, dashes = canvas.line_style(number)
+        axes.plot(*thinned(columns, stamps, _GAP_S).T, color=colour, linestyle=dashes, label=each)
+    for alarm in book.alarms:
+        if alarm.signal in names:
+            end_s = max(alarm.last_s, alarm.begin_s + _NARROWEST_ALARM_S)
+            axes.axvspan(
+                alarm.begin_s, end_s, color=canvas.soft_ink(), alpha=0.25, linewidth=0, zorder=0
+            )
+    axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_ylim(_LEAST, None)

@@ -1,0 +1,241 @@
+"""The black box: on an alarm, what was received before and after it becomes a clip on disk."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.write_clip import require_clip_libraries, write_clip
+from trajeval_ros.io.live.clip_folder import ClipFolder
+from trajeval_ros.online.notices import Notice
+from trajeval_ros.ros.background import BackgroundTask
+from trajeval_ros.ros.message_ring import MessageRing
+from trajeval_ros.ros.subscriptions import TopicInput
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+MEGABYTE = 1_000_000
+_MOST_CLIPS = 100
+_MOST_CAUSES = 100  # that one clip names
+_SPAN = re.compile(r"(\d+(?:\.\d+)?)s\+(\d+(?:\.\d+)?)s")
+
+
+@dataclass(frozen=True)
+class BlackBoxSettings:
+    """How much is kept, and where it goes.
+
+    Attributes:
+        before_s: Seconds before an alarm.
+        after_s: Seconds after it.
+        topics: Whose messages are kept.
+        folder: Where clips gather.
+        memory: Bytes that may be held back.
+        disk: Bytes that the clips of a folder may take; the oldest go.
+        pause_s: From one alarm with a clip to the next one.
+    """
+
+    before_s: float
+    after_s: float
+    topics: tuple[str, ...]
+    folder: Path
+    memory: int
+    disk: int
+    pause_s: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> BlackBoxSettings | None:
+        """Return what the parameters ask for; None if they ask for no black box.
+
+        Raises:
+            SettingsError: A value means nothing.
+            InputError: The library that writes clips is missing.
+        """
+        text = values["black_box"]
+        if not text:
+            return None
+        span = _SPAN.fullmatch(text.replace(" ", ""))
+        if span is None or not float(span[1]) + float(span[2]):
+            raise SettingsError(
+                "parameter black_box must be the seconds before and after an alarm, as in "
+                f"30s+10s, not {text!r}"
+            )
+        require_clip_libraries()
+        own = [values["groundtruth_topic"], values["watch_with"], values["imu_topic"]]
+        named = values["black_box_topics"] or [*values["estimate_topics"], *own]
+        topics = dict.fromkeys(each.partition(":")[0] for each in named if each)
+        if "/tf" in topics:
+            topics["/tf_static"] = None
+        return cls(
+            float(span[1]),
+            float(span[2]),
+            tuple(topics),
+            Path(values["black_box_folder"]).expanduser().resolve(),
+            round(values["black_box_memory"] * MEGABYTE),
+            round(values["black_box_disk"] * MEGABYTE),
+            values["black_box_pause"],
+        )
+
+
+@dataclass
+class _Due:
+    """A clip that waits for its last seconds."""
+
+    at_ns: int
+    causes: list[Notice]
+    about: dict[str, Any] = field(default_factory=dict)
+
+
+class ClipWriter:
+    """Holds messages back, and writes a clip of them some time after an alarm.
+
+    Attributes:
+        ring: The messages.
+        news: What nobody has been told yet: sentences, and whether each is a warning.
+    """
+
+    def __init__(self, settings: BlackBoxSettings, now_ns: Callable[[], int] = time.time_ns):
+        """Create it with an empty ring.
+
+        Args:
+            settings: How much is kept.
+            now_ns: The clock that messages are received by.
+
+        Raises:
+            InputError: The folder for clips can't be made.
+        """
+        self._settings, self._now_ns = settings, now_ns
+        self._folder = ClipFolder(settings.folder, _MOST_CLIPS, settings.disk)
+        # A message waits up to a tick until it is taken.
+        self.ring = MessageRing(settings.before_s + settings.after_s + 1.0, settings.memory)
+        self.news: list[tuple[str, bool]] = []
+        self._due: _Due | None = None
+        self._free_at_ns = 0
+        self._without = 0  # alarms since the last clip that got none
+        self._task: BackgroundTask[tuple[str, bool]] = BackgroundTask(1.0)
+
+    def trigger(self, cause: Notice, about: Mapping[str, Any]) -> None:
+        """Have a clip written about an alarm.
+
+        One that comes while another one's last seconds are awaited is named in that clip. One
+        that comes sooner than the pause allows gets none, and is counted.
+
+        Args:
+            cause: The alarm.
+            about: What stands in the JSON file beside it.
+        """
+        now_ns = self._now_ns()
+        if self._due is not None:
+            if len(self._due.causes) < _MOST_CAUSES:
+                self._due.causes.append(cause)
+        elif now_ns < self._free_at_ns:
+            self._without += 1
+        else:
+            after_ns = round(self._settings.after_s * NANOSECONDS)
+            self._free_at_ns = now_ns + round(self._settings.pause_s * NANOSECONDS)
+            self._due = _Due(now_ns + after_ns, [cause], {"alarm_ns": now_ns, **about})
+
+    def renew(self, *, at_end: bool = False) -> None:
+        """Forget what is old, and write the clip that is due.
+
+        Args:
+            at_end: No more messages will come: write what waits, and wait for it.
+        """
+        self.ring.forget(self._now_ns())
+        told = self._task.wait() if at_end else self._task.take()
+        if told is not None:
+            self.news.append(told)
+        is_due = self._due is not None and self._now_ns() >= self._due.at_ns and self._task.is_due
+        if self._due is None or not (at_end or is_due):
+            return
+        due, self._due = self._due, None
+        begin_ns = due.about["alarm_ns"] - round(self._settings.before_s * NANOSECONDS)
+        topics = self.ring.between(begin_ns, due.at_ns)
+        about = {
+            "causes": [_as_mapping(each) for each in due.causes],
+            "alarms_without_clip_before": self._without,
+            "messages_forgotten_for_memory": self.ring.forgotten,
+            **due.about,
+        }
+        self._without = 0
+        path = self._folder.new_clip(due.about["alarm_ns"], due.causes[0].subject)
+
+        def write() -> tuple[str, bool]:
+            try:
+                write_clip(path, topics, about)
+                removed = self._folder.make_room()
+            except InputError as error:
+                return str(error), True
+            gone = f"; the oldest went: {', '.join(removed)}" if removed else ""
+            return f"clip of {due.causes[0].subject} is in {path}{gone}", False
+
+        self._task.start(write)
+        if at_end:
+            self.renew(at_end=True)
+
+
+def _as_mapping(notice: Notice) -> dict[str, Any]:
+    return {
+        "kind": notice.kind,
+        "level": notice.level,
+        "subject": notice.subject,
+        "text": notice.text,
+        **notice.values,
+    }
+
+
+class BlackBox:
+    """Subscribes to what is kept, and hands it to a writer of clips."""
+
+    def __init__(self, node: Node, settings: BlackBoxSettings, values: Mapping[str, Any]) -> None:
+        """Start to look for publishers.
+
+        Args:
+            node: Subscribes.
+            settings: What is kept.
+            values: The parameters, for the JSON file.
+
+        Raises:
+            InputError: The folder for clips can't be made.
+        """
+        self._writer = ClipWriter(settings)
+        self._values = dict(values)
+        self._inputs = [TopicInput(node, each, None, is_optional=True) for each in settings.topics]
+
+    def match(self) -> list[tuple[str, bool]]:
+        """Connect to the publishers that there are now; returns what to tell."""
+        told = [(f"black box: {said}", False) for each in self._inputs if (said := each.match())]
+        news, self._writer.news = self._writer.news, []
+        return told + news
+
+    def tick(self) -> None:
+        """Take what has arrived, and write what is due."""
+        self._take()
+        self._writer.renew()
+
+    def trigger(self, cause: Notice, history: Mapping[str, Any]) -> None:
+        """Have a clip written about an alarm.
+
+        Args:
+            cause: The alarm.
+            history: The signals of the last minute; empty where nothing is watched.
+        """
+        self._writer.trigger(cause, {"signals": history, "parameters": self._values})
+
+    def conclude(self) -> list[tuple[str, bool]]:
+        """Write what waits, since the node ends; returns what to tell."""
+        self._take()
+        self._writer.renew(at_end=True)
+        return self._writer.news
+
+    def _take(self) -> None:
+        for each in self._inputs:
+            taken = each.take()
+            if taken.payloads:
+                self._writer.ring.add(each.topic, each.type, taken, is_latched=each.is_latched)

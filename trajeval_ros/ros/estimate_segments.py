@@ -1,0 +1,190 @@
+"""One estimate topic over a whole run: its messages, handed to the segments that they are of."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.reports import Update
+from trajeval_ros.online.time_steps import TimeSteps
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.poses import StateColumns
+from trajeval_ros.ros.sides import Side, TimeAt
+
+FOLLOWS_WITHIN_S = 5.0  # the time of one side, when the other's steps back
+
+
+class DecodedMessages(NamedTuple):
+    """Messages of an estimate.
+
+    Attributes:
+        stamps: (N,) by which time is judged, nanoseconds: of a path that of its last pose.
+        states: Of all messages, or of one path.
+        times: (N,) when the middleware received each; of a path when it arrived.
+        newest: Type and bytes of the newest message; None for a path.
+    """
+
+    stamps: Stamps
+    states: StateColumns
+    times: Stamps
+    newest: tuple[str, bytes] | None
+
+
+class EstimateSegments:
+    """Keeps the newest segment of an estimate, and those whose last messages may still come.
+
+    Attributes:
+        side: Where the messages come from.
+        current: The newest segment.
+        ending: Older ones, not closed yet.
+        time: How often time has stepped back.
+    """
+
+    def __init__(
+        self,
+        side: Side,
+        worker: Executor,
+        settings: OnlineSettings,
+        folder: Path,
+        groundtruth: Side,
+        place: int,
+        body: MarkerBody,
+        *,
+        hold: bool,
+        splits_at_jumps: bool,
+    ) -> None:
+        """Create it with the first segment; see `LiveEstimate`."""
+        self.side, self.time, self._worker = side, TimeSteps(), worker
+        self._groundtruth, self._place, self._splits = groundtruth, place, splits_at_jumps
+        self._body = body
+        self._own_ahead = self._truth_ahead = 0
+        self._begun_at = time.monotonic()
+        self.ending: list[LiveEstimate] = []
+        self.current = LiveEstimate(
+            side,
+            worker,
+            settings,
+            folder,
+            groundtruth,
+            place,
+            body,
+            hold=hold,
+            splits=splits_at_jumps,
+        )
+
+    @property
+    def open(self) -> list[LiveEstimate]:
+        """All segments that are not closed yet."""
+        return [*self.ending, self.current]
+
+    def open_at(self, epoch: int) -> list[LiveEstimate]:
+        """The segment that what comes at an epoch is of, if there is one."""
+        return [each for each in self.open if each.epoch == epoch and each.following is None]
+
+    @property
+    def own_epoch(self) -> int:
+        """Of what the estimate's messages of now are."""
+        return self.time.count + self._own_ahead
+
+    def truth_epoch(self, groundtruth: TimeSteps) -> int:
+        """Of what the groundtruth's messages of now are, for this estimate."""
+        return groundtruth.count + self._truth_ahead
+
+    def messages(self, time_at: TimeAt | None) -> Iterator[DecodedMessages]:
+        """Yield the messages that have arrived, paths one by one.
+
+        Args:
+            time_at: Of simulated time; None for the computer's.
+        """
+        stream = self.side.stream
+        for message_type, taken, arrived in self.side.take(time_at):
+            received = np.array(taken.received, dtype=np.int64)
+            if message_type == PATH_TYPE:
+                for payload, each in zip(taken.payloads, arrived, strict=True):
+                    path = stream.path(payload)
+                    yield DecodedMessages(path.stamps[-1:], path, each[None], None)
+                continue
+            poses = stream.poses(message_type, taken.payloads, arrived)
+            newest = message_type, taken.payloads[-1]
+            yield DecodedMessages(poses.stamps, poses, received[poses.rows], newest)
+
+    def take(self, messages: DecodedMessages, part: slice) -> None:
+        """Give a part of the messages to the segment that they are of."""
+        for each in self.open_at(self.own_epoch):
+            if messages.newest is None:
+                each.take_path(messages.states, int(messages.times[0]))
+            else:
+                each.newest = messages.newest
+                each.take(messages.states.picked(part), messages.times[part])
+
+    def take_last(self) -> None:
+        """Take the states that were waiting for their stamps to be trusted: no more will come."""
+        poses = self.side.stream.last_poses()
+        for each in self.open_at(self.own_epoch):
+            each.take(poses, poses.stamps)
+
+    def begin(self, epoch: int, began_by: str, settings: OnlineSettings, folder: Path) -> None:
+        """Start a segment because time has stepped back; the previous one ends later.
+
+        Raises:
+            InputError: Its file can't be made.
+        """
+        begun = self._next(began_by, settings, folder)
+        begun.epoch = epoch
+        self.ending.append(self.current)
+        self.current, self._begun_at = begun, time.monotonic()
+
+    def update(self, settings: OnlineSettings) -> Iterator[tuple[LiveEstimate, Update]]:
+        """Evaluate what has arrived; yields what is new in the newest segment.
+
+        A segment that ended with a jump is complete, and another one begun.
+        """
+        for each in self.ending:
+            each.update()
+        yield self.current, self.current.update()
+        while self.current.following is not None:
+            ended = self.current
+            self.current = self._next("the estimate jumped", settings, ended.folder)
+            self.current.clock = ended.clock
+            self.ending.append(ended)
+            yield self.current, self.current.update()
+
+    def complete(self, groundtruth: TimeSteps) -> list[LiveEstimate]:
+        """Return the segments that no message can be of any more, and forget them.
+
+        Of a side whose time goes on as before while the other's has stepped back, the newest
+        states count for the new segment, too.
+        """
+        if self.ending and time.monotonic() >= self._begun_at + FOLLOWS_WITHIN_S:
+            if (behind := self.current.epoch - self.truth_epoch(groundtruth)) > 0:
+                for each in self.open_at(self.truth_epoch(groundtruth)):
+                    self.current.share_groundtruth(each)
+                self._truth_ahead += behind
+            self._own_ahead += max(self.current.epoch - self.own_epoch, 0)
+        reached = min(self.own_epoch, self.truth_epoch(groundtruth))
+        done = [each for each in self.ending if each.epoch < reached or each.following is not None]
+        self.ending = [each for each in self.ending if each not in done]
+        return done
+
+    def _next(self, began_by: str, settings: OnlineSettings, folder: Path) -> LiveEstimate:
+        return LiveEstimate(
+            self.side,
+            self._worker,
+            settings,
+            folder,
+            self._groundtruth,
+            self._place,
+            self._body,
+            splits=self._splits,
+            after=self.current,
+            began_by=began_by,
+        )

@@ -1,0 +1,28 @@
+"""Help text of `ros2 run trajeval_ros evaluator --help`."""
+
+from __future__ import annotations
+
+from trajeval_ros.ros.parameter_table import PARAMETERS
+
+_LIST = "\n".join(
+    f"* `{each.name}` ({each.default if each.default not in ('', ['']) else 'empty'}): "
+    f"{each.description}{' Can be set during the run.' if each.is_live else ''}"
+    for each in PARAMETERS
+)
+HELP = f"""Evaluates estimates against groundtruth, live on the robot.
+
+All settings are ROS parameters:
+
+    ros2 run trajeval_ros evaluator --ros-args -p groundtruth_topic:=/mocap/pose
+        -p estimate_topics:=[/vio/odometry,/slam/path] -p modality:=stereo-inertial
+
+    ros2 run trajeval_ros evaluator --ros-args --params-file evaluator.yaml -r /odom:=/vio/odometry
+
+Parameters and defaults:
+
+{_LIST}
+
+The node publishes errors, the alignment and aligned paths in `~/ESTIMATE/`, and `/diagnostics`.
+Its services are `~/save` and `~/reset`. It writes pairs, result.json, errors.npz and figures to
+the output folder. Stop it with Ctrl-C. After a crash, run `trajeval finish FOLDER`.
+"""

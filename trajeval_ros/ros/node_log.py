@@ -1,0 +1,19 @@
+"""The log of a node, in lines that names and sentences from elsewhere can't break."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trajeval_ros.formatting.escaping import one_line
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+def log(node: Node, text: str, warn: bool = False) -> None:
+    """Log a sentence, as information or as a warning."""
+    logger, line = node.get_logger(), one_line(text)
+    if warn:  # rclpy wants one severity of each line of code
+        logger.warning(line)
+    else:
+        logger.info(line)

@@ -1,0 +1,28 @@
+"""When a live run's segments begin, as the node's parameters say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trajeval_ros.exceptions import require_one_of
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """When a segment ends and another one begins, each a run of its own.
+
+    Attributes:
+        on_time_jump: When stamps step back: `segment`; `reset`, in a folder of its own; `ignore`.
+        on_restart: When an estimate jumps: `segment` or `ignore`.
+
+    Raises:
+        SettingsError: There is no such answer.
+    """
+
+    on_time_jump: str = "segment"
+    on_restart: str = "ignore"
+
+    def __post_init__(self) -> None:
+        """Refuse other words."""
+        require_one_of(self.on_time_jump, ("reset", "segment", "ignore"), "on_time_jump")
+        require_one_of(self.on_restart, ("segment", "ignore"), "on_restart")

@@ -1,0 +1,79 @@
+"""Simulated time at the moments when messages were received, between the messages of /clock."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.ros.subscriptions import TopicInput
+from trajeval_ros.ros.timing import UNKNOWN
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+_SAMPLES = 256  # of the time since messages were taken last, at 100 Hz and more
+_NS = struct.Struct("<iI")
+_ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
+
+
+class ClockSamples:
+    """When which simulated time was received, and what time it was between and a little later.
+
+    A node's own clock stands still from one message to the next, at 10 Hz for 0.1 s.
+    """
+
+    def __init__(self) -> None:
+        """Create it without any."""
+        self._samples: deque[tuple[int, int]] = deque(maxlen=_SAMPLES)
+
+    def see(self, received: int, time_ns: int) -> None:
+        """Take a simulated time and when it was received, nanoseconds."""
+        if self._samples and (time_ns < self._samples[-1][1] or received < self._samples[-1][0]):
+            self._samples.clear()  # time begins anew
+        self._samples.append((received, time_ns))
+
+    def at(self, received: Stamps) -> Stamps:
+        """Return the simulated time at which messages were received, (N,), nanoseconds.
+
+        Beyond the newest sample time goes on as between the last ones, for as long as these are
+        apart; later, and before the oldest, it is `UNKNOWN`.
+        """
+        found = np.full(len(received), UNKNOWN)
+        if len(self._samples) < 2:
+            return found
+        walls, times = np.array(self._samples).T
+        last = walls[-1] - walls[-2]
+        rate = (times[-1] - times[-2]) / max(last, 1)
+        known = (received >= walls[0]) & (received <= walls[-1] + last)
+        # From the newest one: differences are small, where times as float64 lose digits.
+        between = np.interp(received - walls[-1], walls - walls[-1], times - times[-1])
+        beyond = np.maximum(received - walls[-1], 0) * rate
+        return np.where(known, times[-1] + np.round(between + beyond).astype(np.int64), found)
+
+
+class SimulatedClock:
+    """Listens to /clock by hand, since an executor doesn't tell when its messages came."""
+
+    def __init__(self, node: Node) -> None:
+        """Start to look for whoever publishes it."""
+        self._input = TopicInput(node, TOPIC, (TYPE,), is_optional=True)
+        self._samples = ClockSamples()
+
+    def match(self) -> None:
+        """Connect to whoever publishes it now."""
+        self._input.match()
+
+    def at(self, received: Stamps) -> Stamps:
+        """Return the simulated time at which messages were received; see `ClockSamples.at`."""
+        taken = self._input.take()
+        for payload, when in zip(taken.payloads, taken.received, strict=True):
+            if payload[:2] == _ENCAPSULATION and len(payload) >= 4 + _NS.size:
+                seconds, nanoseconds = _NS.unpack_from(payload, 4)
+                self._samples.see(when, seconds * NANOSECONDS + nanoseconds)
+        return self._samples.at(received)

@@ -1,0 +1,64 @@
+"""What the node does where there is no groundtruth: it watches, and evaluates nothing."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.ros.advertise import advertise
+from trajeval_ros.ros.events import EventTopic
+from trajeval_ros.ros.node_log import log
+from trajeval_ros.ros.watching import Watching
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+class WatchNode:
+    """Watches an estimate, with the evaluator's name and parameters."""
+
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
+        """Advertise and subscribe.
+
+        Args:
+            node: Publishes and subscribes.
+            values: Its parameters.
+
+        Raises:
+            InputError: The limits can't be read, or were learned without a source that is there.
+            SettingsError: A topic's name means nothing.
+        """
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self._node, self._values = node, values
+        self._watching = Watching(node, values, EventTopic(node), partial(log, node))
+        self._diagnostics = advertise(node, DiagnosticArray, "/diagnostics")
+        log(node, "no groundtruth_topic: the estimate is watched without evaluation")
+
+    @property
+    def tick_period_s(self) -> float:
+        """How long to wait between two ticks, seconds."""
+        period: float = 1.0 / self._values["publish_rate"]
+        return period
+
+    def tick(self) -> None:
+        """Take messages, and tell of alarms."""
+        self._watching.tick()
+
+    def report(self) -> None:
+        """Match publishers."""
+        self._watching.match()
+
+    def tell(self) -> None:
+        """Publish diagnostics."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status += self._watching.statuses()
+        self._diagnostics.publish(message)
+
+    def finish(self) -> bool:
+        """Take the last messages; returns that there is nothing that could not be written."""
+        self._watching.conclude()
+        return True

@@ -1,0 +1,78 @@
+"""The topics of a live watch: an estimate, a second one, and an IMU."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.io.bags.rate_messages import IMU_TYPE
+from trajeval_ros.online.notices import OK, WARN, Notice
+from trajeval_ros.ros.live_watch import Batches, WatchedMessages
+from trajeval_ros.ros.message_types import is_installed
+from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.subscriptions import TopicInput
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rclpy.node import Node
+
+
+class WatchedTopics:
+    """Subscribes to them, apart from what is evaluated.
+
+    Attributes:
+        estimate: The one that is watched.
+        partner: The second one, if there is one.
+    """
+
+    def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
+        """Start to look for publishers.
+
+        Args:
+            node: Subscribes.
+            values: The parameters.
+
+        Raises:
+            SettingsError: A name means nothing, or messages of an IMU can't be received.
+        """
+        first, other, imu = values["estimate_topics"][0], values["watch_with"], values["imu_topic"]
+        self.estimate = Side(node, first)
+        self.partner = Side(node, other) if other else None
+        if imu and not is_installed(IMU_TYPE):
+            raise SettingsError(
+                f"imu_topic {imu} needs sensor_msgs; install ros-$ROS_DISTRO-sensor-msgs, or "
+                "remove it"
+            )
+        self._imu = TopicInput(node, imu, [IMU_TYPE]) if imu else None
+        self._estimates: list[Any] = []
+        self._partners: list[Any] = []
+        self._readings: list[bytes] = []
+
+    @property
+    def _sides(self) -> list[Side]:
+        return [self.estimate] if self.partner is None else [self.estimate, self.partner]
+
+    def match(self) -> list[Notice]:
+        """Connect to the publishers that there are now; returns what to tell."""
+        told = [each for side in self._sides for each in side.match()]
+        if self._imu is not None and (said := self._imu.match()):
+            level = OK if said.startswith("subscribed") else WARN
+            told.append(Notice("publishers", level, said))
+        return told
+
+    def gather(self) -> None:
+        """Take what has arrived."""
+        if self._imu is not None:
+            self._readings += self._imu.take().payloads
+        if self.partner is not None:
+            self._partners += self.partner.take(None)
+        self._estimates += self.estimate.take(None)
+
+    def gathered(self) -> WatchedMessages:
+        """Return what was gathered since the last call."""
+        estimates: Batches
+        estimates, self._estimates = self._estimates, []
+        partners, self._partners = self._partners, []
+        readings, self._readings = self._readings, []
+        return WatchedMessages(estimates, partners, readings)

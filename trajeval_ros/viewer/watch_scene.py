@@ -1,0 +1,157 @@
+"""The picture of a watched run: the path by how near signals came to their limits, and plots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.formatting.numbers import with_unit
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.writing import write_whole
+from trajeval_ros.viewer import colours, entity_data, scene_entities
+from trajeval_ros.viewer.layout_parts import until_now, whole_run, with_panels
+from trajeval_ros.viewer.paths import gaps, origin_for, peaks, pieces, spread
+from trajeval_ros.viewer.recording_file import recording_writer
+from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.watchdog.alarm_book import AlarmBook
+from trajeval_ros.watchdog.recording import Watched
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+
+PATH, POSE = f"{scene_entities.WORLD}/watched/path", f"{scene_entities.WORLD}/watched/pose"
+_PLOTS = "watch"
+_KINDS = {"pair": "Second estimate", "imu": "IMU", "twist": "Twist", "": "Only poses"}
+_LIMIT = "limit"
+_MOST_POINTS, _MOST_ROWS, _MOST_NUMBERS = 50_000, 2000, 20_000
+_MOST_POSES = 3000
+
+
+def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook) -> None:
+    """Write a Rerun file (.rrd) of a watched run.
+
+    Args:
+        path: The file; it is replaced if it exists.
+        estimate: What was watched.
+        seen: What was seen.
+        book: The same, compared with limits.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or the file can't be written.
+    """
+    ratios = {
+        name: readings.values / limit
+        for name, readings in seen.signals.items()
+        if (limit := book.limits.limit(name, book.factor)) and len(readings.values)
+    }
+    kinds = [kind for kind in _KINDS if any(SIGNAL_NAMED[each].needs == kind for each in ratios)]
+
+    def draw(recording: Any) -> None:
+        _draw_path(recording, estimate, seen, ratios)
+        for name, values in ratios.items():
+            _draw_signal(recording, name, _stamps(seen, seen.signals[name].seconds), values)
+        for kind in kinds:
+            _draw_limit(recording, kind, seen)
+        _tell(recording, seen, book)
+
+    write = recording_writer(estimate.name or "estimate", _blueprint(kinds), draw)
+    write_whole(path, write, follow_link=True)
+
+
+def _stamps(seen: Watched, seconds: Floats) -> Stamps:
+    stamps: Stamps = seen.origin + np.rint(seconds * NANOSECONDS).astype(np.int64)
+    return stamps
+
+
+def _entity(kind: str, name: str) -> str:
+    return f"{_PLOTS}/{kind or 'poses'}/{name}"
+
+
+def _draw_path(
+    recording: Any, estimate: Trajectory, seen: Watched, ratios: dict[str, Floats]
+) -> None:
+    """Draw the path, coloured by the signal that is nearest to its limit, and where it is."""
+    nearest = np.zeros(len(estimate))
+    for name, values in ratios.items():
+        stamps = _stamps(seen, seen.signals[name].seconds)
+        rows = np.minimum(np.searchsorted(estimate.stamps, stamps), len(estimate) - 1)
+        np.maximum.at(nearest, rows, values)
+    origin = origin_for(estimate.positions)
+    some = spread(len(estimate), _MOST_POINTS)
+    stamps, points = estimate.stamps[some], estimate.positions[some] - origin
+    rows = pieces(len(some), gaps(stamps), _MOST_ROWS)
+    if len(rows):
+        drawn = entity_data.path_by_error(points, nearest[some], rows, 1.0)
+        drawn.send(recording, PATH, stamps[rows[:, -1]])
+    few = spread(len(estimate), _MOST_POSES)
+    turns = None if estimate.quaternions is None else estimate.quaternions[few]
+    poses = entity_data.poses(estimate.positions[few] - origin, turns)
+    poses.send(recording, POSE, estimate.stamps[few])
+
+
+def _draw_signal(recording: Any, name: str, stamps: Stamps, values: Floats) -> None:
+    rerun, _ = sdk()
+    entity = _entity(SIGNAL_NAMED[name].needs, name)
+    recording.log(entity, rerun.SeriesLines(names=[name]), static=True)
+    some = peaks(values, _MOST_NUMBERS)
+    entity_data.numbers(values[some]).send(recording, entity, stamps[some])
+
+
+def _draw_limit(recording: Any, kind: str, seen: Watched) -> None:
+    rerun, _ = sdk()
+    entity = _entity(kind, _LIMIT)
+    style = rerun.SeriesLines(colors=[colours.BAND], names=[_LIMIT], widths=[2.0])
+    recording.log(entity, style, static=True)
+    ends = _stamps(seen, np.array([seen.armed_s, seen.end_s]))
+    entity_data.numbers(np.ones(2)).send(recording, entity, ends)
+
+
+def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
+    """Log what begins and ends, and what was found about the sources."""
+
+    def say(seconds: float, text: str, *, warn: bool) -> None:
+        [stamp] = _stamps(seen, np.array([seconds]))
+        entity_data.log(
+            recording, scene_entities.EVENTS, int(stamp), entity_data.event(text, warn=warn)
+        )
+
+    for notice in seen.notices:
+        say(seen.armed_s, notice, warn=False)
+    say(seen.armed_s, "armed", warn=False)
+    for alarm in book.alarms:
+        unit = SIGNAL_NAMED[alarm.signal].unit
+        level = "error" if book.is_error(alarm) else "warning"
+        peak, limit = (with_unit(each, unit) for each in (alarm.peak, alarm.limit))
+        said = f"{level}: {alarm.signal} up to {peak}, limit {limit}"
+        say(alarm.begin_s, said, warn=True)
+        if alarm.is_over:
+            say(alarm.last_s, f"{alarm.signal} is below its limit again", warn=False)
+
+
+def _blueprint(kinds: list[str]) -> Any:
+    _, layout = sdk()
+    plots = [
+        layout.TimeSeriesView(
+            origin=f"/{_entity(kind, '').rstrip('/')}",
+            name=f"{_KINDS[kind]}: value over limit",
+            axis_x=whole_run(),
+            plot_legend=layout.PlotLegend(layout.Corner2D.LeftTop),
+        )
+        for kind in kinds
+    ]
+    return with_panels(
+        layout.Horizontal(
+            layout.Vertical(
+                layout.Spatial3DView(
+                    origin=f"/{scene_entities.WORLD}",
+                    name="Watched estimate, coloured by the largest value over limit, 0 to 1",
+                    overrides={PATH: [until_now()]},
+                    background=layout.Background(color=colours.BACKGROUND),
+                ),
+                layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name="Alarms"),
+                row_shares=[3, 1],
+            ),
+            layout.Vertical(*plots),
+        ),
+    )

@@ -1,0 +1,1 @@
+"""Watching an estimate without groundtruth: signals, limits of a healthy run, and alarms."""

@@ -1,0 +1,118 @@
+"""Alarms: signals over their limits, from when to when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.watchdog.limits import WatchLimits
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals
+
+# An alarm ends when its signal has been below this share of the limit for so long.
+_CALM_SHARE, _CALM_S = 0.7, 5.0
+# An alarm is an error from this multiple of its limit on, when it lasts, or when another kind of
+# signal alarms at the same time.
+_GRAVE, _LASTING_S, _TOGETHER_S = 1.5, 5.0, 5.0
+
+
+@dataclass
+class WatchAlarm:
+    """A signal over its limit.
+
+    Attributes:
+        signal: Its name.
+        limit: In its unit.
+        begin_s: When it went over it, seconds since the watch began.
+        last_s: When it was last near it or over.
+        peak: Its largest value.
+        peak_s: When that was.
+        is_over: Whether it has ended.
+    """
+
+    signal: str
+    limit: float
+    begin_s: float
+    last_s: float
+    peak: float
+    peak_s: float
+    is_over: bool = False
+
+
+class AlarmBook:
+    """Compares signals with limits as they come.
+
+    Attributes:
+        alarms: All so far, in order of their begin as they were found.
+        limits: What was learned.
+        factor: A limit is so many times the largest healthy value.
+    """
+
+    def __init__(self, limits: WatchLimits, factor: float) -> None:
+        """Create it without alarms."""
+        self.alarms: list[WatchAlarm] = []
+        self.limits, self.factor = limits, factor
+        self._open: dict[str, WatchAlarm] = {}
+
+    def add(self, signals: Signals) -> list[WatchAlarm]:
+        """Take new readings; return the alarms that began by them."""
+        before = len(self.alarms)
+        for name, readings in signals.items():
+            limit = self.limits.limit(name, self.factor)
+            if limit is not None and len(readings.values):
+                self._compare(name, readings, limit)
+        self.alarms[before:] = sorted(self.alarms[before:], key=lambda each: each.begin_s)
+        return self.alarms[before:]
+
+    def _compare(self, name: str, readings: Readings, limit: float) -> None:
+        seconds, values = readings
+        start = 0
+        while start < len(values):
+            alarm = self._open.get(name)
+            if alarm is None:
+                over = np.flatnonzero(values[start:] > limit)
+                if not len(over):
+                    return
+                start += int(over[0])
+                begin, value = float(seconds[start]), float(values[start])
+                alarm = self._open[name] = WatchAlarm(name, limit, begin, begin, value, begin)
+                self.alarms.append(alarm)
+            near = values[start:] > _CALM_SHARE * limit
+            last = np.maximum.accumulate(np.where(near, seconds[start:], alarm.last_s))
+            calm = np.flatnonzero(seconds[start:] - last >= _CALM_S)
+            end = start + int(calm[0]) if len(calm) else len(values)
+            if end > start:
+                row = start + int(np.argmax(values[start:end]))
+                if values[row] > alarm.peak:
+                    alarm.peak, alarm.peak_s = float(values[row]), float(seconds[row])
+                alarm.last_s = float(last[end - start - 1])
+            if len(calm):
+                alarm.is_over = True
+                del self._open[name]
+            start = end
+
+    def end_all(self) -> None:
+        """End what stands, since the estimate began anew: its times are others from now on."""
+        for alarm in self._open.values():
+            alarm.is_over = True
+        self._open = {}
+
+    def forget(self, before_s: float) -> None:
+        """Forget alarms that were over before a time, s; of a live run nobody reads them all."""
+        self.alarms = [each for each in self.alarms if not each.is_over or each.last_s >= before_s]
+
+    def is_error(self, alarm: WatchAlarm) -> bool:
+        """Whether an alarm is more than a warning, by what is known so far."""
+        if alarm.peak > _GRAVE * alarm.limit or alarm.last_s - alarm.begin_s >= _LASTING_S:
+            return True
+        needs = SIGNAL_NAMED[alarm.signal].needs
+        return any(
+            SIGNAL_NAMED[other.signal].needs != needs
+            and abs(other.begin_s - alarm.begin_s) <= _TOGETHER_S
+            for other in self.alarms
+        )
+
+    @property
+    def standing(self) -> list[WatchAlarm]:
+        """The alarms that have not ended, the gravest first: by value over limit."""
+        return sorted(self._open.values(), key=lambda each: -each.peak / each.limit)

@@ -1,0 +1,270 @@
+"""The watchdog: takes the messages of an estimate and of what it is compared with, gives signals.
+
+Each source is taken in its own order, and what is said of a time depends only on messages of that
+time and before. So a recording and a live run give the same values, whatever arrives first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
+from trajeval_ros.watchdog.inertial_signals import InertialSignals
+from trajeval_ros.watchdog.pair_signals import PairSignals
+from trajeval_ros.watchdog.pose_signals import PoseSignals
+from trajeval_ros.watchdog.recent import (
+    POSE_WIDTH,
+    POSITION,
+    SINCE,
+    STATE_WIDTH,
+    TIME,
+    VELOCITY,
+    Feed,
+    Recent,
+    lengths,
+)
+from trajeval_ros.watchdog.signals import Readings, Signals, joined
+from trajeval_ros.watchdog.twist_signals import TwistSignals
+
+ARMING_S = 30.0
+_MOVING_MPS = 0.1
+# What came so long before the arming decides nothing any more.
+_REMEMBERED_S = 600.0
+# An estimate whose stamps step back so far began anew.
+RESTART_S = 1.0
+_BLOCK = 1024
+
+
+class Watchdog:
+    """Watches one estimate.
+
+    Nothing is judged until the robot has moved for 30 s in sum. What was seen until then says how
+    a twist, an IMU and a second estimate relate to the estimate.
+
+    Attributes:
+        moved_s: For how long the robot has moved so far, while it isn't armed.
+        armed_s: When it was armed, seconds since the first message; None before.
+        restarts: How often the estimate began anew.
+
+    Example:
+        >>> from trajeval_ros import simulate
+        >>> from trajeval_ros.watchdog.engine import Watchdog
+        >>> estimate = simulate(seed=1, duration_s=60.0).estimate
+        >>> watchdog = Watchdog()
+        >>> signals = watchdog.add_states(
+        ...     estimate.stamps, estimate.positions, estimate.quaternions
+        ... )
+        >>> watchdog.armed_s is not None and "jump_m" in signals
+        True
+    """
+
+    def __init__(self, origin: int | None = None) -> None:
+        """Create it without a message.
+
+        Args:
+            origin: Stamp, ns, from which seconds are counted; that of the first message if None.
+        """
+        self.restarts = 0
+        self._origin = origin
+        self._told: list[str] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        self.moved_s = 0.0
+        self.armed_s: float | None = None
+        self._feeds = {"states": Feed(), "imu": Feed(), "pair": Feed()}
+        self._states = Recent(STATE_WIDTH)
+        self._waiting = {"imu": Recent(IMU_WIDTH), "pair": Recent(POSE_WIDTH)}
+        self._pose: PoseSignals | None = None
+        self._twist: TwistSignals | None = None
+        self._inertial: InertialSignals | None = None
+        self._pair: PairSignals | None = None
+        self._counted_s = -np.inf
+
+    @property
+    def origin(self) -> int:
+        """The stamp, ns, from which seconds are counted; 0 before the first message."""
+        return self._origin or 0
+
+    @property
+    def notices(self) -> list[str]:
+        """What was found about the sources, one sentence each."""
+        groups = (self._twist, self._inertial, self._pair)
+        found = [each for group in groups if group is not None for each in group.notices]
+        return [*self._told, *found]
+
+    @property
+    def out_of_order(self) -> int:
+        """Number of states dropped, since their stamps were not later than those before."""
+        return self._feeds["states"].out_of_order
+
+    @property
+    def last_s(self) -> float:
+        """Time of the latest state, seconds since the first message."""
+        return self._feeds["states"].last
+
+    def _seconds(self, stamps: Stamps) -> Floats:
+        if self._origin is None:
+            self._origin = int(stamps[0])
+        seconds: Floats = (stamps - self._origin) / NANOSECONDS
+        return seconds
+
+    def add_states(
+        self,
+        stamps: Stamps,
+        positions: Floats,
+        quaternions: Floats,
+        body_velocities: Floats | None = None,
+        body_rates: Floats | None = None,
+    ) -> Signals:
+        """Take states of the estimate, and return the signals that are known by them.
+
+        Args:
+            stamps: (N,), ns.
+            positions: (N, 3), metres.
+            quaternions: (N, 4), xyzw, unit.
+            body_velocities: (N, 3), m/s, in the body; None where the message has none.
+            body_rates: (N, 3), rad/s, in the body, likewise.
+        """
+        if not len(stamps):
+            return {}
+        seconds = self._seconds(stamps)
+        latest = np.maximum.accumulate(np.concatenate([[self.last_s], seconds]))[:-1]
+        back = np.flatnonzero(seconds < latest - RESTART_S)
+        unknown = np.full((len(stamps), 3), np.nan)
+        twist = [unknown if each is None else each for each in (body_velocities, body_rates)]
+        columns = [positions, quaternions, *twist]
+        if not len(back):
+            return self._add_in_order(seconds, *columns)
+        first = int(back[0])
+        before = self._add_in_order(seconds[:first], *(each[:first] for each in columns))
+        self.restarts += 1
+        self._told.append(
+            f"the estimate's timestamps step back by {latest[first] - seconds[first]:.1f} s: the "
+            "estimator restarted, and the watch restarts"
+        )
+        self._begin()
+        after = self.add_states(stamps[first:], *(each[first:] for each in columns))
+        return joined([before, after])
+
+    def _add_in_order(self, seconds: Floats, *columns: Floats) -> Signals:
+        rows = self._feeds["states"].rows(seconds, *columns)
+        if not len(rows):
+            return {}
+        if self.armed_s is not None:
+            return self._judged(rows)
+        self._states.append(rows)
+        if not self._arms():
+            self._states.forget(rows[-1, TIME] - _REMEMBERED_S)
+            return {}
+        kept = self._states.rows.copy()
+        self._states = Recent(STATE_WIDTH)
+        return self._judged_from(kept)
+
+    def _arms(self) -> bool:
+        """Add up how long the robot has moved; arm, and say so, where it is enough."""
+        rows = self._states.rows
+        begin = int(np.searchsorted(rows[:, TIME], self._counted_s))
+        some = rows[begin:]
+        dt = np.diff(some[:, TIME])
+        within = some[1:, SINCE] <= some[:-1, TIME]
+        moved = lengths(np.diff(some[:, POSITION], axis=0))
+        total = self.moved_s + np.cumsum(np.where(within & (moved > _MOVING_MPS * dt), dt, 0.0))
+        self._counted_s = float(rows[-1, TIME])
+        if not len(total):
+            return False
+        self.moved_s = min(float(total[-1]), ARMING_S)
+        if self.moved_s < ARMING_S:
+            return False
+        self.armed_s = float(some[1 + int(np.searchsorted(total, ARMING_S)), TIME])
+        return True
+
+    def _judged_from(self, kept: Floats) -> Signals:
+        """Start to judge, by what came before the arming."""
+        assert self.armed_s is not None
+        oldest = self.armed_s - _REMEMBERED_S
+        kept = kept[kept[:, TIME] >= oldest]
+        before = kept[kept[:, TIME] < self.armed_s]
+        period_s = float(np.median(np.diff(before[:, TIME])))
+        self._pose = PoseSignals(period_s)
+        self._inertial = InertialSignals(period_s, self.armed_s)
+        self._pair = PairSignals(period_s, self.armed_s)
+        velocities = before[:, VELOCITY]
+        if np.isfinite(velocities).all() and velocities.any():
+            self._twist = TwistSignals(before, period_s)
+        for each in self._waiting.values():
+            each.forget(oldest)
+        parts = [self._by_inertial(self._waiting["imu"].rows)]
+        parts.append(self._by_partner(self._waiting["pair"].rows))
+        self._waiting = {}
+        return joined([*parts, self._judged(kept)])
+
+    def _judged(self, rows: Floats) -> Signals:
+        parts: list[Signals] = []
+        assert self._pose is not None
+        assert self._inertial is not None
+        assert self._pair is not None
+        for begin in range(0, len(rows), _BLOCK):
+            some = rows[begin : begin + _BLOCK]
+            parts.append(self._pose.add(some))
+            if self._twist is not None and self._twist.usable:
+                parts.append(self._twist.add(some))
+            parts.append(self._inertial.add(some))
+            parts.append(self._pair.add(some))
+        return self._since_armed(joined(parts))
+
+    def _since_armed(self, signals: Signals) -> Signals:
+        """Return the readings from the arming on."""
+        assert self.armed_s is not None
+        found = {}
+        for name, (seconds, values) in signals.items():
+            first = int(np.searchsorted(seconds, self.armed_s))
+            if first < len(seconds):
+                found[name] = Readings(seconds[first:], values[first:])
+        return found
+
+    def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
+        """Take readings of the IMU, and return the signals that are known by them.
+
+        Args:
+            stamps: (N,), ns.
+            rates: (N, 3), rad/s, in the IMU's axes.
+            accelerations: (N, 3), m/s^2, specific force in the same axes.
+        """
+        return self._add_source("imu", self._by_inertial, stamps, rates, accelerations)
+
+    def add_partner(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
+        """Take states of the second estimate, and return the signals that are known by them.
+
+        Args:
+            stamps: (N,), ns.
+            positions: (N, 3), in whatever frame and scale.
+            quaternions: (N, 4), xyzw, unit.
+        """
+        return self._add_source("pair", self._by_partner, stamps, positions, quaternions)
+
+    def _add_source(
+        self, name: str, judge: Callable[[Floats], Signals], stamps: Stamps, *columns: Floats
+    ) -> Signals:
+        if not len(stamps):
+            return {}
+        rows = self._feeds[name].rows(self._seconds(stamps), *columns)
+        if self.armed_s is not None:
+            return self._since_armed(judge(rows))
+        self._waiting[name].append(rows)
+        # No estimate may ever come.
+        latest = max(self.last_s, self._feeds[name].last)
+        self._waiting[name].forget(latest - _REMEMBERED_S)
+        return {}
+
+    def _by_inertial(self, rows: Floats) -> Signals:
+        assert self._inertial is not None
+        return self._inertial.add_inertial(rows) if len(rows) else {}
+
+    def _by_partner(self, rows: Floats) -> Signals:
+        assert self._pair is not None
+        return self._pair.add_partner(rows) if len(rows) else {}

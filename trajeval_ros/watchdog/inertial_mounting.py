@@ -1,0 +1,199 @@
+"""How an IMU sits on the estimate's body: rotation, clock offset and gyro bias."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.calibration.hand_eye import closest_rotation
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.watchdog.recent import (
+    QUATERNION,
+    TIME,
+    lengths,
+    window_begins,
+)
+from trajeval_ros.watchdog.rotations_over_time import between, running_products, slerp_at
+from trajeval_ros.watchdog.turning_axis import only_axis
+
+# Columns of a row of the IMU behind time and since: rad/s, m/s^2.
+GYRO, ACCELERATION = slice(2, 5), slice(5, 8)
+IMU_WIDTH = 8
+FARTHEST_S = 0.5  # of the clock offset
+_COARSE_S, _FINE_S, _NEAR_S = 0.05, 0.005, 0.05
+_INCREMENT_S, _BIAS_S = 0.5, 10.0
+_MOST = 2000
+_PASSES = 5
+_SCALE_RAD = 0.01  # larger residuals count linearly
+# Median misfit of increments over their median angle, above which nothing fits, of the share
+# that turned most.
+_UNRELATED = 0.5
+_MOST_TURNED = 0.75
+_TOLD_OFFSET_S, _TOLD_TURN_DEG = 0.05, 5.0
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Where an IMU sits, and what its gyro adds.
+
+    Attributes:
+        rotation: (4,), xyzw, of the IMU's axes in the estimate's body.
+        bias: (3,), rad/s, in the IMU's axes.
+        offset_s: What the estimate calls t, the IMU calls t + offset.
+        axis: (3,), the only axis in the body that it turned about, which leaves the rotation
+            about it open; None where it turned about several.
+        misfit: Median misfit of rotations in half a second, over their median angle, of the
+            quarter that turned most.
+    """
+
+    rotation: Floats
+    bias: Floats
+    offset_s: float
+    axis: Floats | None
+    misfit: float
+
+    @property
+    def is_related(self) -> bool:
+        """Whether IMU and estimate turn together at all."""
+        return self.misfit < _UNRELATED
+
+    def remarks(self) -> list[str]:
+        """Return what a user should know of it, one sentence each."""
+        said = []
+        turned_deg = math.degrees(float(lie.angle(self.rotation)))
+        if self.axis is not None:
+            said.append(
+                "the robot rotated about only one axis: the gyroscope is compared about this "
+                "axis only, and gravity is not compared"
+            )
+        elif turned_deg > _TOLD_TURN_DEG:
+            said.append(
+                f"the IMU frame is rotated by {turned_deg:.1f} deg from the estimate's body "
+                "(estimated from rotations, applied)"
+            )
+        if abs(self.offset_s) > _TOLD_OFFSET_S:
+            way = "behind" if self.offset_s > 0.0 else "ahead of"
+            said.append(
+                f"the estimate's clock is {abs(self.offset_s):.3f} s {way} the IMU's (applied)"
+            )
+        return said
+
+
+def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
+    """Return orientations (N, 4) at the IMU's rows, from the first row's, by the gyro."""
+    dt = np.diff(imu[:, TIME])[:, None]
+    rate = 0.5 * (imu[1:, GYRO] + imu[:-1, GYRO]) - bias
+    steps = lie.from_rotation_vector(rate * dt)
+    return np.concatenate([first[None], running_products(first, steps)])
+
+
+def mounting_of(states: Floats, imu: Floats) -> Mounting:
+    """Find how an IMU sits on a body by their motion.
+
+    Args:
+        states: (N, 9 or more) of the estimate, before arming.
+        imu: (M, 8), from before the states' first until after their last.
+    """
+    identity = np.array([0.0, 0.0, 0.0, 1.0])
+    raw = turned_by_gyro(imu, np.zeros(3), identity)
+    begins, known = window_begins(states, 0, _INCREMENT_S)
+    ends = np.flatnonzero(known)
+    begins = begins[ends]
+    times = states[:, TIME]
+    inside = (times[begins] > imu[0, TIME] + FARTHEST_S) & (
+        times[ends] < imu[-1, TIME] - FARTHEST_S
+    )
+    begins, ends = begins[inside], ends[inside]
+    few = slice(None, None, max(1, len(ends) // _MOST))
+    begins, ends = begins[few], ends[few]
+    own = lie.rotation_vector(between(states[begins, QUATERNION], states[ends, QUATERNION]))
+    span = (times[ends] - times[begins])[:, None]
+
+    def by_gyro(offset_s: float) -> Floats:
+        start = slerp_at(imu[:, TIME], raw, times[begins] + offset_s)
+        end = slerp_at(imu[:, TIME], raw, times[ends] + offset_s)
+        return lie.rotation_vector(between(start, end))
+
+    def best_of(offsets: Floats, axis: Floats | None) -> float:
+        misfits = [_turn_and_bias(own, by_gyro(each), span, axis)[0] for each in offsets]
+        return float(offsets[int(np.argmin(misfits))])
+
+    coarse = np.arange(-FARTHEST_S, FARTHEST_S + 1e-9, _COARSE_S)
+    near = np.arange(-_NEAR_S, _NEAR_S + 1e-9, _FINE_S)
+    axis = only_axis(own, by_gyro(best_of(coarse, None)))
+    offset_s = best_of(best_of(coarse, axis) + near, axis)
+    misfit, rotation, bias = _turn_and_bias(own, by_gyro(offset_s), span, axis)
+    quaternion, bias = _refined(states, imu, offset_s, lie.from_matrix(rotation), bias)
+    return Mounting(quaternion, bias, offset_s, axis, misfit)
+
+
+def _turn_and_bias(
+    own: Floats, gyro: Floats, span: Floats, axis: Floats | None
+) -> tuple[float, Floats, Floats]:
+    """Return misfit, rotation (3, 3) and bias (3,) that make rotation vectors (N, 3) agree."""
+    bias, rotation = np.zeros(3), np.eye(3)
+    for _ in range(_PASSES):
+        rotation = closest_rotation(own, gyro - bias * span)
+        bias = np.median((gyro - own @ rotation) / span, axis=0)
+    off = own - (gyro - bias * span) @ rotation.T
+    angles = lengths(off) if axis is None else np.abs(off @ axis)
+    turned = lengths(own)
+    most = turned >= np.quantile(turned, _MOST_TURNED)
+    return float(np.median(angles[most]) / max(np.median(turned[most]), 1e-9)), rotation, bias
+
+
+def _refined(
+    states: Floats, imu: Floats, offset_s: float, rotation: Floats, bias: Floats
+) -> tuple[Floats, Floats]:
+    """Return rotation and bias again, by windows of ten seconds: the bias's error is what grows.
+
+    Gauss-Newton on r = Log((X G X')' A) with dr/db = P' X int G dt and dr/dX = I - P', P = X G X',
+    weighted by a soft l1.
+    """
+    times = states[:, TIME]
+    begins, known = window_begins(states, 0, _BIAS_S)
+    inside = (times[begins] + offset_s >= imu[0, TIME]) & (times + offset_s <= imu[-1, TIME])
+    ends: Indices = np.flatnonzero(known & inside)
+    ends = ends[:: max(1, len(ends) // _MOST)]
+    begins = begins[ends]
+    if not len(ends):
+        return rotation, bias
+    own = between(states[begins, QUATERNION], states[ends, QUATERNION])
+    for _ in range(_PASSES):
+        track = turned_by_gyro(imu, bias, np.array([0.0, 0.0, 0.0, 1.0]))
+        matrices = lie.to_matrix(track).reshape(-1, 9)
+        steps = 0.5 * (matrices[1:] + matrices[:-1]) * np.diff(imu[:, TIME])[:, None]
+        integral = np.concatenate([np.zeros((1, 9)), np.cumsum(steps, axis=0)])
+        start, end = (
+            slerp_at(imu[:, TIME], track, times[each] + offset_s) for each in (begins, ends)
+        )
+        summed = [
+            np.stack(
+                [np.interp(times[each] + offset_s, imu[:, TIME], column) for column in integral.T],
+                axis=-1,
+            ).reshape(-1, 3, 3)
+            for each in (begins, ends)
+        ]
+        swept = np.swapaxes(lie.to_matrix(start), 1, 2) @ (summed[1] - summed[0])
+        predicted = lie.multiply(
+            lie.multiply(rotation, between(start, end)), lie.conjugate(rotation)
+        )
+        residual = lie.rotation_vector(between(predicted, own))
+        back = np.swapaxes(lie.to_matrix(predicted), 1, 2)
+        jacobian = np.concatenate(
+            [back @ lie.to_matrix(rotation) @ swept, np.eye(3) - back], axis=2
+        )
+        weights = (1.0 + np.square(residual / _SCALE_RAD)) ** -0.25
+        solution = np.linalg.lstsq(
+            (jacobian * weights[:, :, None]).reshape(-1, 6),
+            -(residual * weights).reshape(-1),
+            rcond=1e-3,
+        )[0]
+        bias = bias + solution[:3]
+        rotation = lie.multiply(
+            lie.from_rotation_vector(np.asarray(solution[3:], float)), rotation
+        )
+    return lie.normalized(rotation), bias

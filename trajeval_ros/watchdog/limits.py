@@ -1,0 +1,122 @@
+"""Limits, learned of a healthy run of the same robot and estimator, and their evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Signals
+
+DEFAULT_FACTOR = 2.0
+# Typical values of one robot and estimator differ by less from run to run.
+_ANOTHER_ROBOT = 10.0
+_FEWEST = 100
+# Of no events in n hours: fewer than this by n per hour, at 95 %.
+RULE_OF_THREE = 3.0
+
+
+@dataclass(frozen=True)
+class HealthyValues:
+    """What a signal did in a healthy run.
+
+    Attributes:
+        largest: Its largest value.
+        typical: Its median.
+    """
+
+    largest: float
+    typical: float
+
+
+@dataclass(frozen=True)
+class WatchLimits:
+    """What a healthy run teaches.
+
+    Attributes:
+        healthy: Values of each signal that was there.
+        hours: For how long they were judged.
+        sources: What they are of: `estimate`, and `imu` and `with` where there were.
+        checked: What says that the run was healthy.
+    """
+
+    healthy: Mapping[str, HealthyValues]
+    hours: float
+    sources: Mapping[str, str] = field(default_factory=dict)
+    checked: str = ""
+
+    @classmethod
+    def learned(
+        cls, signals: Signals, hours: float, sources: Mapping[str, str], checked: str
+    ) -> WatchLimits:
+        """Return what a run that is taken to be healthy teaches.
+
+        Args:
+            signals: All of its values.
+            hours: For how long they were judged.
+            sources: What they are of.
+            checked: What says that it was healthy.
+        """
+        healthy = {
+            name: HealthyValues(float(values.max()), float(np.median(values)))
+            for name, (_, values) in signals.items()
+            if len(values)
+        }
+        return cls(healthy, hours, sources, checked)
+
+    def limit(self, name: str, factor: float) -> float | None:
+        """Return the limit of a signal, in its unit; None if nothing was learned of it."""
+        if name not in self.healthy:
+            return None
+        signal = SIGNAL_NAMED[name]
+        return max(factor, signal.least_factor) * max(self.healthy[name].largest, signal.floor)
+
+    @property
+    def most_per_hour(self) -> float:
+        """Below this rate false alarms are, at 95 %, by the healthy hours that had none."""
+        return RULE_OF_THREE / self.hours
+
+    def require_sources(self, needs: Container[str]) -> None:
+        """Refuse limits that know nothing of a source.
+
+        Args:
+            needs: The sources that there are: `twist`, `imu`, `pair`.
+
+        Raises:
+            InputError: One was not there when the limits were learned.
+        """
+        there = {SIGNAL_NAMED[name].needs for name in self.healthy}
+        for each, words in (("imu", "an IMU"), ("pair", "a second estimate"), ("twist", "twist")):
+            if each in needs and each not in there:
+                raise InputError(
+                    f"the limits were learned without {words}, which this run has; learn them "
+                    "again from a run with the same sources, or remove it"
+                )
+
+    def require_of(self, signals: Signals) -> None:
+        """Refuse limits that were learned of another robot or other sources.
+
+        Raises:
+            InputError: A source of this run was not there, or typical values are of another size.
+        """
+        self.require_sources({SIGNAL_NAMED[name].needs for name in signals})
+        off = {}
+        compared = 0
+        for name in self.healthy.keys() & signals.keys():
+            values, learned = signals[name].values, self.healthy[name].typical
+            here_now = float(np.median(values)) if len(values) >= _FEWEST else 0.0
+            if min(learned, here_now) > 0.0:
+                compared += 1
+                if not 1.0 / _ANOTHER_ROBOT < here_now / learned < _ANOTHER_ROBOT:
+                    off[name] = learned, here_now
+        if compared and 2 * len(off) >= compared:
+            name, (learned, here_now) = min(off.items())
+            raise InputError(
+                f"the limits are probably of another robot or estimator: {len(off)} of "
+                f"{counted(compared, 'signal')} differ by a factor of more than "
+                f"{_ANOTHER_ROBOT:g} ({name}: typical value {here_now:.3g}, learned "
+                f"{learned:.3g}); learn limits from a healthy run of this robot"
+            )

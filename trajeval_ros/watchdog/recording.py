@@ -1,0 +1,179 @@
+"""What a recording has for a watchdog, fed to it as if it were live."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals, joined
+from trajeval_ros.watchdog.unseen import unseen
+
+_SLICE_S = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class WatchedRun:
+    """An estimate and what it is compared with.
+
+    Attributes:
+        estimate: The states that are watched, in order of arrival.
+        twist: Angular velocities of the estimate's own messages, where they have them.
+        imu: Readings of the robot's IMU.
+        partner: A second estimate of the same robot, of any frame, body and scale.
+    """
+
+    estimate: Trajectory
+    twist: InertialReadings | None = None
+    imu: InertialReadings | None = None
+    partner: Trajectory | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What a watchdog saw in a recording.
+
+    Attributes:
+        origin: Stamp, ns, from which seconds are counted.
+        signals: Values since the arming, by name.
+        armed_s: When judging began.
+        end_s: Time of the last state.
+        notices: What was found about the sources, one sentence each.
+    """
+
+    origin: int
+    signals: Signals
+    armed_s: float
+    end_s: float
+    notices: tuple[str, ...]
+
+    @property
+    def hours(self) -> float:
+        """For how long signals were judged."""
+        return (self.end_s - self.armed_s) / 3600.0
+
+
+def watched(run: WatchedRun) -> Watched:
+    """Watch a recording.
+
+    Raises:
+        InputError: The estimate has no orientations, or the robot hardly moves.
+
+    Example:
+        >>> from trajeval_ros import simulate
+        >>> from trajeval_ros.watchdog.recording import WatchedRun, watched
+        >>> seen = watched(WatchedRun(simulate(seed=1, duration_s=60.0).estimate))
+        >>> sorted(seen.signals)[:2]
+        ['freeze_hard_s', 'gap']
+    """
+    name = run.estimate.name or "the estimate"
+    if not len(run.estimate):
+        raise InputError(f"{name} has no usable pose")
+    for each in (run.estimate, run.partner):
+        if each is not None and not each.stamped:
+            raise InputError(
+                f"{each.name or 'an estimate'} has no timestamps, which watch needs; give a "
+                "recording with timestamps"
+            )
+        if each is not None and each.quaternions is None:
+            raise InputError(
+                f"{each.name or 'an estimate'} has no orientations, which watch needs; give a "
+                "topic with poses"
+            )
+    watchdog = Watchdog(int(run.estimate.stamps[0]))
+    signals = feed(watchdog, run)
+    if watchdog.armed_s is None:
+        raise InputError(
+            f"{name} has only {watchdog.moved_s:.0f} s of motion, and arming needs {ARMING_S:g} "
+            "s; give a run with more motion"
+        )
+    needs = {
+        need
+        for need, source in (
+            ("twist", run.estimate.velocities),
+            ("imu", run.imu),
+            ("pair", run.partner),
+        )
+        if source is not None
+    }
+    there = {SIGNAL_NAMED[name].needs for name in signals}
+    notices = [*watchdog.notices, *unseen(needs, there, watchdog.notices)]
+    if watchdog.out_of_order:
+        notices.append(
+            f"{counted(watchdog.out_of_order, 'state')} of {name} dropped: timestamps do not "
+            "increase"
+        )
+    return Watched(watchdog.origin, signals, watchdog.armed_s, watchdog.last_s, tuple(notices))
+
+
+def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
+    """Give a watchdog all that a run has, in order of time, and return the signals."""
+    return joined(list(_fed(watchdog, run)))
+
+
+def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
+    """Feed all sources slice by slice of time, as they came, and yield the signals."""
+    estimate, imu, partner = run.estimate, run.imu, run.partner
+    velocities = _body_velocities(estimate)
+    rates = None if run.twist is None else rates_at(estimate.stamps, run.twist)
+    sources = [estimate.stamps, *(each.stamps for each in (imu, partner) if each is not None)]
+    first = min(int(each.min()) for each in sources)
+    slices = [_slices(each, first) for each in sources]
+    count = max(map(len, slices))
+    empty = np.empty(0, dtype=np.int64)
+    for number in range(count):
+        own = [each[number] if number < len(each) else empty for each in slices]
+        if imu is not None:
+            rows = own[1]
+            assert imu.accelerations is not None
+            yield watchdog.add_inertial(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
+        if partner is not None:
+            rows = own[-1]
+            assert partner.quaternions is not None
+            yield watchdog.add_partner(
+                partner.stamps[rows], partner.positions[rows], partner.quaternions[rows]
+            )
+        rows = own[0]
+        assert estimate.quaternions is not None
+        yield watchdog.add_states(
+            estimate.stamps[rows],
+            estimate.positions[rows],
+            estimate.quaternions[rows],
+            None if velocities is None else velocities[rows],
+            None if rates is None else rates[rows],
+        )
+
+
+def _slices(stamps: Stamps, first: int) -> list[Stamps]:
+    """Return the rows of each slice of time, in their order; what steps back stays behind."""
+    latest = np.maximum.accumulate(stamps) - first
+    number = latest // round(_SLICE_S * NANOSECONDS)
+    places = np.searchsorted(number, np.arange(int(number[-1]) + 2))
+    rows = np.arange(len(stamps))
+    return [rows[begin:end] for begin, end in itertools.pairwise(places.tolist())]
+
+
+def _body_velocities(estimate: Trajectory) -> Floats | None:
+    """Return the velocities (N, 3) in the body."""
+    if estimate.velocities is None or estimate.quaternions is None:
+        return None
+    return lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
+
+
+def rates_at(stamps: Stamps, twist: InertialReadings) -> Floats:
+    """Return the twist's angular velocities (N, 3) at states of the same messages, else NaN."""
+    order = np.argsort(twist.stamps, kind="stable")
+    place = np.minimum(np.searchsorted(twist.stamps[order], stamps), len(order) - 1)
+    rows = order[place]
+    same = twist.stamps[rows] == stamps
+    rates: Floats = np.where(same[:, None], twist.rates[rows], np.nan)
+    return rates
