@@ -30,6 +30,7 @@ CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood
 INTEGRITY = "integrity"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
+_ROW = "row"
 
 _TEXTS = ("algorithm", "sequence", "trial", "status", "reason", "kind", "metric", "length")
 _COLUMNS = {
@@ -337,7 +338,10 @@ class ResultsTable:
         names = list(columns)
         found: dict[tuple[Any, ...], None] = {}
         for rows in self._groups(names):
-            some = rows.group_by(names, use_threads=False).aggregate([]).select(names)
+            # Groups come in an order that differs from CPU to CPU.
+            numbered = rows.append_column(_ROW, self._arrow.array(range(rows.num_rows)))
+            groups = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "min")])
+            some = groups.sort_by(f"{_ROW}_min").select(names)
             found.update(dict.fromkeys(zip(*some.to_pydict().values(), strict=True)))
         return [dict(zip(names, values, strict=True)) for values in found]
 
