@@ -209,7 +209,7 @@ def test_of_equal_stamps_the_first_stays_and_the_others_are_counted() -> None:
     np.testing.assert_array_equal(ordered.stamps, [1, 2, 3])
     np.testing.assert_array_equal(ordered.positions, positions[[1, 3, 0]])
     assert ordered.dropped == {"duplicate_stamp": 3}
-    assert "odometry steps back in time at 1 place" in ordered.notes[0]
+    assert "timestamps step back at 1 place" in ordered.notes[0]
 
 
 @given(seed=seeds, coarse=st.integers(2, 3))

@@ -53,7 +53,10 @@ def merged(parts: Sequence[Trajectory]) -> Trajectory:
         matrices=None,
         fixes=None,
         dropped=add_counts(*(part.dropped for part in parts)),
-        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+        notes=(
+            f"merged from {', '.join(part.name for part in parts)}",
+            *dict.fromkeys(note for part in parts for note in part.notes),
+        ),
         damage=tuple(dict.fromkeys(line for part in parts for line in part.damage)),
         conflicts=tuple(dict.fromkeys(line for part in parts for line in part.conflicts)),
         **columns,

@@ -292,8 +292,8 @@ class Trajectory:
         notes = list(self.notes)
         if backwards:
             notes.append(
-                f"{self.name or 'the trajectory'} steps back in time at "
-                f"{counted(backwards, 'place')}; its poses were sorted by timestamp"
+                f"timestamps step back at {counted(backwards, 'place')}; the poses were sorted by "
+                "timestamp"
             )
         ordered = self[order[first]]
         return dataclasses.replace(
