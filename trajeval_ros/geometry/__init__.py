@@ -1,1 +1,1 @@
-"""Rigid motions, trajectories and gauges: what everything else computes with."""
+"""Rotations, rigid motions, trajectories and gauges."""

@@ -1,4 +1,4 @@
-"""Names for the types of arrays. Docstrings give their shapes and units."""
+"""Type aliases of arrays. Docstrings give shapes and units."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A Gaussian whose information matrix is banded: samples and marginals without its covariance.
+"""A Gaussian with a banded information matrix: samples and marginals without its covariance.
 
-Parameters are cut into links, each at least as long as the band is wide. Then a link depends on
-the next one alone, and elimination from the first to the last takes one small Cholesky factor
-for each link.
+Parameters are cut into segments at least as long as the bandwidth, so that a segment is coupled to
+its neighbours only. A block elimination from the first to the last segment needs one small
+Cholesky factor per segment.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
-    """Return how far an entry is from the diagonal at the most."""
+    """Return the largest distance of an entry from the diagonal."""
     entries = matrix.tocoo()
     return int(np.abs(entries.row - entries.col).max(initial=0))
 
 
 class BandedGaussian:
-    """The factors of an information matrix (n, n), positive definite and banded."""
+    """The block factors of an information matrix (n, n), positive definite and banded."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
-        """Eliminate link after link.
+        """Eliminate the segments in order.
 
         Raises:
             DegenerateGeometryError: The matrix is not positive definite.
@@ -37,9 +37,9 @@ class BandedGaussian:
         size = information.shape[0]
         links = max(size // max(bandwidth(information), 1), 1)
         cuts = np.linspace(0, size, links + 1).astype(int)
-        self._rows = [slice(*each) for each in itertools.pairwise(cuts)]
-        # Of each link: the Cholesky factor of what is left of it, and its regression -D^-1 U on
-        # the next link.
+        self._rows = [slice(*bounds) for bounds in itertools.pairwise(cuts)]
+        # Per segment: the Cholesky factor D of its Schur complement, and the regression -D^-1 U
+        # on the next segment.
         self._factors: list[Floats] = []
         self._regressions: list[Floats] = []
         correction: Floats | float = 0.0
@@ -72,21 +72,21 @@ class BandedGaussian:
 
     def solved(self, columns: Floats) -> Floats:
         """Return the covariance times columns (n, k)."""
-        found = columns.astype(float)
+        product = columns.astype(float)
         for rows, after, regression in zip(
             self._rows[:-1], self._rows[1:], self._regressions[:-1], strict=True
         ):
-            found[after] += regression.T @ found[rows]
+            product[after] += regression.T @ product[rows]
         ahead = np.empty((0, columns.shape[1]))
         for rows, factor, regression in self._backwards():
-            ahead = scipy.linalg.cho_solve((factor, True), found[rows]) + regression @ ahead
-            found[rows] = ahead
-        return found
+            ahead = scipy.linalg.cho_solve((factor, True), product[rows]) + regression @ ahead
+            product[rows] = ahead
+        return product
 
     def marginals(self, starts: NDArray[np.int64], size: int) -> Floats:
         """Return the blocks (B, size, size) on the covariance's diagonal that start at `starts`.
 
-        Blocks may lie across two links.
+        A block can extend over two segments.
         """
         blocks = np.empty((len(starts), size, size))
         covariance = np.empty((0, 0))
@@ -94,7 +94,7 @@ class BandedGaussian:
             cross = regression @ covariance
             own = scipy.linalg.cho_solve((factor, True), np.eye(len(factor)))
             own += cross @ regression.T
-            # This link with the next one, so that a block across both is whole.
+            # With the next segment, for blocks that extend over both.
             joint = np.block([[own, cross], [cross.T, covariance]])
             here = np.flatnonzero((starts >= rows.start) & (starts < rows.stop))
             within = (starts[here] - rows.start)[:, None] + np.arange(size)

@@ -1,7 +1,7 @@
-"""Symmetric positive definite matrices whose only blocks are on the diagonal and next to it.
+"""Symmetric positive definite block tridiagonal matrices, in O(N).
 
-Neighbouring states share such a matrix: relative poses by the state between them, eq. (15) of the
-probabilistic paper, and states of a Markov process by its motion. Everything is O(N).
+Relative poses have such a covariance, since consecutive ones share a state (probabilistic paper,
+eq. 15). States of a Markov process have such an information matrix.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _NEGLIGIBLE = 1e-20
 class Factor:
     """The Cholesky factor L of S A S, with S diagonal and A the matrix: A = S^-1 L L^T S^-1.
 
-    Rows and columns are scaled to a unit diagonal, so that metres beside radians, or positions
-    beside accelerations, cost no digits.
+    Rows and columns are scaled to a unit diagonal, so that different units (metres and radians,
+    positions and accelerations) do not cost precision.
 
     Attributes:
         band: (2 d, N d) lower banded storage of L.
@@ -51,17 +51,17 @@ class Factor:
 
     @property
     def log_diagonal(self) -> Floats:
-        """Logarithms of the diagonal of the matrix's own factor S^-1 L, (N, d)."""
+        """Logarithms of the diagonal of the matrix's factor S^-1 L, (N, d)."""
         logarithms: Floats = np.log(self.band[0]).reshape(self.scale.shape) - np.log(self.scale)
         return logarithms
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant."""
+        """Logarithm of the matrix's determinant."""
         return 2.0 * float(self.log_diagonal.sum())
 
     def whitened(self, rows: Floats) -> Floats:
-        """Return (S^-1 L)^-1 x for x (N, d): independent and of unit variance if cov x is A."""
+        """Return (S^-1 L)^-1 x for x (N, d): of unit covariance if the covariance of x is A."""
         scaled = (rows * self.scale).reshape(-1, 1)
         return np.asarray(dtbtrs(self.band, scaled, uplo="L")[0]).reshape(rows.shape)
 
@@ -76,8 +76,8 @@ class Factor:
         """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
 
         The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states. It is
-        associative, so doubling the reach of each step takes as many rounds as states that far
-        apart take to forget each other, not as many as there are states.
+        associative. Doubling the step in every round takes as many rounds as needed until states
+        that far apart are uncorrelated.
         """
         count, size = self.scale.shape
         diagonal, lower = _blocks(self.band, count, size)
@@ -106,7 +106,7 @@ class Factor:
 def _lower_band(diagonal: Floats, lower: Floats) -> Floats:
     """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j).
 
-    Columns are contiguous, as LAPACK wants them.
+    Columns are contiguous, as LAPACK requires.
     """
     count, size, _ = diagonal.shape
     band = np.zeros((count, size, 2 * size))
@@ -117,7 +117,7 @@ def _lower_band(diagonal: Floats, lower: Floats) -> Floats:
 
 
 def _blocks(band: Floats, count: int, size: int) -> tuple[Floats, Floats]:
-    """Return the blocks of a factor in lower banded storage."""
+    """Return the blocks of a factor in lower banded storage, on and below the diagonal."""
     columns = band.T.reshape(count, size, 2 * size)
     diagonal = np.zeros((count, size, size))
     lower = np.zeros((count - 1, size, size))

@@ -1,12 +1,13 @@
-"""Covariances about the body's axes and about the world's, one made of the other.
+"""Conversion of covariances between the axes of the body and of the world.
 
-The package's covariances, and those of `geometry_msgs/PoseWithCovariance`, are of p + dp and
-Exp(dphi) R: position first, rotation second, both about the world's fixed axes. Two others occur:
+The package's covariances and those of `geometry_msgs/PoseWithCovariance` are of p + dp and
+Exp(dphi) R: position first, rotation second, both about the world's fixed axes. Two other
+conventions occur:
 
-* of body twists, T Exp(xi), eq. (1) of the probabilistic paper: both about the body's axes;
-* of p + dp and R Exp(dtheta), as OpenVINS publishes: only the rotation is about the body's axes.
+* body twists, T Exp(xi), eq. (1) of the probabilistic paper: both about the body's axes;
+* p + dp and R Exp(dtheta), as OpenVINS publishes: only the rotation is about the body's axes.
 
-All are turned by R, the body's attitude in the world: exact for small perturbations.
+The conversion is a rotation by the body's attitude R, exact for small perturbations.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
-    """Return covariances (N, 6, 6) about the world's axes, of those of body twists.
+    """Return covariances (N, 6, 6) about the world's axes from those of body twists.
 
     Args:
         covariances: (N, 6, 6), translation first, of T Exp(xi).
@@ -31,7 +32,7 @@ def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
 
 
 def body_from_world_positions(covariances: Floats, rotations: Floats) -> Floats:
-    """Return position covariances (N, 3, 3) about the body's axes, of those about the world's.
+    """Return position covariances (N, 3, 3) about the body's axes from those about the world's.
 
     Args:
         covariances: (N, 3, 3).
@@ -41,7 +42,7 @@ def body_from_world_positions(covariances: Floats, rotations: Floats) -> Floats:
 
 
 def world_from_body_rotations(covariances: Floats, rotations: Floats) -> Floats:
-    """Return covariances (N, 6, 6) about the world's axes, where only rotations are the body's.
+    """Return covariances (N, 6, 6) about the world's axes; only rotations are converted.
 
     Args:
         covariances: (N, 6, 6), position first, of p + dp and R Exp(dtheta).
@@ -60,18 +61,18 @@ def world_from_body_rotations_jointly(
     rotations: Floats,
     block: int,
 ) -> tuple[Floats | None, scipy.sparse.csr_matrix | None]:
-    """Do the same to the joint covariance or information matrix of all N states.
+    """Convert the joint covariance or information matrix of all N states likewise.
 
     Args:
-        covariance: (N d, N d), or None; one of another shape is returned as it is.
+        covariance: (N d, N d), or None; a matrix of another shape is returned unchanged.
         information: (N d, N d), or None.
         rotations: (N, 3, 3), body to world.
-        block: d, with the rotation as the second three.
+        block: d, the parameters of a state; numbers 3 to 5 are the rotation.
     """
     blocks = np.tile(np.eye(block), (len(rotations), 1, 1))
     blocks[:, 3:6, 3:6] = rotations
     turn = scipy.sparse.block_diag(blocks, format="csr")
-    # Turns are orthogonal, so covariance and information turn alike.
+    # The conversion is orthogonal, so that both matrices transform alike.
     if covariance is not None and covariance.shape == turn.shape:
         covariance = np.asarray((turn @ (turn @ covariance).T).T)
     if information is not None:

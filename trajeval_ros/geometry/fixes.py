@@ -1,7 +1,7 @@
-"""GNSS fixes: what a receiver says of where it is, and which of its fixes are used.
+"""GNSS fixes of a receiver, and the selection of usable ones.
 
-Fixes are judged by what they say of themselves alone. One that disagrees with an estimate may be
-right, and the estimate wrong.
+The selection uses the receiver's own status and covariance only. It does not compare with an
+estimate: a fix that disagrees can be right.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ COVARIANCE_UNKNOWN, COVARIANCE_APPROXIMATED = 0, 1
 _COVARIANCE_TYPES = {1: "approximated", 2: "diagonal", 3: "known"}
 FRAME = "east_north_up"
 DEFAULT_CORRELATION_S = 100.0
-# A datum further away than this is no origin of a run, but a mistake.
+# A datum farther away is a mistake, such as swapped coordinates.
 _FARTHEST_M = 100_000.0
 
 
 @dataclass(frozen=True, eq=False)
 class Fixes:
-    """The fixes of a receiver, as its messages have them.
+    """The fixes of a receiver, as in its messages.
 
     Attributes:
         places: (N, 3), latitude and longitude in degrees (WGS 84), height above the ellipsoid in
-            metres, NaN of a fix without height.
+            metres; NaN for a fix without height.
         status: (N,), of sensor_msgs/NavSatStatus: -2 unknown, -1 none, 0 fix, 1 with satellite
             and 2 with ground-based augmentation.
         covariance_types: (N,), of sensor_msgs/NavSatFix: 0 unknown, 1 approximated, 2 diagonal
             known, 3 known.
         covariances: (N, 3, 3), m^2, about east, north and up at the fix.
-        datum: Where the frame's origin is that the fixes are expressed in; None before they are.
+        datum: Origin of the east-north-up frame; None before one is chosen.
     """
 
     places: Floats
@@ -49,11 +49,11 @@ class Fixes:
     datum: Datum | None = None
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of fixes."""
         return len(self.places)
 
     def __getitem__(self, rows: slice | Indices | Booleans) -> Fixes:
-        """Return those of a slice, a mask or an array of indices."""
+        """Return the fixes of a slice, a mask or an array of indices."""
         return dataclasses.replace(
             self,
             places=self.places[rows],
@@ -64,12 +64,12 @@ class Fixes:
 
     @property
     def have_heights(self) -> bool:
-        """Whether there are heights; without any, fixes can be used in the plane alone."""
+        """Whether a fix has a height; without heights fixes are used in the plane."""
         return bool(np.isfinite(self.places[:, 2]).any())
 
     @property
     def known(self) -> Booleans:
-        """Which of them have a covariance, (N,): not of type unknown, and a positive diagonal."""
+        """Which fixes have a covariance, (N,): type not unknown, finite, diagonal positive."""
         variances = np.diagonal(self.covariances, axis1=1, axis2=2)
         level = np.isfinite(self.covariances).all(axis=(1, 2)) & (variances > 0.0).all(axis=1)
         known: Booleans = level & (self.covariance_types != COVARIANCE_UNKNOWN)
@@ -77,7 +77,7 @@ class Fixes:
 
     @property
     def sigma_level_m(self) -> Floats:
-        """The standard deviation along the worst level axis, (N,), metres; NaN if unknown."""
+        """Standard deviation along the worst horizontal axis, (N,), metres; NaN if unknown."""
         known = self.known
         sigma = np.full(len(self), np.nan)
         level = self.covariances[known][:, :2, :2]
@@ -86,14 +86,14 @@ class Fixes:
 
     @property
     def sigma_up_m(self) -> Floats:
-        """The standard deviation of the height, (N,), metres; NaN if unknown."""
+        """Standard deviation of the height, (N,), metres; NaN if unknown."""
         known = self.known
         sigma = np.full(len(self), np.nan)
         sigma[known] = np.sqrt(self.covariances[known, 2, 2])
         return sigma
 
     def positions(self) -> Floats:
-        """Return them in the frame of their datum, (N, 3), metres; level without heights."""
+        """Return positions in the datum's frame, (N, 3), metres; height 0 without heights."""
         assert self.datum is not None
         if self.have_heights:
             return east_north_up(self.places, self.datum)
@@ -101,7 +101,7 @@ class Fixes:
         return east_north_up(level, self.datum)
 
     def pose_covariances(self) -> Floats:
-        """Return covariances of poses (N, 6, 6) in the datum's frame, NaN where unknown."""
+        """Return pose covariances (N, 6, 6) in the datum's frame; NaN if unknown."""
         assert self.datum is not None
         known = self.known
         covariances = np.full((len(self), 6, 6), np.nan)
@@ -112,7 +112,7 @@ class Fixes:
 
 
 def quality_of(fixes: Fixes) -> str:
-    """Return what fixes say of themselves: "status 1: 989; sigma 0.80-1.70 m level, ..."."""
+    """Summarise status and covariances: "status 1: 989; sigma 0.80-1.70 m level, ..."."""
     counts = zip(*np.unique(fixes.status, return_counts=True), strict=True)
     said = ", ".join(f"status {status}: {count}" for status, count in counts)
     known = fixes.known
@@ -130,16 +130,16 @@ def quality_of(fixes: Fixes) -> str:
 
 @dataclass(frozen=True)
 class FixRule:
-    """Which fixes are used, in which frame, and how long their errors last.
+    """The selection of fixes, their frame and their correlation time.
 
     Attributes:
-        datum: The frame's origin; None for the first fix that is used.
-        min_status: The least status of a fix that is used; None for any fix.
-        max_sigma_m: The largest standard deviation along a level axis; None for any.
-        correlation_s: After how long the errors of fixes have forgotten themselves to 1/e.
+        datum: Origin of the frame; None for the first usable fix.
+        min_status: Least status of a usable fix; None for any fix.
+        max_sigma_m: Largest standard deviation along a horizontal axis, metres; None for any.
+        correlation_s: Time in which the correlation of fix errors decays to 1/e, seconds.
 
     Raises:
-        SettingsError: Values that mean nothing.
+        SettingsError: A value is out of range.
 
     Example:
         >>> from trajeval_ros.geometry.fixes import FixRule
@@ -153,7 +153,7 @@ class FixRule:
     correlation_s: float = DEFAULT_CORRELATION_S
 
     def __post_init__(self) -> None:
-        """Refuse what no rule can mean."""
+        """Refuse values out of range."""
         if self.min_status is not None and self.min_status not in (0, 1, 2):
             raise SettingsError(
                 "the minimum fix status must be 0 (any fix), 1 (satellite-based augmentation) "
@@ -170,7 +170,7 @@ class FixRule:
             )
 
     def usable(self, fixes: Fixes) -> tuple[Booleans, dict[str, int]]:
-        """Return which fixes are used, (N,), and how many are not, by reason."""
+        """Return which fixes are usable, (N,), and how many are not, by reason."""
         kept = np.ones(len(fixes), dtype=bool)
         dropped: dict[str, int] = {}
         for reason, bad in self._faults(fixes):
@@ -179,6 +179,7 @@ class FixRule:
         return kept, dropped
 
     def _faults(self, fixes: Fixes) -> list[tuple[str, Booleans]]:
+        """Return the reasons for rejection, with the fixes (N,) that they apply to."""
         known, status, places = fixes.known, fixes.status, fixes.places
         level = places[:, :2]
         finite = np.isfinite(level).all(axis=1)
@@ -199,10 +200,10 @@ class FixRule:
         return faults
 
     def datum_of(self, stamps: Stamps, fixes: Fixes) -> Datum:
-        """Return the frame's origin: that of the rule, or the first of the used fixes (N > 0).
+        """Return the origin of the frame: the rule's, or the first usable fix (N > 0).
 
         Raises:
-            InputError: The rule's is on another continent.
+            InputError: The rule's datum is more than 100 km away.
         """
         first = fixes.places[int(np.argmin(stamps))]
         height = float(first[2]) if np.isfinite(first[2]) else 0.0
@@ -218,12 +219,12 @@ class FixRule:
         return self.datum
 
     def applied(self, trajectory: Trajectory) -> Trajectory:
-        """Return the fixes of a trajectory that are used, in the frame of the rule's datum.
+        """Return the usable fixes of a trajectory, in the frame of the rule's datum.
 
-        What isn't made of fixes stays as it is.
+        A trajectory without fixes is returned unchanged.
 
         Raises:
-            InputError: None of them is used, or the datum is on another continent.
+            InputError: No fix is usable, or the datum is too far away.
         """
         fixes = trajectory.fixes
         if fixes is None or (self.datum, self.min_status, self.max_sigma_m) == (None, None, None):
@@ -233,15 +234,15 @@ class FixRule:
 
 
 def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajectory:
-    """Return the trajectory of fixes, in the frame of the first that is one; others are counted.
+    """Return the trajectory of the usable fixes, in the frame of the first; count the others.
 
     Args:
         stamps: (N,), nanoseconds.
-        fixes: N of them.
-        **attributes: Others of `Trajectory`.
+        fixes: N fixes.
+        **attributes: Other attributes of `Trajectory`.
 
     Raises:
-        InputError: None of them can be used, or all are the same.
+        InputError: No fix is usable, or all are at the same place.
     """
     rule = FixRule()
     kept, dropped = rule.usable(fixes)
@@ -252,17 +253,17 @@ def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajector
 def _located(
     trajectory: Trajectory, fixes: Fixes, kept: Booleans, dropped: dict[str, int], rule: FixRule
 ) -> Trajectory:
-    """Return the states whose fixes are kept, where these are.
+    """Return the states whose fixes are kept, at the positions of these fixes.
 
     Args:
-        trajectory: Of N states, with any positions.
-        fixes: N of them.
-        kept: (N,).
-        dropped: How many are not kept, by reason.
-        rule: Of the datum.
+        trajectory: N states, with any positions.
+        fixes: N fixes.
+        kept: (N,) which fixes are usable.
+        dropped: Number of the other fixes by reason.
+        rule: Determines the datum.
 
     Raises:
-        InputError: None is kept, all are the same, or the datum is on another continent.
+        InputError: No fix is kept, all are at the same place, or the datum is too far away.
     """
     if not kept.any():
         why = ", ".join(
@@ -291,4 +292,5 @@ def _located(
 
 
 def _away(place: Floats, height: float, datum: Datum) -> Floats:
+    """Return the position (1, 3) of a place in the frame of a datum, metres."""
     return east_north_up(np.array([[place[0], place[1], height]]), datum)

@@ -1,4 +1,4 @@
-"""Trajectories projected on a plane of their frame."""
+"""Projection of trajectories on a plane of their frame."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 
-PLANES = {"xy": 2, "xz": 1, "yz": 0}  # and the axis that is normal to each
+PLANES = {"xy": 2, "xz": 1, "yz": 0}  # and the index of the normal axis
 
 
 def flattened(trajectory: Trajectory, plane: str) -> Trajectory:
-    """Return positions and velocities in a plane, and rotations as turns about its normal.
+    """Return positions and velocities in a plane, and rotations about its normal.
 
-    A rotation's turn is its twist; a rotation by half a turn about an axis in the plane has none
-    and becomes the identity. Covariances are left out.
+    A rotation is replaced by its twist about the normal. A rotation by pi about an axis in the
+    plane has none and becomes the identity. Covariances are dropped.
 
     Args:
         trajectory: In any frame.
         plane: One of `PLANES`.
 
     Raises:
-        SettingsError: There is no such plane.
+        SettingsError: The plane is unknown.
     """
     require_one_of(plane, PLANES, "plane")
     normal = PLANES[plane]
@@ -32,7 +32,7 @@ def flattened(trajectory: Trajectory, plane: str) -> Trajectory:
     flat[normal] = 0.0
     quaternions, velocities = trajectory.quaternions, trajectory.velocities
     if quaternions is not None:
-        # With the normal in the place of z, and back again.
+        # The normal takes the place of z.
         places = [*(axis for axis in range(3) if axis != normal), normal, 3]
         turns = np.empty_like(quaternions)
         turns[:, places] = lie.normalized(lie.heading(quaternions[:, places]))

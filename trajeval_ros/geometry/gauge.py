@@ -1,9 +1,9 @@
-"""Gauges: the groups of transformations that a sensor set can't observe.
+"""Gauges: the groups of transformations that a set of sensors cannot observe.
 
-Tutorial, section III-A and Table I: a camera can't tell a trajectory from its similar copies, a
-stereo rig or a lidar not from its rigid copies, and gravity leaves an inertial system only the
-rotation about itself and the translation. What can't be observed is neither right nor wrong, so
-it is taken out by alignment before errors are measured.
+Tutorial, section III-A and Table I. A monocular camera cannot distinguish similar trajectories. A
+stereo camera or a lidar cannot distinguish rigidly moved ones. With gravity from an IMU, the
+rotation about gravity and the translation remain. An alignment removes these before errors are
+computed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ POSE_DOF = 6  # of a perturbation: position first, rotation second
 class Gauge(Enum):
     """A group that acts on whole trajectories: p -> s R p + t, R_i -> R R_i, v -> s R v (eq. 8).
 
-    The value is its name on the command line and in results.
+    The value is the gauge's name on the command line and in results.
 
     Example:
         >>> from trajeval_ros import Gauge
@@ -39,19 +39,19 @@ class Gauge(Enum):
 
     @classmethod
     def of(cls, gauge: Gauge | str) -> Gauge:
-        """Return a gauge, or that of a name.
+        """Return a gauge from its name.
 
         Raises:
-            SettingsError: There is none of that name.
+            SettingsError: The name is unknown.
         """
         if isinstance(gauge, Gauge):
             return gauge
-        require_one_of(gauge, (each.value for each in cls), "gauge")
+        require_one_of(gauge, (member.value for member in cls), "gauge")
         return cls(gauge)
 
     @property
     def has_translation(self) -> bool:
-        """Whether the group moves the origin."""
+        """Whether the group has translations."""
         return self is not Gauge.NONE
 
     @property
@@ -71,14 +71,14 @@ class Gauge(Enum):
 
     @property
     def minimum_states(self) -> int:
-        """Fewest states, not on one line for SE(3) and Sim(3), whose positions determine it."""
+        """Least number of states whose positions determine an element (not on a line, for 3)."""
         if self.turns_freely:
             return 3
         return 2 if self.turns_about_gravity_only else 1
 
     @property
     def description(self) -> str:
-        """What the alignment may change, for a verdict or a table."""
+        """The group in words, for messages and tables."""
         return _DESCRIPTIONS[self]
 
 
@@ -103,7 +103,7 @@ MODALITIES: dict[str, Gauge] = {
     "wheel": Gauge.PLANAR,
     "gnss-aided": Gauge.NONE,
 }
-"""Sensor sets and what they can't observe (tutorial, Table I, and section V for the others).
+"""Sensor sets and their gauges (tutorial, Table I; section V for those not in the table).
 
 Example:
     >>> from trajeval_ros import MODALITIES
@@ -113,10 +113,10 @@ Example:
 
 
 def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -> Gauge:
-    """Return the gauge that a user asked for by name, by sensor set, or not at all.
+    """Return the gauge from an optional name and an optional sensor set.
 
     Raises:
-        SettingsError: Unknown name, or a gauge that contradicts the modality.
+        SettingsError: An unknown name, or a gauge that contradicts the modality.
     """
     named = default if gauge is None else Gauge.of(gauge)
     if modality is None:
@@ -131,15 +131,15 @@ def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -
 
 
 def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
-    """Return how the gauge's generators move N poses: eq. (15) of the gauge paper, any gauge.
+    """Return the derivatives of N poses by the gauge's generators: gauge paper, eq. (15).
 
     Args:
         gauge: `none`, `yaw`, `se3` or `sim3`.
         positions: (N, 3), metres.
 
     Returns:
-        U (N, 6, k): rows are position and rotation (on the left); columns are the rotations about
-        the world's axes that the gauge has, three translations, the scale.
+        U (N, 6, k). Rows are position and rotation (applied on the left). Columns are the gauge's
+        rotations about the world's axes, three translations, and the scale.
     """
     axes = _axes(gauge)
     basis = np.zeros((len(positions), POSE_DOF, dimension(gauge)))
@@ -155,15 +155,15 @@ def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
 
 
 def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
-    """Return the gradients of the conditions that an alignment by the first state fulfils.
+    """Return the gradients of the conditions of an alignment by the first state.
 
     Args:
         gauge: `yaw` or `se3`.
         count: Number of poses N.
-        first_turn: (3,), the rotation vector of R' R^T of the first pose.
+        first_turn: (3,), rotation vector of R' R^T of the first pose, rad.
 
     Returns:
-        V (N, 6, k), zero for all poses but the first.
+        V (N, 6, k), zero for all poses except the first.
     """
     axes = _axes(gauge)
     turns = len(axes)
@@ -176,16 +176,16 @@ def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
 def least_squares_normals(
     gauge: Gauge, groundtruth: Floats, aligned: Floats, weights: Floats
 ) -> Floats:
-    """Return the gradients of the optimality conditions of eq. (13) of the tutorial.
+    """Return the gradients of the optimality conditions of the tutorial's eq. (13).
 
     Args:
         gauge: `none`, `yaw`, `se3` or `sim3`.
         groundtruth: (N, 3) positions, metres.
         aligned: (N, 3) aligned positions, metres.
-        weights: (N,), that add up to one; zero for states that play no part.
+        weights: (N,) with sum 1; zero for states outside the alignment.
 
     Returns:
-        V (N, 6, k), about positions alone.
+        V (N, 6, k); the rows of the rotation are zero.
     """
     axes = _axes(gauge)
     turns = len(axes)
@@ -203,10 +203,10 @@ def least_squares_normals(
 
 
 def dimension(gauge: Gauge) -> int:
-    """Return the number of directions that `none`, `yaw`, `se3` or `sim3` leave open.
+    """Return the dimension of gauge `none`, `yaw`, `se3` or `sim3`.
 
     Raises:
-        SettingsError: Another gauge, whose covariances are of another kind.
+        SettingsError: Another gauge, which has no transformation of covariances.
     """
     dimensions = {Gauge.NONE: 0, Gauge.YAW: 4, Gauge.SE3: 6, Gauge.SIM3: 7}
     if gauge not in dimensions:
@@ -217,5 +217,5 @@ def dimension(gauge: Gauge) -> int:
 
 
 def _axes(gauge: Gauge) -> Floats:
-    """Return the axes (0, 1 or 3, 3) that the gauge turns about."""
+    """Return the rotation axes of a gauge, (0, 3), (1, 3) or (3, 3)."""
     return np.eye(3)[{4: slice(2, 3), 0: slice(0, 0)}.get(dimension(gauge), slice(0, 3))]

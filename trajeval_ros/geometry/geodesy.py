@@ -1,7 +1,7 @@
-"""Latitude, longitude and height to a local east-north-up frame: WGS 84, closed formulas.
+"""Conversion of latitude, longitude and height to a local east-north-up frame (WGS 84).
 
-East-north-up is a rigid frame, tangent to the ellipsoid at its datum, and no projection: lengths
-and angles are true, while grid north of a projection such as UTM is not north.
+The frame is tangent to the ellipsoid at its datum. It is rigid, so that lengths and angles are
+true. It is no map projection such as UTM, whose grid north differs from north.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Datum:
         height_m: Above the ellipsoid.
 
     Raises:
-        SettingsError: There is no such place.
+        SettingsError: A coordinate is out of range.
 
     Example:
         >>> from trajeval_ros.geometry.geodesy import Datum
@@ -43,7 +43,7 @@ class Datum:
     height_m: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no place."""
+        """Refuse coordinates out of range."""
         if not (
             abs(self.latitude_deg) <= 90.0
             and -180.0 <= self.longitude_deg <= 360.0
@@ -55,7 +55,7 @@ class Datum:
             )
 
     def __str__(self) -> str:
-        """Write it as the command line takes it, to the last digit."""
+        """Return the text that the command line accepts, with all digits."""
         return f"{self.latitude_deg!r},{self.longitude_deg!r},{self.height_m!r}"
 
     @property
@@ -65,10 +65,10 @@ class Datum:
 
 
 def parse_datum(text: str) -> Datum:
-    """Read "47.4,8.5,430": latitude and longitude in degrees, height in metres.
+    """Parse "47.4,8.5,430": latitude and longitude in degrees, height in metres.
 
     Raises:
-        SettingsError: It is no place.
+        SettingsError: The text is not valid.
     """
     try:
         latitude, longitude, height = (float(part) for part in text.split(","))
@@ -81,11 +81,11 @@ def parse_datum(text: str) -> Datum:
 
 
 def east_north_up(places: Floats, datum: Datum) -> Floats:
-    """Return places in the frame of a datum, to 5e-9 m within 50 km of it.
+    """Return positions in the frame of a datum, with an error of 5e-9 m within 50 km.
 
     Args:
         places: (N, 3), latitude and longitude in degrees, height above the ellipsoid in metres.
-        datum: Where the frame's origin is.
+        datum: Origin of the frame.
 
     Returns:
         (N, 3), east, north and up, metres.
@@ -96,7 +96,7 @@ def east_north_up(places: Floats, datum: Datum) -> Floats:
 
 
 def turned_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:
-    """Return covariances (N, 3, 3) about east, north and up of each place in a datum's frame."""
+    """Return covariances (N, 3, 3) about the places' east, north and up in a datum's frame."""
     turns = _axes(datum.coordinates) @ np.swapaxes(_axes(places), -1, -2)
     turned: Floats = turns @ covariances @ np.swapaxes(turns, -1, -2)
     return turned
@@ -118,7 +118,7 @@ def _earth_fixed(places: Floats) -> Floats:
 
 
 def _axes(places: Floats) -> Floats:
-    """Return the rows east, north and up of the tangent frames of places, (..., 3, 3)."""
+    """Return the axes east, north and up of the tangent frames as rows, (..., 3, 3)."""
     latitude, longitude = np.radians(places[..., 0]), np.radians(places[..., 1])
     sin_f, cos_f = np.sin(latitude), np.cos(latitude)
     sin_l, cos_l = np.sin(longitude), np.cos(longitude)
@@ -132,11 +132,11 @@ def places_at(positions: Floats, datum: Datum) -> Floats:
     """Return the places of positions in the frame of a datum: the inverse of `east_north_up`.
 
     Args:
-        positions: (N, 3), east, north and up, metres, within 100 km; no datum near a pole.
-        datum: Where the frame's origin is.
+        positions: (N, 3), east, north and up, metres, within 100 km; not near a pole.
+        datum: Origin of the frame.
 
     Returns:
-        (N, 3), latitude and longitude in degrees, height in metres; to a nanometre.
+        (N, 3), latitude and longitude in degrees, height in metres, to a nanometre.
     """
     sine = np.sin(np.radians(datum.latitude_deg))
     level = 1.0 - _ECCENTRICITY_SQUARED * sine**2
@@ -145,7 +145,7 @@ def places_at(positions: Floats, datum: Datum) -> Floats:
     across *= np.cos(np.radians(datum.latitude_deg))
     per_metre = np.array([np.degrees(1.0 / along), np.degrees(1.0 / across), 1.0])
     places = np.tile(datum.coordinates, (len(positions), 1))
-    # Each round leaves a share of the error as of the distance in the earth's radius.
+    # An iteration reduces the error by the factor distance / earth's radius.
     for _ in range(_ROUNDS):
         places += (positions - east_north_up(places, datum))[:, [1, 0, 2]] * per_metre
     return places

@@ -1,4 +1,4 @@
-"""Readings of an IMU, or of any gyro."""
+"""Measurements of an IMU or a gyroscope."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 
 @dataclass(frozen=True, eq=False)
 class InertialReadings:
-    """What an IMU measured, in its own axes.
+    """Measurements of an IMU in its own axes.
 
     Attributes:
         stamps: (N,) int64, nanoseconds, in order of arrival.
         rates: (N, 3), rad/s, angular velocities.
-        accelerations: (N, 3), m/s^2, specific force; None of what measures rates alone.
+        accelerations: (N, 3), m/s^2, specific force; None for a gyroscope.
         frame: Name of the sensor's frame, "" if unknown.
-        source: What it was read from, as a user names it.
+        source: The source, as the user names it.
         undecodable: Number of messages that could not be used.
-        damage: What of its source could not be read, one sentence each.
+        damage: Unreadable parts of the source, one sentence each.
     """
 
     stamps: Stamps

@@ -1,11 +1,10 @@
-"""Batched rotations as quaternions, matrices and vectors, without scipy.
+"""Batched rotations as quaternions, without scipy.
 
-Quaternions are xyzw, Hamilton, unit, of shape (..., 4); all functions broadcast.
-Conversions between quaternions, matrices, rotation vectors and Euler angles are here, too, so that
-an evaluation doesn't import `scipy.spatial`, which takes longer than a small one. Those with a
-counterpart in scipy's `Rotation` use its formulas and order of summation.
-The functions from `skew` on are of rotation matrices and vectors: the exponential and its
-Jacobians, series where the closed forms cancel.
+Quaternions are xyzw, Hamilton, unit, of shape (..., 4); all functions broadcast. Conversions are
+included because the import of `scipy.spatial` takes longer than a small evaluation. Functions that
+scipy's `Rotation` has, too, use its formulas and order of summation. The second part, from `skew`
+on, has the exponential map of rotation vectors and its Jacobians, as series where the closed forms
+cancel.
 """
 
 from __future__ import annotations
@@ -18,13 +17,14 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
 
-# Rows of a few columns that stay in a core's cache: twice as fast as whole columns at a time.
+# Rows per block. Blocks of a few columns fit into a core's cache: twice as fast as whole columns.
 _BLOCK = 8192
-# Numbers in arrays so short that a call costs more than the arithmetic.
+# Size of arrays below which the overhead of numpy's calls exceeds the arithmetic.
 _FEW = 600
-# Both are scipy's. Below the first, rad, the quaternion of a rotation vector is a series.
+# As in scipy: angle, rad, below which the quaternion of a rotation vector is a series.
 _SMALL = 1e-3
-# Closer to a right angle, rad, a pitch leaves open which turn is yaw and which is roll.
+# As in scipy: distance of the pitch from a right angle, rad, below which yaw and roll are
+# ambiguous.
 _GIMBAL_LOCK = 1e-7
 _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 
@@ -32,7 +32,7 @@ _CONJUGATION = np.array([-1.0, -1.0, -1.0, 1.0])
 def by_blocks(
     function: Callable[..., tuple[NDArray[Any], ...]], *columns: NDArray[Any]
 ) -> list[NDArray[Any]]:
-    """Return what `function` returns for columns of N rows each, worked out block by block."""
+    """Return `function` of columns with N rows each, computed block by block."""
     count = len(columns[0])
     if count <= _BLOCK:
         return list(function(*columns))
@@ -47,10 +47,10 @@ def by_blocks(
 
 
 def normalized(quaternion: Floats) -> Floats:
-    """Return the quaternions (..., 4) at length 1; not finite where they have no length."""
+    """Return quaternions (..., 4) scaled to length 1; not finite for quaternions of length 0."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
     with np.errstate(all="ignore"):
-        # In this order, as scipy: a sum by another differs in the last digit.
+        # In scipy's order of summation, so that the last digits agree.
         length = np.sqrt(x * x + y * y + z * z + w * w)
         unit: Floats = quaternion / length[..., None]
     return unit
@@ -63,11 +63,11 @@ def conjugate(quaternion: Floats) -> Floats:
 
 
 def heading(quaternion: Floats) -> Floats:
-    """Return the rotations about z nearest to unit quaternions (N, 4): their yaw alone."""
+    """Return the rotations about z nearest to unit quaternions (N, 4), i.e. their yaw."""
     turned: Floats = quaternion * np.array([0.0, 0.0, 1.0, 1.0])
     length = np.hypot(turned[:, 2], turned[:, 3])
-    # Half a turn about a level axis leaves the yaw open: z and w vanish together, and none is as
-    # good as any.
+    # A rotation by pi about a horizontal axis has no yaw: z and w vanish. The identity is
+    # returned.
     turned[length < 1e-9], length[length < 1e-9] = [0.0, 0.0, 0.0, 1.0], 1.0
     turned /= length[:, None]
     return turned
@@ -89,9 +89,9 @@ def _product(left: Floats, right: Floats) -> Floats:
 
 
 def hamilton(left: Sequence[Any], right: Sequence[Any]) -> Iterator[Any]:
-    """Yield x, y, z, w of a product; components x, y, z, w are floats or arrays, one as the other.
+    """Yield x, y, z, w of the product; components are either all floats or all arrays.
 
-    Of single quaternions, floats are twenty times as fast as arrays of four.
+    For one quaternion, floats are twenty times as fast as arrays of four.
     """
     x1, y1, z1, w1 = left
     x2, y2, z2, w2 = right
@@ -102,7 +102,7 @@ def hamilton(left: Sequence[Any], right: Sequence[Any]) -> Iterator[Any]:
 
 
 def rotate(quaternion: Floats, vector: Floats) -> Floats:
-    """Return the vectors (..., 3) rotated by the quaternions (..., 4)."""
+    """Return vectors (..., 3) rotated by quaternions (..., 4)."""
     if max(quaternion.size, vector.size) <= _FEW:
         matrices = (_outer(quaternion, quaternion) @ _ROTATION).reshape(
             *quaternion.shape[:-1], 3, 3
@@ -111,7 +111,7 @@ def rotate(quaternion: Floats, vector: Floats) -> Floats:
         return few
     x, y, z, w = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
     a, b, c = vector[..., 0], vector[..., 1], vector[..., 2]
-    # v + 2 w (u x v) + 2 u x (u x v), u the vector part.
+    # v + 2 w (u x v) + 2 u x (u x v), where u is the vector part.
     d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     rotated = np.empty((*np.broadcast_shapes(quaternion.shape[:-1], vector.shape[:-1]), 3))
     rotated[..., 0] = a + w * d + y * f - z * e
@@ -121,13 +121,13 @@ def rotate(quaternion: Floats, vector: Floats) -> Floats:
 
 
 def _outer(left: Floats, right: Floats) -> Floats:
-    """Return the products of all components (..., 16), those of `left` slowest."""
+    """Return all products of a component of `left` with one of `right` (..., 16), row-major."""
     products = left[..., :, None] * right[..., None, :]
     return products.reshape(*products.shape[:-2], 16)
 
 
-# What makes the product of the products of all components, read off those of i, j, k and 1; and
-# what makes the rotation matrix of the products of q's own components, since q turns v to q v q*.
+# Linear maps from the products of components to the quaternion product (columns from products of
+# the basis i, j, k, 1), and, since q turns v to q v q*, to the rotation matrix.
 _PRODUCT = _product(np.eye(4)[:, None], np.eye(4)).reshape(16, 4)
 _ROTATION = np.einsum(
     "avm,mco,c->acov",
@@ -140,10 +140,10 @@ _ROTATION = np.einsum(
 def from_matrix(matrix: Floats) -> Floats:
     """Return the quaternion (4,) of one rotation matrix (3, 3), w >= 0.
 
-    The same formula as `from_matrices`, in floats: a tenth of the time for one.
+    The formula of `from_matrices` with floats, which takes a tenth of the time for one matrix.
     """
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    # Shepperd: of the four ways, the one that divides by the largest component.
+    # Shepperd's method: of four formulas, the one that divides by the largest component.
     products = {
         3: (h - f, c - g, d - b, 1.0 + a + e + i),
         0: (1.0 + a - e - i, b + d, c + g, h - f),
@@ -159,26 +159,26 @@ def from_matrix(matrix: Floats) -> Floats:
 def from_matrices(matrices: Floats) -> Floats:
     """Return the quaternions (N, 4) of rotation matrices (N, 3, 3), of either sign.
 
-    Matrices are not repaired: what is far from a rotation needs the nearest one first.
+    The matrices must be orthonormal; they are not corrected.
     """
     diagonal = np.diagonal(matrices, axis1=1, axis2=2)
     trace = diagonal[:, 0] + diagonal[:, 1] + diagonal[:, 2]
-    # Shepperd: of the four ways, the one that divides by the largest component.
+    # Shepperd's method: of four formulas, the one that divides by the largest component.
     largest = np.column_stack([diagonal, trace]).argmax(axis=1)
     quaternions = np.empty((len(matrices), 4))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         rows = np.flatnonzero(largest == i)
-        some = matrices[rows]
-        quaternions[rows, i] = 1.0 - trace[rows] + 2.0 * some[:, i, i]
-        quaternions[rows, j] = some[:, j, i] + some[:, i, j]
-        quaternions[rows, k] = some[:, k, i] + some[:, i, k]
-        quaternions[rows, 3] = some[:, k, j] - some[:, j, k]
+        block = matrices[rows]
+        quaternions[rows, i] = 1.0 - trace[rows] + 2.0 * block[:, i, i]
+        quaternions[rows, j] = block[:, j, i] + block[:, i, j]
+        quaternions[rows, k] = block[:, k, i] + block[:, i, k]
+        quaternions[rows, 3] = block[:, k, j] - block[:, j, k]
     rows = np.flatnonzero(largest == 3)
-    some = matrices[rows]
-    quaternions[rows, 0] = some[:, 2, 1] - some[:, 1, 2]
-    quaternions[rows, 1] = some[:, 0, 2] - some[:, 2, 0]
-    quaternions[rows, 2] = some[:, 1, 0] - some[:, 0, 1]
+    block = matrices[rows]
+    quaternions[rows, 0] = block[:, 2, 1] - block[:, 1, 2]
+    quaternions[rows, 1] = block[:, 0, 2] - block[:, 2, 0]
+    quaternions[rows, 2] = block[:, 1, 0] - block[:, 0, 1]
     quaternions[rows, 3] = 1.0 + trace[rows]
     return normalized(quaternions)
 
@@ -202,9 +202,9 @@ def to_matrix(quaternion: Floats) -> Floats:
 
 
 def sum_of_matrices(quaternions: Floats, weights: Floats | None = None) -> Floats:
-    """Return the sum (3, 3) of the rotation matrices of N unit quaternions, each by its weight.
+    """Return the weighted sum (3, 3) of the rotation matrices of N unit quaternions.
 
-    A rotation matrix is linear in the products of q's components, so those are summed.
+    Rotation matrices are linear in the products of a quaternion's components, which are summed.
     """
     weighted = quaternions if weights is None else quaternions * weights[:, None]
     total: Floats = ((weighted.T @ quaternions).ravel() @ _ROTATION).reshape(3, 3)
@@ -212,7 +212,7 @@ def sum_of_matrices(quaternions: Floats, weights: Floats | None = None) -> Float
 
 
 def angle(quaternion: Floats) -> Floats:
-    """Return the rotation angle (...) in [0, pi] rad; exact for tiny angles and near pi."""
+    """Return the rotation angle (...) in [0, pi] rad; accurate near 0 and near pi."""
     half: Floats = np.arctan2(
         np.sqrt(np.einsum("...i,...i->...", quaternion[..., :3], quaternion[..., :3])),
         np.abs(quaternion[..., 3]),
@@ -221,18 +221,18 @@ def angle(quaternion: Floats) -> Floats:
 
 
 def rotation_vector(quaternion: Floats) -> Floats:
-    """Return the rotation vectors (..., 3), at most pi long, of unit quaternions (..., 4)."""
+    """Return the rotation vectors (..., 3), rad, length at most pi, of quaternions (..., 4)."""
     vector, w = quaternion[..., :3], quaternion[..., 3:]
     length = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
     small = length < 1e-9
-    # Of q and -q the one with w >= 0; there the angle is 2 sin(angle / 2) to first order.
+    # Of q and -q, the one with w >= 0. For small angles, the vector is twice the vector part.
     turned = 2.0 * np.arctan2(length, np.abs(w)) / np.where(small, 1.0, length)
     vectors: Floats = np.where(small, 2.0, turned) * np.where(w < 0.0, -vector, vector)
     return vectors
 
 
 def from_rotation_vector(vector: Floats) -> Floats:
-    """Return the quaternions (..., 4) of rotation vectors (..., 3)."""
+    """Return the quaternions (..., 4) of rotation vectors (..., 3), rad."""
     x, y, z = (vector[..., i] for i in range(3))
     turned = np.sqrt(x * x + y * y + z * z)
     squared = turned * turned
@@ -251,8 +251,8 @@ def from_rotation_vector(vector: Floats) -> Floats:
 def euler_angles(quaternion: Floats) -> Floats:
     """Return yaw, pitch and roll (..., 3), rad, of R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    Bernardes and Viollet, "Quaternion to Euler angles conversion" (2022), as in scipy. Where the
-    pitch is a right angle the roll is zero.
+    Bernardes and Viollet, "Quaternion to Euler angles conversion" (2022), as in scipy. At a pitch
+    of +-90 deg the roll is set to zero.
     """
     x, y, z, w = (quaternion[..., i] for i in range(4))
     a, b, c, d = w - y, x + z, y + w, z - x
@@ -269,9 +269,9 @@ def euler_angles(quaternion: Floats) -> Floats:
 
 
 def yaw(quaternion: Floats) -> Floats:
-    """Return the signed twist about gravity, the z axis (...), in [-pi, pi] rad."""
+    """Return the signed twist (...) about the z axis (gravity), in [-pi, pi] rad."""
     z, w = quaternion[..., 2], quaternion[..., 3]
-    # q and -q are one rotation; of the two, the one with w >= 0 twists by at most half a turn.
+    # Of q and -q, the one with w >= 0, whose twist is at most pi.
     twist: Floats = 2.0 * np.arctan2(np.where(w < 0.0, -z, z), np.abs(w))
     return twist
 
@@ -284,14 +284,14 @@ def tilt(quaternion: Floats) -> Floats:
 
 
 def slerp(start: Floats, end: Floats, fraction: Floats) -> Floats:
-    """Interpolate (N, 4) unit quaternions at the fractions (N,) in [0, 1], the short way round."""
+    """Interpolate unit quaternions (N, 4) at fractions (N,) in [0, 1], along the shorter arc."""
     differences = np.array([start - end, start + end])
     apart, together = np.sqrt(np.einsum("kni,kni->kn", differences, differences))
-    # 2 atan2(|a-b|, |a+b|) instead of arccos: consecutive poses are a tiny angle apart. Of the
-    # two quaternions of the end, the nearer one.
+    # 2 atan2(|a-b|, |a+b|) is accurate for the small angles between consecutive poses, arccos is
+    # not. Of +-end, the one nearer to `start` is used.
     half_angle = 2.0 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
     weights = np.array([1.0 - fraction, fraction])
-    # sin(f a) / sin(a), but that the length is taken out at the end anyway.
+    # sin(f a) / sin(a) without the denominator, because the result is normalised.
     weights = np.where(half_angle < 1e-9, weights, np.sin(weights * half_angle))
     weights[1] = np.copysign(weights[1], together - apart)
     mixed = weights[0, :, None] * start + weights[1, :, None] * end
@@ -300,7 +300,7 @@ def slerp(start: Floats, end: Floats, fraction: Floats) -> Floats:
 
 
 def skew(vector: Floats) -> Floats:
-    """Return the matrices (..., 3, 3) whose product with x is the cross product `vector` x x."""
+    """Return the matrices S (..., 3, 3) of the cross product: S x is `vector` cross x."""
     matrix = np.zeros((*vector.shape, 3))
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
@@ -309,7 +309,7 @@ def skew(vector: Floats) -> Floats:
 
 
 def exp(rotation_vector: Floats) -> Floats:
-    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3): Rodrigues."""
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
     sine, cosine, _ = _rodrigues(rotation_vector)
     cross = skew(rotation_vector)
     matrix: Floats = np.eye(3) + sine * cross + cosine * (cross @ cross)
@@ -317,7 +317,7 @@ def exp(rotation_vector: Floats) -> Floats:
 
 
 def log(matrix: Floats) -> Floats:
-    """Return the rotation vectors (..., 3), at most pi long, of rotation matrices (..., 3, 3)."""
+    """Return rotation vectors (..., 3), rad, length at most pi, of matrices (..., 3, 3)."""
     cosine = 0.5 * (np.trace(matrix, axis1=-2, axis2=-1) - 1.0)
     axis = 0.5 * np.stack(
         [
@@ -330,17 +330,17 @@ def log(matrix: Floats) -> Floats:
     sine = np.sqrt(np.einsum("...i,...i->...", axis, axis))
     factor = np.where(sine < 1e-9, 1.0, np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))
     vectors: Floats = factor[..., None] * axis
-    far = cosine < -0.9  # where the sine has lost digits; quaternions haven't
+    far = cosine < -0.9  # there the sine is inaccurate and quaternions are used
     if far.any():
         vectors[far] = rotation_vector(from_matrices(matrix[far]))
     return vectors
 
 
 def yaw_of_matrix(matrix: Floats) -> Floats:
-    """Return the signed twist about gravity (...), rad, of rotation matrices (..., 3, 3).
+    """Return the signed twist (...) about the z axis, rad, of rotation matrices (..., 3, 3).
 
-    The same angle as `yaw` of their quaternions: it maximises tr(Rz(a)^T R), and the z component
-    of Log(Rz(a)^T R) vanishes.
+    It equals `yaw` of the quaternions: it maximises tr(Rz(a)^T R), and the z component of
+    Log(Rz(a)^T R) is zero.
     """
     twist: Floats = np.arctan2(
         matrix[..., 1, 0] - matrix[..., 0, 1], matrix[..., 0, 0] + matrix[..., 1, 1]
@@ -349,13 +349,13 @@ def yaw_of_matrix(matrix: Floats) -> Floats:
 
 
 def about_gravity(angle: float) -> Floats:
-    """Return the rotation matrix (3, 3) about gravity, the z axis, by an angle in rad."""
+    """Return the rotation matrix (3, 3) about the z axis (gravity) by an angle, rad."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def left_jacobian(rotation_vector: Floats) -> Floats:
-    """Return J_l (..., 3, 3) with Exp(v + dv) = Exp(J_l dv) Exp(v); J_r(v) is J_l(-v)."""
+    """Return J_l (..., 3, 3) with Exp(v + dv) = Exp(J_l dv) Exp(v). J_r(v) = J_l(-v)."""
     _, cosine, remainder = _rodrigues(rotation_vector)
     cross = skew(rotation_vector)
     jacobian: Floats = np.eye(3) + cosine * cross + remainder * (cross @ cross)
@@ -375,7 +375,7 @@ def inverse_left_jacobian(rotation_vector: Floats) -> Floats:
 
 
 def _rodrigues(rotation_vector: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3, each (..., 1, 1)."""
+    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of the angle t, (..., 1, 1)."""
     squared = np.sum(rotation_vector * rotation_vector, axis=-1)[..., None, None]
     small = squared < 1e-2
     t = np.sqrt(np.where(small, 1.0, squared))

@@ -1,4 +1,4 @@
-"""Moving trajectories between a body and a marker on it: T_G_B = T_G_M T_B_M^-1."""
+"""Conversion of trajectories between a body and a marker on it: T_G_B = T_G_M T_B_M^-1."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# What is said of a side that is moved by a lever arm.
+# Notes about a trajectory after a conversion by a lever arm.
 MARKERS_VELOCITIES = "velocities dropped: they are of the marker, not of the body"
 BODYS_VELOCITIES = "velocities dropped: they are of the body, not of the marker"
 
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """T_B_M: the pose of the marker, whose groundtruth it is, in the estimate's body.
+    """T_B_M: pose of the groundtruth's marker in the estimate's body.
 
     Attributes:
-        rotation_xyzw: (4,), from the marker's axes to the body's.
-        lever_m: (3,), the marker's origin in the body, metres.
+        rotation_xyzw: (4,), rotation from the marker's axes to the body's.
+        lever_m: (3,), position of the marker's origin in the body, metres.
         body: Name of the body's frame, "" if unknown.
         marker: Name of the marker's frame, "" if unknown.
 
@@ -41,33 +41,34 @@ class HandEye:
 
     @classmethod
     def of(cls, rotation_vector: Floats | None, lever_m: Floats | None) -> HandEye:
-        """Make one of what is known; None for no rotation, or no lever arm."""
+        """Return the pose of a rotation vector (3,), rad, and a lever arm (3,); None is zero."""
         vector = np.zeros(3) if rotation_vector is None else rotation_vector
         lever = np.zeros(3) if lever_m is None else lever_m
         return cls(lie.from_rotation_vector(vector), lever)
 
     def names(self, groundtruth: str, estimate: str, *, of_marker: bool) -> tuple[str, str]:
-        """Return the names of the bodies of both sides, once one of them is moved by this.
+        """Return the names of both bodies after the conversion of one side.
 
         Args:
-            groundtruth: The name of what the groundtruth was of.
-            estimate: Of what the estimate was.
-            of_marker: Whether the estimate is moved to the marker, not groundtruth to the body.
+            groundtruth: The groundtruth's body.
+            estimate: The estimate's body.
+            of_marker: Whether the estimate is converted to the marker; otherwise the groundtruth
+                is converted to the body.
         """
         if of_marker:
             return groundtruth, self.marker or groundtruth
         return self.body or estimate, estimate
 
     def inverse(self) -> HandEye:
-        """Return the pose of the body in the marker."""
+        """Return the pose of the body in the marker's frame."""
         back = lie.conjugate(self.rotation_xyzw)
         return HandEye(back, -lie.rotate(back, self.lever_m), self.marker, self.body)
 
     def require_frames(self, groundtruth: Trajectory, estimate: Trajectory) -> None:
-        """Check that names of frames, where both are known, don't say the opposite.
+        """Refuse a pose that is the inverse of the one needed, according to the frames' names.
 
         Raises:
-            InputError: They say that the transform is the inverse of what is needed.
+            InputError: The names show that it is inverted.
         """
         named = self.body and self.body == groundtruth.child_frame
         if named and self.marker == estimate.child_frame and self.body != self.marker:
@@ -78,13 +79,13 @@ class HandEye:
             )
 
     def of_body(self, groundtruth: Trajectory, body: str = "") -> Trajectory:
-        """Return the groundtruth of the body, from poses of the marker.
+        """Return the groundtruth of the body from poses of the marker.
 
-        Velocities are the marker's and are left out if there is a lever arm; biases are turned
-        into the body's axes.
+        Velocities are of the marker and are dropped if there is a lever arm. Biases are rotated to
+        the body's axes.
 
         Args:
-            groundtruth: Poses, with rotations.
+            groundtruth: Poses with orientations.
             body: Name of the body's frame.
         """
         marker = groundtruth.quaternions
@@ -112,15 +113,15 @@ class HandEye:
         return None if vectors is None else lie.rotate(self.rotation_xyzw, vectors)
 
     def of_marker(self, estimate: Trajectory, scale: float, marker: str = "") -> Trajectory:
-        """Return the estimate of the marker's position, for groundtruth of positions alone.
+        """Return the estimate of the marker's position, for groundtruth without orientations.
 
         Args:
-            estimate: Poses of the body, with rotations.
-            scale: Groundtruth metres in a unit of the estimate.
+            estimate: Poses of the body, with orientations.
+            scale: Groundtruth metres per unit of the estimate.
             marker: Name of the marker's frame.
 
         Raises:
-            InputError: The estimate has positions only.
+            InputError: The estimate has no orientations.
         """
         quaternions = estimate.quaternions
         if quaternions is None:
@@ -134,7 +135,7 @@ class HandEye:
             notes = (*notes, BODYS_VELOCITIES)
         covariances = estimate.covariances
         if covariances is not None:
-            # p + R l under R <- Exp(dphi) R: dp - [R l]x dphi.
+            # The perturbation of p + R l by R <- Exp(dphi) R: dp - [R l]x dphi.
             change = np.broadcast_to(np.eye(6), (len(arm), 6, 6)).copy()
             change[:, :3, 3:] = -lie.skew(arm)
             covariances = change @ covariances @ change.swapaxes(1, 2)

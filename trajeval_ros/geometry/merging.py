@@ -1,4 +1,4 @@
-"""Several trajectories as one: parts of a run that were recorded apart."""
+"""Merging of trajectories: separately recorded parts of a run as one."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ _ROWS = (
 
 
 def merged(parts: Sequence[Trajectory]) -> Trajectory:
-    """Return all states, sorted by stamp, with the columns that all parts have.
+    """Return all states in order of time, with the columns that all parts have.
 
     Args:
-        parts: In one frame, each with stamps. Of equal stamps the first part's state is kept.
+        parts: Trajectories in one frame, with timestamps. Of equal timestamps, the state of the
+            first part is kept.
 
     Raises:
-        InputError: One has no stamps, or they are in frames of different names.
+        InputError: A part has no timestamps, or the names of frames differ.
     """
     first = parts[0]
     for part in parts:
@@ -44,8 +45,8 @@ def merged(parts: Sequence[Trajectory]) -> Trajectory:
             )
     columns: dict[str, Any] = {}
     for name in _ROWS:
-        found = [column for part in parts if (column := getattr(part, name)) is not None]
-        columns[name] = np.concatenate(found) if len(found) == len(parts) else None
+        available = [column for part in parts if (column := getattr(part, name)) is not None]
+        columns[name] = np.concatenate(available) if len(available) == len(parts) else None
     return dataclasses.replace(
         first,
         stamps=np.concatenate([part.stamps for part in parts]),

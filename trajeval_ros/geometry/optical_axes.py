@@ -1,6 +1,6 @@
-"""ROS's axes (x forward, y left, z up) and a camera's (x right, y down, z forward): REP-103.
+"""Conversion of axes: ROS (x forward, y left, z up), camera (x right, y down, z forward).
 
-A trajectory has two sets of axes: those of its fixed frame, and those of the body.
+Both are defined in REP-103. A trajectory has two sets of axes: of the fixed frame and of the body.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 
 AXES = ("ros", "optical")
-# Rows are the camera's axes in ROS's: from ROS's axes to the camera's.
+# The rows are the camera's axes in ROS axes: the rotation from ROS axes to camera axes.
 _TO_OPTICAL: Floats = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _UP = {"ros": "z", "optical": "-y"}
 
 
 def with_world_axes(trajectory: Trajectory, axes: str) -> Trajectory:
-    """Return the same motion in a fixed frame whose axes are ROS's, from a camera's, or reversed.
+    """Return the same motion in a fixed frame with the other axes.
 
     Args:
-        trajectory: In a fixed frame with the other axes.
-        axes: One of `AXES`, those wanted.
+        trajectory: In a fixed frame with the axes not named by `axes`.
+        axes: Axes of the result, one of `AXES`.
 
     Raises:
-        SettingsError: There are no such axes.
-        InputError: What is known of the frame's up axis says that it has them already.
+        SettingsError: The axes are unknown.
+        InputError: The frame has these axes already, according to its up axis.
     """
     require_one_of(axes, AXES, "axes")
     up = trajectory.up
@@ -43,20 +43,20 @@ def with_world_axes(trajectory: Trajectory, axes: str) -> Trajectory:
 
 
 def with_body_axes(trajectory: Trajectory, axes: str) -> Trajectory:
-    """Return the same motion of a body whose axes are ROS's, from a camera's, or reversed.
+    """Return the same motion of a body with the other axes.
 
     Args:
-        trajectory: Of a body with the other axes.
-        axes: One of `AXES`, those wanted.
+        trajectory: Of a body with the axes not named by `axes`.
+        axes: Axes of the result, one of `AXES`.
 
     Raises:
-        SettingsError: There are no such axes.
-        InputError: It has no orientations.
+        SettingsError: The axes are unknown.
+        InputError: The trajectory has no orientations.
     """
     require_one_of(axes, AXES, "axes")
     if trajectory.quaternions is None:
         raise InputError("no orientations, which the conversion of body axes needs")
-    # Poses of the new axes: T_W_B T_B_new, and of_body multiplies by the inverse.
+    # Poses with the new axes are T_W_B T_B_new; `of_body` multiplies by the inverse.
     turn = HandEye(lie.from_matrix(_turn_to(axes)), np.zeros(3))
     return turn.of_body(trajectory)
 

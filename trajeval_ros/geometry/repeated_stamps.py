@@ -1,4 +1,4 @@
-"""Repeated stamps: which of them have positions that contradict each other."""
+"""Repeated timestamps with contradicting positions."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
 
-_STEPS = 3.0  # of the usual size: what noise explains of a body that hardly moves
+_STEPS = 3.0  # multiple of the median step that noise explains for a body nearly at rest
 
 
 class Conflicts(NamedTuple):
-    """States that have the stamp of another one and are elsewhere.
+    """States that share a timestamp with another state at a different position.
 
     Attributes:
-        number: How many they are.
-        largest_m: How far they are from the first state of the same stamp, at most, metres.
+        number: Number of such states.
+        largest_m: Their largest distance from the first state of the timestamp, metres.
     """
 
     number: int
@@ -25,11 +25,11 @@ class Conflicts(NamedTuple):
 
 
 def conflicts_of(stamps: NDArray[np.int64], positions: Floats) -> Conflicts:
-    """Compare states of equal stamps with the first one of each stamp.
+    """Compare states of equal timestamps with the first one of that timestamp.
 
-    Stamps that were rounded repeat with different positions, too, but these are between the
-    states before and after. So positions conflict where they are further apart than those two
-    states are, and than three usual steps, which is for the noise of a body at rest.
+    Rounded timestamps repeat, too, but their positions are between those of the neighbouring
+    states. Positions conflict if they are farther apart than the neighbours are, and than three
+    median steps, which allows for the noise of a body at rest.
 
     Args:
         stamps: (N,) sorted, nanoseconds.
@@ -52,7 +52,7 @@ def conflicts_of(stamps: NDArray[np.int64], positions: Floats) -> Conflicts:
 
 
 def _lengths(vectors: Floats) -> Floats:
-    # Positions may not be finite: what uses the states refuses them later.
+    # Positions that are not finite are refused later, where the states are used.
     with np.errstate(over="ignore", invalid="ignore"):
         lengths: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
     return lengths

@@ -1,8 +1,8 @@
-"""Rigid motions, batched: exponential, logarithm, adjoint and Jacobians of SE(3).
+"""Batched rigid motions: exponential, logarithm, adjoint and Jacobians of SE(3).
 
-Poses are homogeneous matrices (..., 4, 4). Twists (..., 6) are translation first, rotation second,
-and perturb on the right, in the body: T' = T Exp(xi), eq. (1) of the probabilistic paper. The
-package's other covariances are about the fixed frame's axes: see `covariance_frames`.
+Poses are homogeneous matrices (..., 4, 4). Twists (..., 6) have the translation first and perturb
+on the right, in the body frame: T' = T Exp(xi), eq. (1) of the probabilistic paper. The package's
+other covariances are about the fixed frame's axes: see `covariance_frames`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 
-# Squared angle below which series replace closed forms that cancel.
+# Squared angle, rad^2, below which series replace closed forms that cancel.
 _SMALL = 0.04
 
 
@@ -42,20 +42,20 @@ def exp(twist: Floats) -> Floats:
 
 
 def log(pose: Floats) -> Floats:
-    """Return the twists (..., 6) of poses (..., 4, 4), rotations at most pi."""
+    """Return the twists (..., 6) of poses (..., 4, 4), with angles of at most pi."""
     rotation = lie.log(pose[..., :3, :3])
     translation = times(lie.inverse_left_jacobian(rotation), pose[..., :3, 3])
     return np.concatenate([translation, rotation], axis=-1)
 
 
 def adjoint(pose: Floats) -> Floats:
-    """Return Ad_T (..., 6, 6): T Exp(x) = Exp(Ad_T x) T, eq. (2), of determinant 1."""
+    """Return Ad_T (..., 6, 6), with T Exp(x) = Exp(Ad_T x) T, eq. (2); its determinant is 1."""
     rotation = pose[..., :3, :3]
     return _triangular(rotation, lie.skew(pose[..., :3, 3]) @ rotation)
 
 
 def left_jacobian(twist: Floats) -> Floats:
-    """Return J_l (..., 6, 6) with Exp(x + d) = Exp(J_l d) Exp(x); J_r(x) is J_l(-x)."""
+    """Return J_l (..., 6, 6) with Exp(x + d) = Exp(J_l d) Exp(x). J_r(x) = J_l(-x)."""
     return _triangular(lie.left_jacobian(twist[..., 3:]), _coupling(twist))
 
 
@@ -66,10 +66,10 @@ def inverse_left_jacobian(twist: Floats) -> Floats:
 
 
 def log_determinant(rotation: Floats) -> Floats:
-    """Return log |det J| (...) of SO(3) at rotation vectors (..., 3); SE(3)'s is twice it."""
+    """Return log |det J| (...) of SO(3) at rotation vectors (..., 3); SE(3) has twice it."""
     squared = np.sum(rotation * rotation, axis=-1)
     half = np.sqrt(squared) / 2.0
-    # (sin(t/2) / (t/2))^2, which numpy's sinc has without a division by zero.
+    # (sin(t/2) / (t/2))^2; numpy's sinc avoids the division by zero.
     determinant: Floats = 2.0 * np.log(np.abs(np.sinc(half / np.pi)))
     return determinant
 
@@ -86,7 +86,7 @@ def log_determinant_gradient(rotation: Floats) -> Floats:
 
 
 def transposed(matrices: Floats) -> Floats:
-    """Return the transposes of the last two axes."""
+    """Return the matrices with their last two axes swapped."""
     return np.swapaxes(matrices, -1, -2)
 
 
@@ -97,7 +97,7 @@ def times(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def congruent(matrices: NDArray[Any], covariances: Floats) -> Floats:
-    """Return A S A^T (..., n, n), symmetric to the last bit."""
+    """Return A S A^T (..., n, n), exactly symmetric."""
     carried = matrices @ covariances @ transposed(matrices)
     symmetric: Floats = 0.5 * (carried + transposed(carried))
     return symmetric
@@ -115,7 +115,7 @@ def _coupling(twist: Floats) -> Floats:
     r, f = lie.skew(twist[..., :3]), lie.skew(twist[..., 3:])
     s = np.sum(np.square(twist[..., 3:]), axis=-1)[..., None, None]
     small = s < _SMALL
-    # Of each closed form, the value at an angle where it doesn't cancel stands in for small ones.
+    # Small angles use the series; 1 replaces them in the closed forms to avoid a division by zero.
     t2 = np.where(small, 1.0, s)
     t = np.sqrt(t2)
     sine, cosine = np.sin(t), np.cos(t)

@@ -1,4 +1,4 @@
-"""Similarity transformations, the elements of all gauges: x -> s R x + t."""
+"""Similarity transformations x -> s R x + t, the elements of all gauges."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from trajeval_ros.geometry.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """x -> scale * rotation x + translation; from the estimate's frame to the groundtruth's.
+    """x -> scale * rotation x + translation, from the estimate's frame to the groundtruth's.
 
     Attributes:
         rotation: (3, 3) rotation matrix.
         translation: (3,), metres.
-        scale: Positive factor, 1 for rigid transformations.
+        scale: Positive factor; 1 for rigid transformations.
 
     Example:
         >>> import numpy as np
@@ -37,7 +37,7 @@ class Similarity:
 
     @classmethod
     def identity(cls) -> Similarity:
-        """Return the transformation that changes nothing."""
+        """Return the identity transformation."""
         return cls(np.eye(3), np.zeros(3))
 
     @cached_property
@@ -46,18 +46,18 @@ class Similarity:
         return self.scale * self.rotation
 
     def positions(self, points: Floats) -> Floats:
-        """Return the points, (N, 3) or one (3,), transformed."""
+        """Return transformed points, (N, 3) or (3,)."""
         moved: Floats = points @ self.linear.T
         moved += self.translation
         return moved
 
     def quaternions(self, quaternions: Floats) -> Floats:
-        """Return the rotations, (N, 4) xyzw, turned: R_i -> R R_i."""
+        """Return transformed orientations, (N, 4) xyzw: R_i -> R R_i."""
         turn = lie.from_matrix(self.rotation)
         return lie.by_blocks(lambda rows: (lie.multiply(turn, rows),), quaternions)[0]
 
     def trajectory(self, trajectory: Trajectory) -> Trajectory:
-        """Return the states transformed, eq. (14); biases are in the body and don't change."""
+        """Return transformed states, eq. (14); biases are in the body frame and do not change."""
         quaternions, velocities = trajectory.quaternions, trajectory.velocities
         return replace(
             trajectory,
@@ -72,7 +72,7 @@ class Similarity:
         )
 
     def vectors(self, vectors: Floats) -> Floats:
-        """Return free vectors (N, 3), such as velocities, scaled and turned."""
+        """Return free vectors (N, 3), such as velocities, scaled and rotated."""
         turned: Floats = vectors @ self.linear.T
         return turned
 

@@ -1,4 +1,4 @@
-"""How fast a trajectory moves and turns."""
+"""Speed and turn rate of a trajectory."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 
 def speeds(trajectory: Trajectory) -> tuple[Floats, Floats | None]:
-    """Return the mean speed and turn rate over each step between consecutive states.
+    """Return the mean speed and turn rate of the steps between consecutive states.
 
     Args:
-        trajectory: N states with stamps, in order, no two at one time.
+        trajectory: N states in order of time, with distinct timestamps.
 
     Returns:
-        (N - 1,) in m/s, and (N - 1,) in rad/s; None for it without rotations.
+        Speeds (N - 1,), m/s, and turn rates (N - 1,), rad/s, or None without orientations.
     """
     steps_s = np.diff(trajectory.stamps) / NANOSECONDS
     linear = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1) / steps_s

@@ -1,14 +1,14 @@
-"""Which stamps of a stream can be trusted: those that others agree with.
+"""Detection of isolated timestamps in a stream.
 
-A message of a driver that starts, or of a clock that is being set, may be years ahead of all
-others. Taken for the time that has been reached, it would spoil all that follows. So a stamp far
-from the newest trusted one waits for what comes next:
+A driver's first message, or one sent while a clock is being set, can be years ahead of all others.
+If it were taken as the current time, all later messages would be dropped. Therefore a timestamp
+far from the newest trusted one waits for the next:
 
-* another one near it: time has jumped, and both are trusted;
-* one near the newest trusted stamp: it stands alone, and is dropped;
-* one that goes on beyond it, and another one: the stream is a slow one, and all are trusted.
+* If the next one is near it, time has jumped. Both are trusted.
+* If the next one is near the newest trusted timestamp, the waiting one is isolated and dropped.
+* If the next one is later and far, and so is a third, the stream has a low rate. All are trusted.
 
-The order is that of arrival, live as in a bag, so that both drop the same.
+The order is the order of arrival, live and in bags, so that both drop the same messages.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
-# Messages that merely overtake each other step back by less.
+# Messages that overtake one another differ by less.
 NEAR_NS = NANOSECONDS
-LONE = "lone_stamp"  # the reason by which such states are counted
-_OF_A_SLOW_STREAM = 3  # different stamps, each far beyond the one before
-_MOST_WAITING = 1000  # with one and the same stamp
-_LAST_GAP_NS = 60 * NANOSECONDS  # behind a longer one, what is last has nobody to agree with it
+LONE = "lone_stamp"  # the reason under which dropped states are counted
+_OF_A_SLOW_STREAM = 3  # distinct timestamps, all far apart and increasing
+_MOST_WAITING = 1000  # states with the same timestamp
+_LAST_GAP_NS = 60 * NANOSECONDS  # after a longer gap, the last timestamp of a stream is dropped
 
 
 class StampTrust:
-    """Passes on the states of a stream whose stamps are trusted, at a constant cost.
+    """Filters the states of a stream by timestamp, at a constant cost.
 
     Attributes:
         lone: Number of states dropped so far.
-        farthest_ns: How far the farthest of them was from the others.
+        farthest_ns: Largest distance of a dropped timestamp from the others, nanoseconds.
     """
 
     def __init__(self) -> None:
-        """Create it before the first state, which waits for the second one."""
+        """Create it before the first state, which waits for the second."""
         self.lone = self.farthest_ns = 0
         self._newest: int | None = None
         self._waiting: tuple[NDArray[Any], ...] = ()
@@ -46,28 +46,28 @@ class StampTrust:
     def take(
         self, stamps: Stamps, *columns: NDArray[Any], at_end: bool = False
     ) -> tuple[NDArray[Any], ...]:
-        """Return the states that are trusted by now, in order of arrival.
+        """Return the states that are trusted so far, in order of arrival.
 
         Args:
-            stamps: (N,) of states that have arrived, nanoseconds.
-            columns: What else there is of them, N rows each.
-            at_end: No more will come: what waits is decided now.
+            stamps: (N,) timestamps of new states, nanoseconds.
+            columns: Other columns of these states, with N rows.
+            at_end: No states will follow: decide about waiting states now.
 
         Returns:
-            Stamps and columns, of states that have waited, too.
+            Stamps and columns of trusted states, which include states that have waited.
         """
         everything: tuple[NDArray[Any], ...] = (stamps, *columns)
         if self._waiting:
             together = zip(self._waiting, everything, strict=True)
-            everything = tuple(np.concatenate(each) for each in together)
+            everything = tuple(np.concatenate(columns) for columns in together)
         trusted, waiting = self._judge(everything[0], at_end=at_end)
-        self._waiting = tuple(each[waiting] for each in everything) if waiting else ()
-        return everything if trusted.all() else tuple(each[trusted] for each in everything)
+        self._waiting = tuple(column[waiting] for column in everything) if waiting else ()
+        return everything if trusted.all() else tuple(column[trusted] for column in everything)
 
     def _judge(self, stamps: Stamps, *, at_end: bool) -> tuple[Booleans, list[int]]:
-        """Return which of the undecided states (N,) are trusted, and the rows of those to wait."""
+        """Return which undecided states (N,) are trusted, and the rows that keep waiting."""
         trusted = np.zeros(len(stamps), dtype=bool)
-        # The rows that are far from those before them; what lies between goes by its first one.
+        # Rows far from their predecessor. Rows between two of these are near the first of them.
         far = np.flatnonzero(np.abs(np.diff(stamps)) > NEAR_NS) + 1
         waiting: list[int] = []
         row = 0
@@ -78,9 +78,9 @@ class StampTrust:
             elif self._newest is not None and abs(stamp - self._newest) <= NEAR_NS:
                 self._drop(stamps[waiting], stamp)
             else:
-                contradicted = [each for each in waiting if stamps[each] > stamp]
+                contradicted = [held for held in waiting if stamps[held] > stamp]
                 self._drop(stamps[contradicted], stamp)
-                waiting = [each for each in waiting if stamps[each] <= stamp] + [row]
+                waiting = [held for held in waiting if stamps[held] <= stamp] + [row]
                 slow = len(np.unique(stamps[waiting])) >= _OF_A_SLOW_STREAM
                 if slow or len(waiting) >= _MOST_WAITING:
                     trusted[waiting] = True
@@ -94,22 +94,22 @@ class StampTrust:
             self._newest = int(stamps[row - 1])
         if not at_end:
             return trusted, waiting
-        for each in waiting:
-            late_ns = 1 if self._newest is None else int(stamps[each]) - self._newest
-            trusted[each] = 0 < late_ns <= _LAST_GAP_NS
-            if not trusted[each]:
-                self._drop(stamps[each : each + 1], self._newest or 0)
+        for held in waiting:
+            late_ns = 1 if self._newest is None else int(stamps[held]) - self._newest
+            trusted[held] = 0 < late_ns <= _LAST_GAP_NS
+            if not trusted[held]:
+                self._drop(stamps[held : held + 1], self._newest or 0)
         return trusted, []
 
     def _drop(self, stamps: Stamps, stamp: int) -> None:
-        """Count states (N,) that stand alone, besides one that doesn't."""
+        """Count isolated states (N,), and their distance from a timestamp that is not isolated."""
         self.lone += len(stamps)
         off_ns = int(np.abs(stamps - stamp).max(initial=0))
         self.farthest_ns = max(self.farthest_ns, off_ns)
 
     @property
     def said(self) -> str:
-        """What to tell of the states dropped; empty if there are none."""
+        """The sentence about the dropped states; empty if there are none."""
         if not self.lone:
             return ""
         far = f"{self.farthest_ns / NANOSECONDS:.4g} s"
@@ -122,6 +122,6 @@ class StampTrust:
 
 
 def trusted_states(stamps: Stamps) -> tuple[NDArray[np.int64], StampTrust]:
-    """Return the rows of a whole recording (N,) that are trusted, and what judged them."""
+    """Return the trusted rows of a recording with N timestamps, and the filter with its counts."""
     trust = StampTrust()
     return trust.take(stamps, np.arange(len(stamps)), at_end=True)[1], trust

@@ -1,4 +1,4 @@
-"""Fewer states of a trajectory: which rows to keep."""
+"""Thinning of trajectories: the rows to keep."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
-_FIRST_LOOK = 16  # states at once
+_FIRST_LOOK = 16  # states that are compared at once
 
 
 def evenly(count: int, wanted: int) -> Indices:
-    """Return `wanted` of `count` rows, evenly spread, the first and the last among them."""
+    """Return `wanted` of `count` rows, evenly spread, including the first and the last."""
     if wanted >= count:
         return np.arange(count)
     return np.round(np.linspace(0, count - 1, wanted)).astype(np.int64)
 
 
 def every_nth(count: int, most: int) -> slice:
-    """Return a slice of every n-th of `count` > 0 rows, with the least n that leaves `most`."""
+    """Return the slice of every n-th of `count` > 0 rows, with the least n for at most `most`."""
     return slice(None, None, -(-count // most))
 
 
 def at_rate(stamps: Stamps, rate_hz: float) -> Indices:
-    """Return the first row at or after each tick of a clock of that rate, which starts with them.
+    """Return the first row at or after every tick of a clock that starts with the first stamp.
 
     Args:
-        stamps: (N,) nanoseconds, rising.
-        rate_hz: At most so many rows a second are kept.
+        stamps: (N,) nanoseconds, increasing.
+        rate_hz: Rate of the clock.
     """
-    # In long doubles a tick of years of nanoseconds is still exact to a nanosecond.
+    # Long doubles are exact to a nanosecond over years.
     since = (stamps - stamps[0]).astype(np.longdouble)
     ticks = np.floor(since * rate_hz / NANOSECONDS).astype(np.int64)
     return np.flatnonzero(np.diff(ticks, prepend=-1) > 0)
 
 
 def by_motion(trajectory: Trajectory, distance_m: float, angle_rad: float) -> Indices:
-    """Return the first row, and each that is far or turned enough from the one kept before it.
+    """Return the first row, and every row at a given distance or angle from the previous kept one.
 
-    Noise of a body at rest doesn't add up, as it would in the length of its path.
+    Unlike the length of the path, this measure does not accumulate noise of a body at rest.
 
     Args:
-        trajectory: N states; without orientations the distance alone decides.
-        distance_m: Least distance between two that are kept.
-        angle_rad: Least angle between their orientations; either suffices.
+        trajectory: N states; without orientations only the distance is used.
+        distance_m: Least distance between kept states, metres.
+        angle_rad: Least angle between their orientations, rad; one of the two is sufficient.
     """
     positions, quaternions = trajectory.positions, trajectory.quaternions
     count = len(positions)
     kept, at, look = [0], 1, _FIRST_LOOK
-    # A loop over what is kept: each decides about those behind it.
+    # One iteration per kept state or block, with a vectorised search for the next one.
     while at < count:
         last, ahead = kept[-1], slice(at, at + look)
         steps = positions[ahead] - positions[last]
@@ -57,10 +57,10 @@ def by_motion(trajectory: Trajectory, distance_m: float, angle_rad: float) -> In
         if quaternions is not None:
             turns = lie.multiply(lie.conjugate(quaternions[last]), quaternions[ahead])
             enough |= lie.angle(turns) >= angle_rad
-        found = int(enough.argmax())
-        if enough[found]:
-            look = max(_FIRST_LOOK, 2 * (at + found - last))
-            kept.append(at + found)
+        first = int(enough.argmax())
+        if enough[first]:
+            look = max(_FIRST_LOOK, 2 * (at + first - last))
+            kept.append(at + first)
             at = kept[-1] + 1
         else:
             at, look = at + len(enough), 2 * look

@@ -1,4 +1,4 @@
-"""A part of a trajectory's time, as a user says it: from when to when."""
+"""Time spans of trajectories, as users specify them."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from decimal import Decimal, InvalidOperation
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
-_LATEST_S = 4_000_000_000  # a sum of two is still within nanoseconds of int64
+_LATEST_S = 4_000_000_000  # the sum of two still fits int64 nanoseconds
 
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """From when to when, both included.
+    """A period of time, both ends included.
 
     Attributes:
-        start_ns: Nanoseconds after the first stamp, or a stamp; None for the beginning.
-        end_ns: Likewise; None for the end.
-        absolute_start: Whether `start_ns` is a stamp.
-        absolute_end: Whether `end_ns` is one.
+        start_ns: Nanoseconds after the first timestamp, or a timestamp; None for the first state.
+        end_ns: Likewise; None for the last state.
+        absolute_start: Whether `start_ns` is a timestamp.
+        absolute_end: Whether `end_ns` is a timestamp.
 
     Example:
         >>> from trajeval_ros.geometry.time_span import TimeSpan
@@ -34,17 +34,17 @@ class TimeSpan:
 
     @classmethod
     def parse(cls, start: str | None, end: str | None) -> TimeSpan | None:
-        """Read "10" (seconds after the first stamp), "@1403636580.5" (a stamp) or an end "+30".
+        """Parse "10" (seconds after the first timestamp), "@1403636580.5" or, as an end, "+30".
 
         Args:
-            start: None for the beginning.
-            end: None for the end; "+30" is 30 seconds after the start.
+            start: None for the first state; "@..." is a timestamp.
+            end: None for the last state; "+30" is 30 seconds after the start.
 
         Returns:
-            None if neither is given.
+            None if both are None.
 
         Raises:
-            SettingsError: They are no times, or the end is before the start.
+            SettingsError: A text is not valid, or the end is before the start.
         """
         if start is None and end is None:
             return None
@@ -59,10 +59,10 @@ class TimeSpan:
         return cls(start_ns, end_ns, absolute_start, absolute_end)
 
     def stamps(self, first_ns: int) -> tuple[int | None, int | None]:
-        """Return the first and the last stamp, None where it is open.
+        """Return the first and the last timestamp, None for an open end.
 
         Args:
-            first_ns: The stamp that times are counted from.
+            first_ns: The timestamp that relative times count from.
         """
         start, end = self.start_ns, self.end_ns
         if start is not None and not self.absolute_start:
@@ -72,15 +72,15 @@ class TimeSpan:
         return start, end
 
     def cut(self, trajectory: Trajectory, first_ns: int, offset_ns: int = 0) -> Trajectory:
-        """Return the states within.
+        """Return the states in the time span.
 
         Args:
-            trajectory: States with stamps.
-            first_ns: The stamp that times are counted from.
-            offset_ns: Added to the trajectory's stamps, for the comparison alone.
+            trajectory: States with timestamps.
+            first_ns: The timestamp that relative times count from.
+            offset_ns: Added to the trajectory's timestamps for the comparison only.
 
         Raises:
-            InputError: It has no stamps, or no state within.
+            InputError: The trajectory has no timestamps, or no state in the time span.
         """
         if not trajectory.stamped:
             raise InputError("no timestamps, which a time span needs")
@@ -100,7 +100,7 @@ class TimeSpan:
 
 
 def _time(text: str, what: str) -> tuple[int, bool]:
-    """Return nanoseconds, and whether they are a stamp."""
+    """Return a time in nanoseconds, and whether it is a timestamp."""
     absolute = text.strip().startswith("@")
     try:
         seconds = Decimal(text.strip().removeprefix("@"))

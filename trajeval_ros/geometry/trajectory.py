@@ -1,4 +1,4 @@
-"""A trajectory as columns: stamps, positions, quaternions and what else was measured."""
+"""Trajectories as columns: stamps, positions, quaternions and optional quantities."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
 
 NANOSECONDS = 1_000_000_000
-# Of a position or velocity, m or m/s: no robot gets there, and squares can still be summed.
+# Largest position or velocity, m or m/s. No robot exceeds it, and its square is representable.
 LARGEST = 1e12
-_SHORTEST = 1e-6  # of a quaternion
-_UNIT = 1e-9  # largest error of the mean squared length of unit quaternions; rounding is far less
-# Of the squared length of a quaternion that was normalised: of its elements, and of the sum.
+_SHORTEST = 1e-6  # least length of a quaternion
+_UNIT = 1e-9  # largest error of the mean squared length of unit quaternions
+# Largest error of the squared length of a normalised quaternion, from rounding.
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-# Reasons for dropping what was no state of its own, and counts in no coverage.
+# Reasons for dropping what is no state of its own; coverage does not count it.
 NO_STATE = (
     "duplicate_stamp",
     "lone_stamp",
@@ -38,7 +38,7 @@ NO_STATE = (
     "zero_quaternion",
     "zero_stamp",
 )
-# Shapes of a row of each column.
+# Shape of a row by column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
     "frames": (),
@@ -54,38 +54,37 @@ _COLUMNS: dict[str, tuple[int, ...]] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """States of a moving body over time, in one fixed frame. Nothing in it is ever changed.
+    """States of a moving body over time in one fixed frame; immutable.
 
-    Build one from raw numbers with `from_columns`, which drops what can't be a pose.
+    `from_columns` makes one from raw numbers and drops invalid poses.
 
     Attributes:
         stamps: (N,) int64, nanoseconds.
         positions: (N, 3), metres, of the body in the frame.
-        quaternions: (N, 4), xyzw, of length 1, rotations from the body to the frame; None for a
-            position-only sensor.
+        quaternions: (N, 4), xyzw, unit, rotations from the body to the frame; None for sensors
+            without orientation.
         velocities: (N, 3), m/s, in the frame, or None.
         gyroscope_biases: (N, 3), rad/s, in the body, or None.
         accelerometer_biases: (N, 3), m/s^2, in the body, or None.
         covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
             the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
-        frames: (N,) int64, the number of each state's image in its sequence (KITTI), or None.
-        matrices: (N, 3, 3), the left parts of KITTI's matrices as the file has them, which with
-            few digits are only nearly the rotations of `quaternions`; None where there are none.
-        fixes: The N GNSS fixes that the positions are of, which also say in which frame they
-            are; None of anything else.
+        frames: (N,) int64, frame numbers in an image sequence (KITTI), or None.
+        matrices: (N, 3, 3), rotation matrices exactly as in KITTI's file, or None. With few
+            digits they are not quite the rotations of `quaternions`.
+        fixes: The N GNSS fixes of the positions, with their datum; None for other sources.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
-        up: Which axis of the frame points up, and what says so; z if nothing does (REP-103).
-        name: What a table calls it.
-        source: What it was read from, as a user names it; "" if from nothing.
-        unturned: Whether it had rotations that all are the identity and were left out, in a
-            topic, whose messages don't tell before the last one that they are no rotations.
-        stamped: False if the file had no stamps; then they count the rows, one second apart.
-        numbered: Whether the file gave the `frames`; else they count its rows.
-        dropped: Number of rows that were dropped, by reason.
-        notes: What the reader recognised or repaired, one sentence each, for the user.
-        damage: What of its source could not be read, one sentence each: the user must know.
-        conflicts: How its states contradict each other, one sentence each: the user must know.
+        up: The axis of the frame that points up, and its origin; z by default (REP-103).
+        name: Its name in tables.
+        source: The source, as the user names it; "" if there is none.
+        unturned: Whether a topic's orientations were dropped because all are the identity. A live
+            run cannot detect this before the last message.
+        stamped: False if the file has no timestamps; stamps then count rows, one second apart.
+        numbered: Whether the file has the numbers in `frames`; otherwise they count its rows.
+        dropped: Number of dropped rows, by reason.
+        notes: What the reader detected or corrected, one sentence each.
+        damage: Unreadable parts of the source, one sentence each.
+        conflicts: Contradictions between states, one sentence each.
 
     Example:
         >>> import numpy as np
@@ -119,11 +118,11 @@ class Trajectory:
     conflicts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the columns, so that a wrong one fails where it was made.
+        """Check types and shapes of the columns.
 
         Raises:
             TypeError: The stamps are not int64, or a column is no array.
-            ValueError: A column has another shape, or quaternions don't have the length 1.
+            ValueError: A column has a wrong shape, or quaternions are not of length 1.
         """
         count = len(self.stamps)
         for name, row_shape in _COLUMNS.items():
@@ -144,8 +143,7 @@ class Trajectory:
         if self.stamps.dtype != np.int64:
             raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")
         if self.quaternions is not None:
-            # A NaN, a zero and rows that were not normalised show in the mean, which is cheap:
-            # trajectories are made often.
+            # A check of the mean is cheap and detects NaN, zeros and rows without normalisation.
             excess = float(np.vdot(self.quaternions, self.quaternions)) - count
             if not abs(excess) <= _UNIT * count:
                 raise ValueError(
@@ -160,19 +158,18 @@ class Trajectory:
         quaternions: ArrayLike | None = None,
         **columns: object,
     ) -> Trajectory:
-        """Make a trajectory from raw numbers; rows that aren't poses are dropped and counted.
+        """Make a trajectory from raw numbers; invalid poses are dropped and counted.
 
         Args:
             stamps: (N,) int64, nanoseconds.
             positions: (N, 3), metres.
-            quaternions: (N, 4), xyzw, of any length but zero; None for a position-only sensor.
-            **columns: Any other attribute of `Trajectory`.
+            quaternions: (N, 4), xyzw, of any length except zero; None without orientations.
+            **columns: Other attributes of `Trajectory`.
 
-        Rows with a NaN or infinity in position or quaternion, or with what is too large to be
-        squared, are dropped as `not_finite`, quaternions of (nearly) zero length as
-        `zero_quaternion`: see `judge_poses`. Velocities or biases that aren't finite throughout
-        are left out, with a note. A covariance that is not finite stays, for whoever uses it to
-        judge.
+        Rows with a position or quaternion that is not finite, or too large to be squared, are
+        dropped as `not_finite`. Quaternions of (nearly) zero length are dropped as
+        `zero_quaternion`: see `judge_poses`. If a velocity or bias is not finite, that column is
+        dropped with a note. Covariances that are not finite are kept; their users check them.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
         quaternion_rows: Floats | None = None
@@ -199,6 +196,7 @@ class Trajectory:
         )._with_finite_columns()
 
     def _with_finite_columns(self) -> Trajectory:
+        """Return the trajectory without columns that are not finite, with a note."""
         bad = [
             name
             for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
@@ -216,7 +214,7 @@ class Trajectory:
         return len(self.stamps)
 
     def __repr__(self) -> str:
-        """Return a line that says what it is, without its arrays."""
+        """Return a summary in one line, without arrays."""
         count = len(self)
         parts = [
             self.name or "unnamed",
@@ -229,7 +227,7 @@ class Trajectory:
         return f"<Trajectory {', '.join(parts)}>"
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Trajectory:
-        """Return the states of a slice, a mask or an array of indices; of all of them, self."""
+        """Return the states of a slice, a mask or an array of indices."""
         if isinstance(rows, np.ndarray) and len(rows) == len(self):
             everything = rows if rows.dtype == bool else rows == np.arange(len(self))
             if everything.all():
@@ -254,7 +252,7 @@ class Trajectory:
 
     @property
     def travelled(self) -> Floats:
-        """Distance travelled up to each state along the straight lines between them, (N,), m."""
+        """Path length up to every state, (N,), metres."""
         return travelled_distance(self.positions)
 
     @property
@@ -264,23 +262,23 @@ class Trajectory:
 
     @property
     def kind(self) -> str:
-        """What its source holds: `gnss` fixes, `points` without orientation, or `poses`."""
+        """The content of its source: `gnss` fixes, `points` without orientation, or `poses`."""
         if self.fixes is not None:
             return "gnss"
         return "points" if self.quaternions is None and not self.unturned else "poses"
 
     @property
     def rotations(self) -> Rotation | None:
-        """The quaternions as scipy's `Rotation`, N in a batch; imports `scipy.spatial`."""
+        """The orientations as a scipy `Rotation` of N; imports `scipy.spatial`."""
         if self.quaternions is None:
             return None
         from scipy.spatial.transform import Rotation
 
-        # They are unit already, and `from_quat` would change last digits.
+        # The quaternions are unit already; normalisation would change last digits.
         return Rotation(self.quaternions, normalize=False)
 
     def in_order(self) -> Trajectory:
-        """Return the states sorted by stamp, of equal stamps only the first; says what it did."""
+        """Return the states sorted by stamp, the first of equal stamps, with notes and counts."""
         steps = np.diff(self.stamps)
         if (steps > 0).all():
             return self
@@ -304,7 +302,7 @@ class Trajectory:
         )
 
     def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
-        """State which repeated stamps contradict each other, if any do."""
+        """Return the sentence about repeated timestamps with contradicting positions, if any."""
         if not conflicts.number:
             return []
         return [
@@ -315,10 +313,10 @@ class Trajectory:
         ]
 
     def require_usable(self) -> None:
-        """Check that there is a state, and that all are finite.
+        """Check that there are states and that all are finite.
 
         Raises:
-            InputError: There is none, or one that isn't; `from_columns` drops such rows.
+            InputError: There is no state, or one is not finite; `from_columns` drops such rows.
         """
         name = self.name or "the trajectory"
         if not len(self):
@@ -332,9 +330,9 @@ class Trajectory:
 
 
 def _at_length_one(quaternions: Floats) -> Floats:
-    """Return quaternions (N, 4) of length 1; those that were normalised before keep their digits.
+    """Return quaternions (N, 4) scaled to length 1, unchanged if they have this length already.
 
-    So what is written is read back to the bit.
+    Written quaternions are therefore read back without a change of digits.
     """
 
     def at(rows: Floats) -> tuple[Floats]:
@@ -345,14 +343,13 @@ def _at_length_one(quaternions: Floats) -> Floats:
 
 
 def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
-    """Return which rows are finite, (N,), and which have a quaternion of some length, (N,).
+    """Return which rows are finite, (N,), and which have a quaternion of non-zero length, (N,).
 
-    An estimate that has diverged may have numbers that are finite, but whose squares are not: they
-    count as infinite, too.
+    A diverged estimate can have finite numbers whose squares overflow; they count as infinite.
 
     Args:
         positions: (N, 3), metres.
-        quaternions: (N, 4); None where there are none.
+        quaternions: (N, 4), or None.
     """
 
     def finite_at(rows: Floats) -> tuple[Booleans]:
@@ -368,7 +365,7 @@ def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[B
 
 
 def travelled_distance(positions: Floats) -> Floats:
-    """Return the distance travelled up to each of the positions (N, 3), (N,), metres."""
+    """Return the path length up to every position (N, 3), (N,), metres."""
     travelled = np.zeros(len(positions))
     np.cumsum(step_lengths(positions), out=travelled[1:])
     return travelled
@@ -385,7 +382,7 @@ def step_lengths(positions: Floats) -> Floats:
 
 
 def turned_angle(quaternions: Floats) -> Floats:
-    """Return the angle turned up to each of the orientations (N, 4), xyzw, (N,), radians."""
+    """Return the accumulated rotation up to every orientation (N, 4), xyzw, (N,), radians."""
     turned = np.zeros(len(quaternions))
     np.cumsum(step_angles(quaternions), out=turned[1:])
     return turned
@@ -401,15 +398,15 @@ def step_angles(quaternions: Floats) -> Floats:
 
 
 def count_up(counts: dict[str, int], reason: str, count: int) -> None:
-    """Add to the number of a reason, which appears with its first one."""
+    """Add to the count of a reason; a count of zero adds no key."""
     if count:
         counts[reason] = counts.get(reason, 0) + count
 
 
 def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
-    """Return the sums by key, without the zeros."""
+    """Return the sums of counts by reason, without zeros."""
     total: dict[str, int] = {}
-    for each in counts:
-        for reason, count in each.items():
+    for part in counts:
+        for reason, count in part.items():
             count_up(total, reason, count)
     return total

@@ -1,7 +1,7 @@
-"""Which axis of a fixed frame points up, and what that turns: gravity is no axis of every file.
+"""The vertical axis of a fixed frame, and the permutation of axes that makes it z.
 
-REP-103 has z up in the world, and -y up in the axes of a camera (x right, y down, z forward), in
-which KITTI's matrices are.
+REP-103 has z up in the world. In a camera's axes (x right, y down, z forward), which KITTI's poses
+use, -y is up.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class UpAxis:
 
     Attributes:
         name: One of `UP_AXES`.
-        origin: What says so: `given`, a format, a frame's name; `assumed` if nothing does.
+        origin: Where the axis is from: `given`, a format, a frame's name; `assumed` by default.
 
     Raises:
-        SettingsError: There is no axis of that name.
+        SettingsError: The name is unknown.
 
     Example:
         >>> from trajeval_ros.geometry.up_axis import UpAxis
@@ -39,49 +39,49 @@ class UpAxis:
     origin: str = GIVEN
 
     def __post_init__(self) -> None:
-        """Refuse what is no axis."""
+        """Refuse unknown names."""
         require_one_of(self.name, UP_AXES, "up axis")
 
     @classmethod
     def of_frame(cls, frame: str) -> UpAxis:
-        """Return what the name of a fixed frame says: z, but for REP-103's optical frames."""
+        """Return the up axis implied by a frame's name: -y for optical frames, else z."""
         if frame.endswith(OPTICAL_SUFFIXES):
             return cls("-y", f"frame {frame}")
         return cls("z", ASSUMED)
 
     def __str__(self) -> str:
-        """Return the axis, and what says so."""
+        """Return the axis and its origin."""
         return f"{self.name} ({self.origin})"
 
     @property
     def is_given(self) -> bool:
-        """Whether the user said so."""
+        """Whether the user specified it."""
         return self.origin == GIVEN
 
     @property
     def index(self) -> int:
-        """0, 1 or 2: the axis without its sign."""
+        """Index of the axis, without its sign."""
         return "xyz".index(self.name[-1])
 
     @property
     def level(self) -> tuple[int, int]:
-        """The two other axes, in the order in which they are right-handed seen from above."""
+        """Indices of the horizontal axes, right-handed when seen from above."""
         first, second = (self.index + 1) % 3, (self.index + 2) % 3
         return (second, first) if self.name.startswith("-") else (first, second)
 
     @property
     def matrix(self) -> Floats:
-        """The rotation (3, 3) from the frame to one whose z axis is this one."""
+        """The rotation (3, 3) from the frame to one whose z axis is the up axis."""
         turned: Floats = np.zeros((3, 3))
         turned[(0, 1, 2), (*self.level, self.index)] = 1.0
         turned[2] *= -1.0 if self.name.startswith("-") else 1.0
         return turned
 
     def turned(self, vectors: Floats) -> Floats:
-        """Return vectors (..., 3) in axes whose third is up: exact, since axes only change places.
+        """Return vectors (..., 3) in axes whose third is up; exact, since it permutes components.
 
-        Rotations' quaternions (..., 4) keep their last element: those of E become those of
-        W E W^T, with W the `matrix`.
+        Of quaternions (..., 4) the vector part is permuted and w kept: E becomes W E W^T, where W
+        is `matrix`.
         """
         if self.name == "z":
             return vectors

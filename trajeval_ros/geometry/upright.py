@@ -1,4 +1,4 @@
-"""Trajectories in a world whose z axis is up, for what knows gravity by no other name."""
+"""Conversion of trajectories to a frame with z up."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from trajeval_ros.geometry.up_axis import UpAxis
 
 
 def upright(trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory in a world whose z axis is up, with a note if that isn't its own."""
+    """Return a trajectory in a frame with z up, with a note if its own axis differs."""
     up = trajectory.up
     if up.name == "z":
         return trajectory
     turn, both = up.matrix, np.kron(np.eye(2), up.matrix)
     quaternions, velocities = trajectory.quaternions, trajectory.velocities
     covariances, matrices = trajectory.covariances, trajectory.matrices
-    axes = ", ".join("xyz"[each] for each in up.level)
+    axes = ", ".join("xyz"[axis] for axis in up.level)
     note = (
         f"vertical axis {up.name} ({up.origin}): evaluated in a frame with the axes {axes}, "
         f"{up.name}"
@@ -40,7 +40,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
 
 
 def between_own_axes(similarity: Similarity, groundtruth: UpAxis, estimate: UpAxis) -> Similarity:
-    """Return an alignment of two uprights as one of their trajectories' own axes."""
+    """Return an alignment between converted trajectories as one between their own frames."""
     to, of = groundtruth.matrix, estimate.matrix
     return Similarity(
         to.T @ similarity.rotation @ of, to.T @ similarity.translation, similarity.scale

@@ -25,26 +25,26 @@ from trajeval_ros.metrics.rotation_freedom import RotationFreedom, rotation_free
 if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
 
-# Below this ratio of squared lengths a direction is rounding, not motion.
+# Ratio of squared lengths below which a component is rounding error rather than motion.
 _ROUNDING = 1e-12
-# An orientation that is wrong by so much weighs as much as a position that is wrong by the ATE:
-# at half of it the ATE of good runs grows, at twice of it bad rotations are mended less.
+# The orientation error that weighs as much as a position error of the size of the ATE. With half
+# of it the ATE of good runs grows; with twice of it wrong rotations are corrected less.
 _ARM_ANGLE = float(np.radians(2.0))
-# Rotation and scale by turns, where both orientations and a scale have a say.
+# Rotation and scale are solved alternately when orientations and a scale are both fitted.
 _SAME_SCALE, _MOST_ROUNDS = 1e-12, 50
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A similarity with what the data say about it.
+    """A fitted similarity, and how well the states determine it.
 
     Attributes:
-        similarity: Maps the estimate onto the groundtruth.
-        states_used: Number of states that it was computed from.
-        freedom: How far these leave its rotation open; None where nothing turns, or a single
-            state's orientation decides.
-        by_positions: The alignment by their positions alone, where orientations were weighed
-            with them; else None.
+        similarity: Maps the estimate's frame to the groundtruth's.
+        states_used: Number of states in the fit.
+        freedom: Uncertainty of the fitted rotation; None for a gauge without rotation, and for
+            an alignment by the pose of one state.
+        by_positions: The alignment by positions alone if orientations were included in the fit;
+            else None.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -60,24 +60,25 @@ class Alignment:
 
     @property
     def scale_alone(self) -> Alignment:
-        """The scale of this alignment about the origin, without its rotation and translation."""
+        """The scale alone, about the origin; rotation and translation are the identity."""
         similarity = Similarity(np.eye(3), np.zeros(3), self.similarity.scale)
         return Alignment(similarity, self.states_used)
 
     @property
     def undetermined(self) -> str:
-        """Empty, or the sentence that says why the states don't determine the rotation."""
+        """The reason why the states do not determine the rotation; empty if they do."""
         return "" if self.freedom is None else self.freedom.undetermined
 
     @property
     def untrustworthy(self) -> str:
-        """Empty, or why rotation and velocity errors under it mean nothing."""
+        """The reason why rotation and velocity errors are meaningless; empty if they are not."""
         return "" if self.freedom is None else self.freedom.untrustworthy
 
     def why_withheld(self, protocol: Protocol) -> str:
-        """Return an empty text, or why a protocol doesn't print these errors.
+        """Return why a protocol withholds rotation and velocity errors; empty if it reports them.
 
-        Protocols of other programs print what those print, unless it is rounding.
+        Protocols that reproduce another program report whatever that program reports, unless the
+        rotation is undetermined to rounding.
         """
         if self.freedom is None or (
             protocol.is_of_a_program and np.isfinite(self.freedom.std_deg)
@@ -93,15 +94,15 @@ def solve(
     *,
     align_with: str = "positions",
 ) -> Alignment:
-    """Return the least-squares alignment, eq. (13) in the gauge: Alg. 1, or with eq. (18).
+    """Return the least-squares alignment, eq. (13): Alg. 1, with eq. (18) for gauge yaw.
 
     Args:
-        gauge: What it may change.
-        moments: Of the states' positions.
-        orientations: Of the same states; None if either side has none.
-        align_with: `positions`, or `poses` to weigh orientations with them: the least of the
-            mean of |p - s R q - t|^2 + l^2 |A - R B|^2 / 2, where l is the position ATE by
-            positions alone for every 2 deg. It needs `orientations`.
+        gauge: The group of the alignment.
+        moments: Sums over the states' positions.
+        orientations: Sum over the same states; None if a side has no orientations.
+        align_with: `positions`, or `poses` to include orientations in the cost: the mean of
+            |p - s R q - t|^2 + l^2 |A - R B|^2 / 2, with rotations A and B. The length l is the
+            position ATE of the alignment by positions, per 2 deg. `poses` needs `orientations`.
     """
     states = int(moments.weight)
     if not gauge.has_translation:
@@ -134,15 +135,16 @@ def solve(
 def _fit(
     gauge: Gauge, moments: Moments, pull: Floats, scale: float
 ) -> tuple[Similarity, float, bool]:
-    """Return the alignment, the best scale for its rotation, and whether that is free.
+    """Return the alignment, the best scale for its rotation, and whether the rotation is free.
 
-    It is free if some turn changes the cost by rounding alone.
+    The rotation is free if the cost is constant, up to rounding, along some rotation.
 
     Args:
-        gauge: One that turns.
-        moments: Of positions.
-        pull: (3, 3) what orientations add to s Sigma, whose nearest rotation is taken.
-        scale: To begin with; without a pull it doesn't matter.
+        gauge: A gauge with a rotation.
+        moments: Sums over positions.
+        pull: (3, 3), the term of the orientations, added to s Sigma before the rotation is
+            computed.
+        scale: Initial scale; it has no effect if `pull` is zero.
     """
     sigma = moments.covariance_pq
     for _ in range(_MOST_ROUNDS):
@@ -157,25 +159,25 @@ def _fit(
 
 
 def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
-    """Return the gauge's rotation R that maximises tr(R^T K), K (3, 3): lines 5 to 8 of Alg. 1.
+    """Return the gauge's rotation R that maximises tr(R^T K) for K (3, 3): Alg. 1, lines 5 to 8.
 
-    With it the curvature of the trace about the axis where it is flattest.
+    The second value is the least curvature of the trace over all rotation axes.
     """
     if gauge.turns_about_gravity_only:
         sine, cosine = target[1, 0] - target[0, 1], target[0, 0] + target[1, 1]
         return lie.about_gravity(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
-    # scipy's LAPACK takes a third of the time, but importing it as long as a whole evaluation.
+    # scipy's LAPACK takes a third of the time, but its import takes as long as an evaluation.
     u, d, vt = np.linalg.svd(target)
     flip = -1.0 if _is_mirrored(u @ vt) else 1.0
     return (u * [1.0, 1.0, flip]) @ vt, float(d[1] + flip * d[2])
 
 
 def _best_scale(rotation: Floats, sigma: Floats, moments: Moments) -> float:
-    """Return the scale of line 9 of Alg. 1: trace(D W) is the trace of R^T Sigma."""
+    """Return the scale of Alg. 1, line 9, where trace(D W) equals the trace of R^T Sigma."""
     if moments.variance_q <= 0.0:
         return 1.0
     scale = float(np.vdot(rotation, sigma)) / moments.variance_q
-    # Groundtruth at rest has no scale: what is left is the rounding of the sums.
+    # A groundtruth at rest gives a scale of zero; the remainder is rounding of the sums.
     return scale if scale > _ROUNDING * moments.anchor.scale else 0.0
 
 
@@ -186,7 +188,7 @@ def _is_mirrored(orthogonal: Floats) -> bool:
 
 
 def _mean_to_mean(rotation: Floats, scale: float, moments: Moments) -> Similarity:
-    """Return the similarity of a rotation and scale with the translation of line 10 of Alg. 1."""
+    """Return the similarity with the translation of Alg. 1, line 10."""
     return Similarity(rotation, moments.mean_difference(scale * rotation), scale)
 
 
@@ -199,20 +201,20 @@ def align(
     *,
     align_with: str = "positions",
 ) -> Alignment:
-    """Align N estimated positions with the groundtruth's (Alg. 1, or with eq. 18), (N, 3) each.
+    """Align N estimated positions to the groundtruth: Alg. 1, with eq. (18) for gauge yaw.
 
     Args:
-        gauge: What the alignment may change, or its name.
-        groundtruth: (N, 3), metres. For `planar` the height plays no part in the rotation.
-        estimate: (N, 3), metres.
-        weights: (N,) positive, per pair, as in `weighted_alignment`; None for all alike.
-        orientations: (N, 4) xyzw of groundtruth and estimate, which say whether positions
-            determine the rotation; None if either side has none.
-        align_with: `positions`, or `poses`, see `solve`; poses need `orientations`.
+        gauge: The group of the alignment, or its name.
+        groundtruth: (N, 3), metres. Gauge `planar` ignores the height for the rotation.
+        estimate: (N, 3), in units of the estimate.
+        weights: (N,), positive, one per pair (see `weighted_alignment`); None for equal weights.
+        orientations: (N, 4) xyzw of the groundtruth and of the estimate, to measure how well
+            positions determine the rotation; None if a side has none.
+        align_with: `positions` or `poses`, see `solve`; `poses` needs `orientations`.
 
     Raises:
-        DegenerateGeometryError: Fewer states than the gauge needs, or no motion at all where a
-            rotation is to be found.
+        DegenerateGeometryError: Fewer states than the gauge needs, or no motion although the
+            gauge has a rotation.
 
     Example:
         >>> import numpy as np
@@ -255,11 +257,11 @@ def align_first(
     estimate_position: Floats,
     estimate_quaternion: Floats | None,
 ) -> Alignment:
-    """Align by a single state: eq. (19), for yaw with the rotation of eq. (20).
+    """Align by the pose of one state: eq. (19), for gauge yaw with the rotation of eq. (20).
 
     Raises:
-        DegenerateGeometryError: Sim(3), since one state has no scale; a gauge with rotation
-            where a rotation is not measured; a yaw that the two rotations leave open.
+        DegenerateGeometryError: Gauge `sim3`, since one state has no scale; a gauge with a
+            rotation without orientations on both sides; a yaw that is not defined.
     """
     if gauge.has_scale:
         raise DegenerateGeometryError(

@@ -1,11 +1,11 @@
-"""Association: which groundtruth belongs to which estimated state.
+"""Association: pairs of estimated states and groundtruth states.
 
-`linear` interpolates the groundtruth at the estimate's stamps, `groundtruth-stamps` the estimate
-at the groundtruth's: never across a gap and never beyond the ends. `auto` is the latter for points
-and GNSS fixes, which are sparse, and the former for poses. `continuous` asks a model of the
-groundtruth's motion, also in gaps. `nearest` pairs one to one, closest first. The other methods
-reproduce a tool or a benchmark: `rpg` and `evo` by name, and `index` pairs by the number of the
-frame, or row by row.
+`linear` interpolates the groundtruth at the estimate's timestamps. `groundtruth-stamps`
+interpolates the estimate at the groundtruth's timestamps. Neither interpolates across a gap or
+extrapolates. `auto` is `linear` for poses and `groundtruth-stamps` for points and GNSS fixes,
+which are sparse. `continuous` evaluates a model of the groundtruth's motion, also in gaps.
+`nearest` pairs one to one, closest first. The other methods reproduce a tool or a benchmark:
+`rpg`, `evo`, and `index`, which pairs by frame number or row by row.
 """
 
 from __future__ import annotations
@@ -33,25 +33,28 @@ if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
 
 _ROUNDS = 8
-_LONGEST_S = 1e9  # of time differences and gaps; far below what nanoseconds in int64 can hold
+_LONGEST_S = 1e9  # limit of time differences and gaps; int64 nanoseconds hold more
 AUTO, AT_GROUNDTRUTH = "auto", "groundtruth-stamps"
-# Which evaluate one side at the stamps of the other.
+# Methods that interpolate one side at the timestamps of the other.
 INTERPOLATING = (AUTO, "linear", AT_GROUNDTRUTH, "continuous")
 METHODS = (AUTO, "linear", AT_GROUNDTRUTH, "continuous", "nearest", "rpg", "evo", "index")
 
 
 @dataclass(frozen=True)
 class AssociationRule:
-    """How pairs are made; a pair needs a groundtruth close in time.
+    """The settings of an association.
 
     Attributes:
         method: One of `METHODS`.
-        max_time_difference_s: Largest difference of stamps in a pair, for the nearest kinds.
-        max_gap_s: Longest step between two states to interpolate across: of the groundtruth, for
-            `groundtruth-stamps` of the estimate.
-        time_offset_s: Added to the estimate's stamps before pairing.
-        model: For `continuous`: how the groundtruth moves between its samples.
-        noise: For `continuous`: of the groundtruth's samples.
+        max_time_difference_s: Largest time difference in a pair, for `nearest`, `rpg` and `evo`.
+        max_gap_s: Longest step between two states that is interpolated: of the groundtruth, or of
+            the estimate for `groundtruth-stamps`.
+        time_offset_s: Added to the estimate's timestamps before pairing, seconds.
+        model: Motion model of the groundtruth, for `continuous`.
+        noise: Noise of the groundtruth's samples, for `continuous`.
+
+    Raises:
+        SettingsError: An unknown method or model, or a number out of range.
 
     Example:
         >>> from trajeval_ros import AssociationRule, Protocol
@@ -68,7 +71,7 @@ class AssociationRule:
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
-        """Refuse what no rule can mean."""
+        """Refuse unknown names and numbers out of range."""
         require_one_of(self.method, METHODS, "association")
         for name in ("max_time_difference_s", "max_gap_s"):
             if not 0.0 < getattr(self, name) <= _LONGEST_S:
@@ -83,9 +86,9 @@ class AssociationRule:
             )
 
     def for_kind(self, kind: str) -> AssociationRule:
-        """Return the rule for groundtruth of a kind (`Trajectory.kind`), which settles `auto`.
+        """Return the rule for a kind of groundtruth (`Trajectory.kind`), with `auto` resolved.
 
-        Rates would be no criterion: a live run doesn't know them when it begins.
+        Rates are not used for the choice, because a live run does not have them at its start.
         """
         if self.method != AUTO:
             return self
@@ -94,22 +97,22 @@ class AssociationRule:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Pairs of states, row by row, and what is left over.
+    """N pairs of states, and the number of states without a pair.
 
     Attributes:
-        rule: How they were made.
-        groundtruth: N groundtruth states at the pairs' stamps.
-        estimate: N estimated states, in their own frame.
-        estimate_coverage: Share of the estimate's usable states that are in a pair; None of
-            `groundtruth-stamps`, which says nothing of it.
-        coverage: How much of the groundtruth's time pairs cover; its gaps are left out, except
-            of method `continuous`, which pairs in them too.
-        dropped: Number of states that are in no pair, by reason: estimated ones, for
-            `groundtruth-stamps` those of the groundtruth.
-        continuous: The groundtruth's model, of method `continuous`.
-        groundtruth_rows: (N,) which groundtruth state is in each pair; None where it is none of
-            the recorded ones, but one between them.
-        from_the_start: Whether the first pair has the first state that was estimated.
+        rule: The settings of the association.
+        groundtruth: N groundtruth states at the timestamps of the pairs.
+        estimate: N estimated states, in the estimate's frame.
+        estimate_coverage: Share of the estimate's usable states that are in a pair; None for
+            `groundtruth-stamps`, where it is not defined.
+        coverage: Share of the groundtruth's time that the pairs cover. Groundtruth gaps do not
+            count, except for `continuous`, which pairs in gaps, too.
+        dropped: Number of states without a pair by reason: of the estimate, or of the groundtruth
+            for `groundtruth-stamps`.
+        continuous: The groundtruth's model, for `continuous`; else None.
+        groundtruth_rows: (N,) index of the groundtruth state of every pair; None if the
+            groundtruth was interpolated.
+        from_the_start: Whether the first pair has the first estimated state.
     """
 
     rule: AssociationRule
@@ -128,7 +131,7 @@ class Association:
 
     @property
     def groundtruth_coverage(self) -> float:
-        """Share of the groundtruth's time in which the estimate was tracked."""
+        """Share of the groundtruth's time that the pairs cover."""
         return self.coverage.covered
 
     @property
@@ -138,16 +141,21 @@ class Association:
 
     @property
     def is_at_groundtruth(self) -> bool:
-        """Whether pairs are at the groundtruth's stamps; its coverage is then their share."""
+        """Whether pairs are at the groundtruth's timestamps; coverage then counts its states."""
         return self.rule.method == AT_GROUNDTRUTH
 
 
 def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
-    """Pair the states of two trajectories by their stamps.
+    """Pair the states of two trajectories.
+
+    Args:
+        groundtruth: M states.
+        estimate: States in their own frame.
+        rule: The settings.
 
     Raises:
-        NoMatchError: Nothing pairs; says both time ranges and the likely cause.
-        InputError: Pairing by frame or row, but see `match_rows`.
+        NoMatchError: There is no pair; the message has both time ranges and the likely cause.
+        InputError: A trajectory has no usable state, or rows cannot be paired (`match_rows`).
     """
     rule = rule.for_kind(groundtruth.kind)
     groundtruth.require_usable()
@@ -177,10 +185,10 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
     if len(rows) == 0:
         raise NoMatchError(explain_no_match(groundtruth, shifted, rule, dropped))
     pairs = shifted[rows]
-    # A row of a file without stamps happened when its groundtruth did.
+    # Without timestamps in the estimate, a pair has the groundtruth's.
     stamps = truth.stamps if by_row and groundtruth.stamped else pairs.stamps
     truth = dataclasses.replace(truth, stamps=stamps)
-    # A state that several pairs share is covered once.
+    # Coverage counts a groundtruth state once, also if several pairs share it.
     once = truth if truth_rows is None else truth[np.unique(truth_rows, return_index=True)[1]]
     return Association(
         rule=rule,
@@ -200,7 +208,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
 def _modelled(
     groundtruth: Trajectory, estimate: Trajectory, continuous: ContinuousTrajectory
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
-    """Take the most likely groundtruth poses at the estimate's stamps, gaps or not."""
+    """Evaluate the groundtruth's model at the estimate's timestamps, gaps included."""
     rows = np.flatnonzero(continuous.covers(estimate.stamps))
     stamps = estimate.stamps[rows]
     poses = continuous.at(stamps).poses
@@ -222,6 +230,7 @@ def _modelled(
 
 
 def _outside(times: Indices, stamps: Indices) -> dict[str, int]:
+    """Return how many stamps (N,) are before and after all times (M,), by reason."""
     return {
         "before_groundtruth": int(np.count_nonzero(stamps < times.min())),
         "after_groundtruth": int(np.count_nonzero(stamps > times.max())),
@@ -231,7 +240,7 @@ def _outside(times: Indices, stamps: Indices) -> dict[str, int]:
 def _interpolated(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
-    """Interpolate the groundtruth at the estimate's stamps."""
+    """Interpolate the groundtruth at the estimate's timestamps."""
     bracket = bracket_stamps(groundtruth.stamps, estimate.stamps, rule.max_gap_s)
     rows = np.flatnonzero(bracket.usable)
     return between(groundtruth, estimate.stamps, bracket), rows, bracket.dropped("groundtruth")
@@ -240,7 +249,7 @@ def _interpolated(
 def _at_groundtruth(
     groundtruth: Trajectory, estimate: Trajectory, shifted: Trajectory, rule: AssociationRule
 ) -> Association:
-    """Interpolate the estimate at the groundtruth's stamps.
+    """Interpolate the estimate at the groundtruth's timestamps.
 
     Coverage is completeness: the share of the groundtruth's states that are in a pair.
     """
@@ -262,12 +271,12 @@ def _at_groundtruth(
 
 
 def between(trajectory: Trajectory, stamps: Indices, bracket: Bracket) -> Trajectory:
-    """Return the states between those of a trajectory, linearly and by slerp.
+    """Return the states of a trajectory at other timestamps: linear, orientations by slerp.
 
     Args:
-        trajectory: In order.
-        stamps: (N,) of which those are taken that are usable.
-        bracket: Where they lie.
+        trajectory: M states in order of time.
+        stamps: (N,), nanoseconds; only those with a usable bracket are evaluated.
+        bracket: The position of every stamp between the states.
     """
     rows = np.flatnonzero(bracket.usable)
     start, end, fraction = bracket.start, bracket.end, bracket.fraction
@@ -294,15 +303,15 @@ def between(trajectory: Trajectory, stamps: Indices, bracket: Bracket) -> Trajec
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """Where each of N stamps lies between the stamps of a sorted trajectory.
+    """The position of N timestamps between the timestamps of a sorted trajectory.
 
     Attributes:
-        start: (N,) index of the state at or before it.
-        end: (N,) index of the state after it; equal to `start` on a state's very stamp.
-        fraction: (N,) of the way from one to the other, in [0, 1].
-        early: (N,) whether it lies before all states.
-        late: (N,) whether it lies after all states.
-        gap: (N,) whether it lies in a gap.
+        start: (N,) index of the state at or before the timestamp.
+        end: (N,) index of the state after it; equal to `start` if they coincide.
+        fraction: (N,) position between the two states, in [0, 1].
+        early: (N,) whether the timestamp is before all states.
+        late: (N,) whether it is after all states.
+        gap: (N,) whether it is in a gap.
     """
 
     start: Indices
@@ -314,37 +323,37 @@ class Bracket:
 
     @property
     def usable(self) -> Booleans:
-        """Whether there is a state on, or are states on both sides of, each stamp."""
+        """Whether the trajectory has a state at the timestamp, or one on both sides, (N,)."""
         usable: Booleans = ~(self.early | self.late | self.gap)
         return usable
 
     def until(self, count: int) -> Bracket:
-        """Return where the first stamps lie, so many of them."""
-        columns = (getattr(self, each.name) for each in dataclasses.fields(self))
-        return Bracket(*(each[:count] for each in columns))
+        """Return the bracket of the first `count` timestamps."""
+        columns = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return Bracket(*(column[:count] for column in columns))
 
     @staticmethod
     def reasons(side: str) -> tuple[str, str, str]:
-        """Return why stamps are not usable.
+        """Return the reasons why timestamps are not usable, in the order early, late, gap.
 
         Args:
-            side: Whose states they were looked for among, `groundtruth` or `estimate`.
+            side: The interpolated side, `groundtruth` or `estimate`.
         """
         return f"before_{side}", f"after_{side}", f"in_{side}_gap"
 
     def dropped(self, side: str) -> dict[str, int]:
-        """Return how many stamps are not usable, by reason."""
-        counts = (int(np.count_nonzero(each)) for each in (self.early, self.late, self.gap))
+        """Return how many timestamps are not usable, by reason."""
+        counts = (int(np.count_nonzero(mask)) for mask in (self.early, self.late, self.gap))
         return dict(zip(self.reasons(side), counts, strict=True))
 
 
 def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket:
-    """Find each of the stamps (N,) between the sorted, distinct times of states (M,), M > 0."""
+    """Return where stamps (N,) are between sorted, distinct times (M,), M > 0, nanoseconds."""
 
     def at(stamps: Indices) -> tuple[NDArray[Any], ...]:
         end = np.minimum(times.searchsorted(stamps), len(times) - 1)
         at_end = times[end]
-        # A stamp on a state's own takes that state alone, also at the first one.
+        # A timestamp that coincides with a state uses that state alone, also the first one.
         start = np.where(at_end == stamps, end, np.maximum(end - 1, 0))
         at_start = times[start]
         step = at_end - at_start
@@ -362,7 +371,7 @@ def mix(
     end: Indices,
     fraction: Floats,
 ) -> Floats | None:
-    """Return a column (M, k) interpolated linearly between its rows, (N, k)."""
+    """Return a column (M, k) linearly interpolated between rows `start` and `end`, (N, k)."""
     if column is None:
         return None
 
@@ -374,7 +383,7 @@ def mix(
 
 
 def _slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -> Floats:
-    """Return quaternions (M, 4) interpolated between their rows, (N, 4)."""
+    """Return quaternions (M, 4) interpolated between rows `start` and `end`, (N, 4)."""
 
     def at(start: Indices, end: Indices, fraction: Floats) -> tuple[Floats]:
         first, last = quaternions.take(start, axis=0), quaternions.take(end, axis=0)
@@ -386,9 +395,9 @@ def _slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) 
 def _one_to_one(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Indices, Indices]:
-    """Pair greedily, closest first, each state once (TUM's and the authors' toolbox's rule).
+    """Pair greedily, closest first, every state at most once (rule of TUM and of rpg's toolbox).
 
-    `rpg` leaves out the limit itself and compares stamps as the toolbox reads them.
+    `rpg` excludes the limit itself and compares timestamps as the toolbox reads them.
     """
     limit = rule.max_time_difference_s
     truth_times: NDArray[Any] = groundtruth.stamps
@@ -411,8 +420,8 @@ def _one_to_one(
     row, truth = row[order], truth[order]
     taken_row: Indices = np.full(len(estimate), -1, dtype=np.int64)
     taken_truth = np.zeros(len(groundtruth), dtype=bool)
-    # A pair that comes first for both of its states is accepted, which rules out all others of
-    # these states; what is left has new first pairs. A few rounds settle usual recordings ...
+    # A pair that is the closest one of both of its states is accepted, and all other pairs of
+    # these states are removed. Then other pairs are the closest. A few rounds are usually enough.
     for _ in range(_ROUNDS):
         if not len(row):
             break
@@ -426,7 +435,7 @@ def _one_to_one(
         taken_truth[truth[both]] = True
         free = (taken_row[row] < 0) & ~taken_truth[truth]
         row, truth = row[free], truth[free]
-    # ... and chains of rivals, such as equal rates half a period apart, go one by one.
+    # Long chains of competing pairs, such as equal rates half a period apart, go one by one.
     for one, other in zip(row.tolist(), truth.tolist(), strict=True):
         if taken_row[one] < 0 and not taken_truth[other]:
             taken_row[one] = other
@@ -438,9 +447,9 @@ def _one_to_one(
 def _evo(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Indices, Indices]:
-    """Pair as evo does: each state of the shorter trajectory with the other's nearest one.
+    """Pair as evo does: every state of the shorter trajectory with the nearest of the other.
 
-    Stamps are compared as evo reads them.
+    Timestamps are compared as evo reads them.
     """
     driven_by_truth = len(groundtruth) < len(estimate)
     short, long = (groundtruth, estimate) if driven_by_truth else (estimate, groundtruth)
@@ -454,16 +463,16 @@ _NEAREST = {"nearest": _one_to_one, "rpg": _one_to_one, "evo": _evo}
 
 
 def _float_seconds(stamps: Indices) -> Floats:
-    """Return stamps as the tools to be reproduced read them, seconds to 2.4e-7.
+    """Return timestamps in float64 seconds, as rpg and evo read them; resolution 2.4e-7 s.
 
-    A difference at the very limit then falls to the same side as theirs.
+    A difference equal to the limit is then rounded as in these tools.
     """
     seconds: Floats = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
     return seconds
 
 
 def _distinct(rows: Indices, count: int) -> int:
-    """Return how many different ones of `count` rows are named."""
+    """Return the number of distinct indices in `rows`, which are below `count`."""
     named = np.zeros(count, dtype=bool)
     named[rows] = True
     return int(np.count_nonzero(named))

@@ -1,4 +1,4 @@
-"""Columns of numbers as other libraries' tables."""
+"""Conversion of columns to tables of other libraries: Arrow, Parquet, pandas."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def arrow_table(columns: Columns) -> pyarrow.Table:
         InputError: pyarrow is not installed.
     """
     pyarrow = _load_pyarrow()
-    return pyarrow.table({name: _arrow_array(pyarrow, each) for name, each in columns.items()})
+    return pyarrow.table({name: _arrow_array(pyarrow, array) for name, array in columns.items()})
 
 
 def _arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
     """Return a column, (N,), as an Arrow array.
 
-    `pyarrow.array` would import pandas where that is installed, which takes longer than a table.
+    `pyarrow.array` imports pandas if it is installed, which takes longer than a table.
     """
     values = np.ascontiguousarray(column)
     if values.dtype.kind in "iuf":
@@ -40,7 +40,7 @@ def _arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
         kind = pyarrow.from_numpy_dtype(values.dtype)
         return pyarrow.Array.from_buffers(kind, len(values), buffers)
     if values.dtype.kind == "U":
-        words = [each.encode() for each in values.tolist()]
+        words = [word.encode() for word in values.tolist()]
         offsets = np.cumsum([0, *map(len, words)], dtype=np.int32)
         text = pyarrow.py_buffer(offsets), pyarrow.py_buffer(b"".join(words))
         return pyarrow.StringArray.from_buffers(len(values), *text)
@@ -48,12 +48,12 @@ def _arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
 
 
 def write_parquet(path: Path, tables: Sequence[Columns], metadata: Mapping[str, str]) -> None:
-    """Write tables one below the other to a Parquet file; null where one lacks a column.
+    """Write tables one after the other to a Parquet file; columns that a table lacks are null.
 
     Args:
         path: The file.
-        tables: Each of columns of equal lengths.
-        metadata: What the file says of itself.
+        tables: Tables of columns; the columns of a table have equal lengths.
+        metadata: Key-value metadata of the file.
 
     Raises:
         InputError: pyarrow is not installed.
@@ -67,7 +67,7 @@ def write_parquet(path: Path, tables: Sequence[Columns], metadata: Mapping[str, 
 
 
 def have_pyarrow() -> bool:
-    """Return whether pyarrow can be used."""
+    """Return whether pyarrow is installed and can be imported."""
     try:
         _load_pyarrow()
     except InputError:

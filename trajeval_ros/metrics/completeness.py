@@ -1,6 +1,7 @@
-"""Completeness: in how much of the groundtruth's own states there is an estimate.
+"""Completeness: the share of the groundtruth's states that have an estimate.
 
-It is the coverage of pairs at the stamps of fixes and points, too few of them to measure time by.
+This is the coverage of pairs at the timestamps of fixes and points. These are too sparse to
+measure coverage by time.
 """
 
 from __future__ import annotations
@@ -13,31 +14,31 @@ from trajeval_ros.metrics.coverage import Coverage, Gap
 
 
 class CompletenessSums:
-    """What completeness needs of the groundtruth's states, added up as they come.
+    """Running sums for completeness.
 
-    A stretch without estimate lasts from one state that was found, or the first of all, to the
-    next one. Live and offline it is the same arithmetic, so the same coverage.
+    A gap starts at a state with an estimate, or at the first state, and ends at the next state
+    with an estimate. Live and offline evaluation share this code, so that their coverage is equal.
     """
 
     def __init__(self) -> None:
-        """Create it without a state."""
+        """Create sums without a state."""
         self._states = self._found = 0
         self._first_ns = self._newest_ns = 0
-        self._found_ns: tuple[int, int] | None = None  # the first and the last that was found
-        # Of the stretch that has not ended: where and when it began, and what is known of it.
+        self._found_ns: tuple[int, int] | None = None  # first and last stamp with an estimate
+        # The open gap: its start, the farthest distance from there, whether a state is missing.
         self._begin, self._begin_ns = np.empty((0, 3)), 0
         self._reach_m, self._is_missing = 0.0, False
         self._longest: Gap | None = None
 
     def add(self, stamps: Stamps, positions: Floats, found: Booleans) -> None:
-        """Add states in order of their stamps.
+        """Add states in order of their timestamps.
 
-        Late ones, which are older than those before, count alone.
+        States older than those of earlier calls are only counted.
 
         Args:
             stamps: (N,), nanoseconds.
             positions: (N, 3), metres.
-            found: (N,) whether there is an estimate.
+            found: (N,) whether the state has an estimate.
         """
         self._states += len(stamps)
         self._found += int(np.count_nonzero(found))
@@ -70,7 +71,7 @@ class CompletenessSums:
         self._reach_m, self._is_missing = float(reach_m[-1]), bool(is_missing[-1])
 
     def coverage(self) -> Coverage | None:
-        """Return the share of the states that was found; None while there is none."""
+        """Return the share of states with an estimate; None if there is no such state."""
         if self._found_ns is None:
             return None
         gap = self._longest
@@ -81,7 +82,7 @@ class CompletenessSums:
         return Coverage(self._found / self._states, span, longest_gap=gap)
 
     def _longer(self, lasted_ns: int, reach_m: float) -> Gap:
-        """Return the longest stretch so far, or a longer one."""
+        """Return the longest gap so far, or a longer one."""
         lasted_s = float(lasted_ns / NANOSECONDS)
         if self._longest is not None and self._longest.duration_s >= lasted_s:
             return self._longest
@@ -89,11 +90,11 @@ class CompletenessSums:
 
 
 def completeness(groundtruth: Trajectory, rows: Indices) -> Coverage:
-    """Return the coverage of pairs at the groundtruth's own stamps: the share that is found.
+    """Return the coverage of pairs at the groundtruth's timestamps: the share of its states.
 
     Args:
-        groundtruth: (M,) all its states, in order.
-        rows: (N,) which of them are in a pair, N > 0.
+        groundtruth: M states, in order.
+        rows: (N,) indices of the states that are in a pair, N > 0.
     """
     found = np.zeros(len(groundtruth), dtype=bool)
     found[rows] = True

@@ -1,8 +1,8 @@
-"""Coverage: in how much of the groundtruth's time an estimate was tracked; beside every ATE.
+"""Coverage: the share of the groundtruth's time in which the estimate was tracked.
 
-A tracker that publishes frame by frame was lost in a step much longer than usual. Keyframes are
-chosen by motion, so that slow motion makes long steps: there the groundtruth says whether the
-robot moved on, and only a long step with motion that no keyframe shows is a loss.
+An estimate at the camera's rate was lost during a step much longer than usual. Keyframes are
+chosen by motion, so slow motion makes long steps. For keyframes, only a long step with more motion
+than usual is a loss; the motion is the groundtruth's.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.log_histogram import LogHistogram
 from trajeval_ros.metrics.pair_steps import PairSteps, StampedPoses, StepMeter, waypoints
 
-# Steps are those of keyframes if nine in ten are below a time that is longer than this, and than
-# so many times the median; quantiles of fewer steps say nothing.
+# Steps are between keyframes if their 90 % quantile exceeds this time, and this multiple of the
+# median. Fewer steps than this give no reliable quantile.
 _KEYFRAMES_S = 0.2
 _UNEVEN = 1.2
 _FEWEST_STEPS = 10
-# A keyframe's step is never a loss if it is no longer than this, or than so many times the usual
-# one, or if the robot moved less than this in it, or than so many times what is usual.
+# A step between keyframes is no loss if it is shorter than this time or this multiple of the
+# median, or if the robot moved less than these limits or than this multiple of the usual motion.
 _SHORT_S = 3.0
 _USUAL_STEPS = 2.0
 _STILL_M = 0.05
@@ -34,12 +34,12 @@ _NO_GAP_NS = int(np.iinfo(np.int64).max)
 
 @dataclass(frozen=True)
 class Gap:
-    """A stretch of time in which the estimate was lost.
+    """A period in which the estimate was lost.
 
     Attributes:
-        duration_s: How long, gaps of the groundtruth left out.
-        reach_m: The farthest that the groundtruth got from where it began.
-        turn_deg: The farthest that the groundtruth turned; None without its orientations.
+        duration_s: Its duration without gaps of the groundtruth.
+        reach_m: Largest distance of the groundtruth from its position at the start.
+        turn_deg: Largest rotation of the groundtruth since the start; None without orientations.
     """
 
     duration_s: float
@@ -54,13 +54,13 @@ class Gap:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of the groundtruth's time pairs cover; its gaps don't count.
+    """The share of the groundtruth's time that pairs cover, gaps of the groundtruth excluded.
 
     Attributes:
-        covered: Share of it in which the estimate was tracked.
-        span: Share of it from the first pair to the last one.
-        keyframes: Whether the pairs are keyframes, whose steps are uneven.
-        longest_gap: The longest step between pairs that isn't covered; None if all are.
+        covered: Share of the time in which the estimate was tracked.
+        span: Share of the time from the first to the last pair.
+        keyframes: Whether the pairs are keyframes, with uneven steps.
+        longest_gap: The longest step between pairs that is not covered; None if all are.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -77,12 +77,12 @@ class Coverage:
 
     @property
     def of_what(self) -> str:
-        """What covers, for a sentence: pairs, or keyframe pairs."""
+        """What covers the groundtruth, for a message: pairs, or keyframe pairs."""
         return "keyframe pairs" if self.keyframes else "pairs"
 
     @property
     def gap_in_words(self) -> str:
-        """What a sentence adds about span and longest gap; empty where all steps are covered."""
+        """Span and longest gap, for a message; empty if all steps are covered."""
         if self.longest_gap is None:
             return ""
         return (
@@ -91,17 +91,18 @@ class Coverage:
 
 
 class CoverageSums:
-    """What coverage needs of the steps between pairs, added up as they come.
+    """Running sums of the steps between pairs, from which coverage follows.
 
-    Steps that are longer than the maximum gap are kept, at most one per such time; of all others
-    sums and histograms. Live and offline it is the same sums, so the same coverage.
+    Steps longer than the maximum gap are kept, at most one per maximum gap. All others are summed
+    and counted in histograms. Live and offline evaluation share this code, so that their coverage
+    is equal.
     """
 
     def __init__(self, max_gap_s: float) -> None:
-        """Create it without a step.
+        """Create sums without a step.
 
         Args:
-            max_gap_s: Longest step that is never a loss.
+            max_gap_s: Longest step that always counts as covered.
         """
         self._max_gap_s = max_gap_s
         self._steps = 0
@@ -122,11 +123,11 @@ class CoverageSums:
             self._long.append(steps.where(is_long))
 
     def coverage(self, time_ns: int, states: int) -> Coverage:
-        """Return what the pairs cover.
+        """Return the coverage of the pairs.
 
         Args:
-            time_ns: The groundtruth's time that pairs can cover, nanoseconds; 0 of groundtruth
-                that is all gaps, whose share of states counts then.
+            time_ns: Groundtruth time without gaps, nanoseconds. If it is 0 (every step is a gap),
+                the share of states is returned instead.
             states: Number of groundtruth states.
         """
         if time_ns == 0:
@@ -148,14 +149,14 @@ class CoverageSums:
                 is_tracked |= self._hardly_moved(steps)
             covered_ns += int(steps.time_ns[is_tracked].sum())
             gap = _longest(steps.where(~is_tracked))
-        covered, span = (min(1.0, each / time_ns) for each in (covered_ns, self._time_ns))
+        covered, span = (min(1.0, part_ns / time_ns) for part_ns in (covered_ns, self._time_ns))
         return Coverage(covered, span, keyframes, gap)
 
     def _hardly_moved(self, steps: PairSteps) -> Booleans:
-        """Return in which steps the robot did no more than in two usual ones of a keyframe run."""
+        """Return in which steps the robot moved at most twice as much as in a usual step."""
         most_m = max(_STILL_M, _USUAL_STEPS * self._reach_m.quantile(0.9))
         most_rad = max(_STILL_RAD, _USUAL_STEPS * self._turn_rad.quantile(0.9))
-        # Unknown turns are NaN, and larger than nothing.
+        # Unknown rotations are NaN; their comparison is false.
         still: Booleans = (steps.reach_m <= most_m) & ~(steps.turn_rad > most_rad)
         return still
 
@@ -175,20 +176,20 @@ def _longest(steps: PairSteps) -> Gap | None:
 def coverage_of(
     groundtruth: Trajectory, pairs: Trajectory, max_gap_s: float, *, in_gaps: bool = False
 ) -> Coverage:
-    """Return what pairs cover of the groundtruth's time.
+    """Return the share of the groundtruth's time that pairs cover.
 
     Args:
-        groundtruth: (M,) all its states.
-        pairs: (N,) the groundtruth's states in pairs, N > 0, each once.
-        max_gap_s: Longest step of either that is no gap.
-        in_gaps: Whether pairs are made in the groundtruth's gaps, too, so that these count.
+        groundtruth: All M states.
+        pairs: The groundtruth states of the N pairs, N > 0, without repetition.
+        max_gap_s: Longest step of either side that is no gap, seconds.
+        in_gaps: Whether pairs exist in gaps of the groundtruth, so that gaps count as time.
     """
     max_gap_ns = _NO_GAP_NS if in_gaps else round(max_gap_s * NANOSECONDS)
     order = np.argsort(groundtruth.stamps, kind="stable")
     times = groundtruth.stamps[order]
     needed = order[waypoints(times, max_gap_ns)]
     found = StampedPoses.of(pairs, np.argsort(pairs.stamps, kind="stable"))
-    # The nearest state may be a little beyond the groundtruth's ends, whose time ends there.
+    # The nearest estimate can be beyond the groundtruth's ends; coverage ends there.
     within = found._replace(stamps=found.stamps.clip(times[0], times[-1]))
     sums = CoverageSums(max_gap_s)
     sums.add(StepMeter(max_gap_ns).measure(StampedPoses.of(groundtruth, needed), within))
@@ -196,6 +197,6 @@ def coverage_of(
 
 
 def time_without_gaps(stamps: Indices, max_gap_ns: int) -> int:
-    """Return the sum of the steps between sorted stamps that are no gaps, nanoseconds."""
+    """Return the sum of the steps between sorted stamps (N,) that are no gaps, nanoseconds."""
     steps = stamps[1:] - stamps[:-1]
     return int(steps[steps <= max_gap_ns].sum())

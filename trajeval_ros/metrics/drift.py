@@ -1,6 +1,6 @@
-"""Drift: relative errors as shares of the length of the sub-trajectories that they grew over.
+"""Drift: relative errors per length of the sub-trajectories.
 
-Positions in percent of the length, rotations in degrees per metre (tutorial, sec. IV-B; KITTI).
+Position in percent of the length, rotation in degrees per metre (tutorial, section IV-B; KITTI).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from trajeval_ros.metrics.errors import RelativeErrors
 from trajeval_ros.metrics.statistics import Statistics, statistics_in_place
 
 PERCENT = 100.0
-# Of each error, the name of its share of the length, and the share's units in an error per metre.
+# Error to the name of its drift, and to the drift's units per error and metre.
 PER_LENGTH = {
     "position_m": ("position_percent", PERCENT),
     "rotation_deg": ("rotation_deg_per_m", 1.0),
@@ -35,7 +35,7 @@ class Drift:
 
 
 def position_percent(errors_m: Floats, length_m: float) -> Floats:
-    """Return position errors (K,), metres, in percent of the length that they grew over."""
+    """Return position errors (K,), metres, in percent of the sub-trajectory length."""
     percent: Floats = errors_m * (PERCENT / length_m)
     return percent
 
@@ -43,12 +43,12 @@ def position_percent(errors_m: Floats, length_m: float) -> Floats:
 def statistics_per_length(
     position: Statistics | None, rotation: Statistics | None, length_m: float | None
 ) -> dict[str, Statistics | None]:
-    """Return the statistics of drift by metric; None without errors or a length in metres.
+    """Return the statistics of drift by metric; None without errors or without a length in metres.
 
     Args:
-        position: Of errors in metres.
-        rotation: Of errors in degrees.
-        length_m: That they grew over, metres; None where the length is a duration.
+        position: Statistics of errors in metres.
+        rotation: Statistics of errors in degrees.
+        length_m: Length of the sub-trajectories, metres; None if the length is a duration.
     """
     percent = per_metre = None
     if length_m is not None and position is not None:
@@ -58,15 +58,15 @@ def statistics_per_length(
 
 
 class PooledDrift:
-    """Drift over the sub-trajectories of several lengths, as KITTI ranks by."""
+    """Drift over sub-trajectories of several lengths together, as in the KITTI ranking."""
 
     def __init__(self, most: int) -> None:
-        """Create it empty, with room for so many sub-trajectories."""
+        """Create it empty, with space for `most` sub-trajectories."""
         self._shares = {name: np.empty(most) for name in PER_LENGTH}
         self._counts = dict.fromkeys(PER_LENGTH, 0)
 
     def add(self, errors: RelativeErrors, length_m: float) -> None:
-        """Add relative errors that grew over a length, metres."""
+        """Add the relative errors of sub-trajectories of a length, metres."""
         for name, (_, units) in PER_LENGTH.items():
             column = getattr(errors, name)
             if column is not None:
@@ -77,7 +77,7 @@ class PooledDrift:
                 self._counts[name] = end
 
     def statistics(self) -> dict[str, Statistics | None]:
-        """Return the statistics by metric, None without errors, and let go of these."""
+        """Return the statistics by metric, None without errors, and release the memory."""
         return {
             share: statistics_in_place(self._shares.pop(name)[: self._counts[name]])
             for name, (share, _) in PER_LENGTH.items()

@@ -1,4 +1,4 @@
-"""Trajectories changed before they are looked at or saved: what, and in which order."""
+"""Editing of trajectories before they are saved or evaluated, in a fixed order."""
 
 from __future__ import annotations
 
@@ -29,25 +29,28 @@ from trajeval_ros.metrics.protocol import Protocol
 
 @dataclass(frozen=True, eq=False)
 class Editing:
-    """What to change, in the order of these attributes; None or False leaves it.
+    """The operations, in the order of these attributes; None or False skips one.
 
-    Frames come before thinning, so that an alignment uses every state, and distances of a motion
-    filter are those of what is saved.
+    Frames are changed before states are removed, so that an alignment uses all states, and motion
+    filters measure distances in the frame of the result.
 
     Attributes:
-        time_span: Which part of the time; counted from the reference's first stamp, or from each
-            trajectory's own without a reference.
-        merge: Make one trajectory of all.
-        world_axes: Axes of the fixed frame, see `optical_axes`.
-        body_axes: Axes of the body, likewise.
-        right: Pose of the wanted body in the one that moves: T <- T T_right.
-        left: Pose of the frame in the wanted one, with a scale: T <- T_left T.
-        align: Protocol by which to align to the reference.
-        synchronise: How states are paired with the reference's, to keep only those in pairs.
-        plane: One of `PLANES` to project on.
+        time_span: Period to keep; relative times count from the reference's first timestamp, or
+            from the trajectory's own without a reference.
+        merge: Join all trajectories to one.
+        world_axes: Convention of the fixed frame's axes, see `optical_axes`.
+        body_axes: Convention of the body's axes, see `optical_axes`.
+        right: Pose of the new body in the present one: T <- T T_right.
+        left: Pose of the present frame in the new one, with a scale: T <- T_left T.
+        align: Protocol of the alignment to the reference.
+        synchronise: Association with the reference; only states in pairs are kept.
+        plane: One of `PLANES`, to project on.
         motion: Least distance (m) and angle (rad) between states, see `by_motion`.
-        rate_hz: At most so many states a second.
-        poses: At most so many states, evenly spread.
+        rate_hz: Largest number of states per second.
+        poses: Largest number of states, evenly spread.
+
+    Raises:
+        SettingsError: Unknown names, or values out of range.
     """
 
     time_span: TimeSpan | None = None
@@ -64,11 +67,7 @@ class Editing:
     poses: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what can't be meant.
-
-        Raises:
-            SettingsError: It can't.
-        """
+        """Refuse unknown names and values out of range."""
         for axes in (self.world_axes, self.body_axes):
             if axes is not None:
                 require_one_of(axes, AXES, "axes")
@@ -89,12 +88,12 @@ class Editing:
 
 @dataclass(frozen=True, eq=False)
 class Edited:
-    """A trajectory as it was changed.
+    """An edited trajectory.
 
     Attributes:
-        trajectory: Its states.
-        reference: The reference's states in the same rows, if it was synchronised; else None.
-        alignment: How it was aligned; None if it wasn't.
+        trajectory: The states.
+        reference: The reference's states in the same rows after synchronisation; else None.
+        alignment: The alignment to the reference; None without one.
     """
 
     trajectory: Trajectory
@@ -105,16 +104,16 @@ class Edited:
 def edit(
     trajectories: Sequence[Trajectory], reference: Trajectory | None, editing: Editing
 ) -> list[Edited]:
-    """Return trajectories as they are wanted.
+    """Return the edited trajectories.
 
     Args:
-        trajectories: Each with a name.
-        reference: What to align and to synchronise to, in its own frame; None for nothing.
-        editing: What to change.
+        trajectories: Trajectories with names.
+        reference: Trajectory to align and to synchronise to, in its own frame; None for none.
+        editing: The operations.
 
     Raises:
-        InputError: One can't be changed so; the message begins with its name.
-        SettingsError: A reference is needed and missing.
+        InputError: A trajectory cannot be edited; the message starts with its name.
+        SettingsError: An operation needs a reference and there is none.
     """
     if reference is None and (editing.align is not None or editing.synchronise is not None):
         raise SettingsError(
@@ -123,15 +122,15 @@ def edit(
     if reference is not None:
         reference = reference.in_order()
     parts = []
-    for each in trajectories:
-        with _named(each):
-            parts.append(_cut(each.in_order(), reference, editing.time_span))
+    for trajectory in trajectories:
+        with _named(trajectory):
+            parts.append(_cut(trajectory.in_order(), reference, editing.time_span))
     if editing.merge:
         parts = [merged(parts)]
     results = []
-    for each in parts:
-        with _named(each):
-            results.append(_edit(each, reference, editing))
+    for trajectory in parts:
+        with _named(trajectory):
+            results.append(_edit(trajectory, reference, editing))
     return results
 
 
@@ -177,16 +176,16 @@ def _in_wanted_frames(trajectory: Trajectory, editing: Editing) -> Trajectory:
 def aligned_to(
     reference: Trajectory, trajectory: Trajectory, protocol: Protocol
 ) -> tuple[Trajectory, Alignment]:
-    """Return all states in the reference's frame, and how they came there.
+    """Return all states in the reference's frame, and the alignment.
 
     Args:
-        reference: In its own frame, which the result is in.
-        trajectory: In its own.
-        protocol: Gauge, association, and which states decide; as in an evaluation.
+        reference: Trajectory in its own frame, which is the frame of the result.
+        trajectory: Trajectory in its own frame.
+        protocol: Gauge, association and states to align by, as in an evaluation.
 
     Raises:
         InputError: There are no pairs.
-        DegenerateGeometryError: They don't determine what the gauge leaves open.
+        DegenerateGeometryError: The pairs do not determine the alignment.
     """
     truth, estimate = reference, trajectory
     if protocol.is_upright:
@@ -219,7 +218,7 @@ def _kept(trajectory: Trajectory, editing: Editing) -> Indices:
 
 @contextlib.contextmanager
 def _named(trajectory: Trajectory) -> Iterator[None]:
-    """State which trajectory an error is about."""
+    """Put the name of a trajectory before the message of an error."""
     try:
         yield
     except TrajevalError as error:

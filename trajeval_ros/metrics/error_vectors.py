@@ -14,7 +14,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 
 @dataclass(frozen=True, eq=False)
 class ErrorVectors:
-    """Errors of N aligned states, groundtruth minus estimate; None where they can't be had.
+    """Errors of N aligned states, groundtruth minus estimate; None if not available.
 
     Attributes:
         position_world_m: (N, 3), along the axes of the groundtruth's frame. Its length is
@@ -22,8 +22,8 @@ class ErrorVectors:
         position_body_m: (N, 3), the same vector along the axes of the groundtruth's body.
         rotation_world_deg: (N, 3), rotation vector of E = R R'^T, about the axes of the
             groundtruth's frame: roll, pitch, yaw. Its length is `AbsoluteErrors.rotation_deg`.
-        rotation_body_deg: (N, 3), rotation vector of R'^T R, about the axes of the body. Since E
-            doesn't turn its own axis, groundtruth's and estimate's body give the same.
+        rotation_body_deg: (N, 3), rotation vector of R'^T R, about the axes of the body. It is
+            the same for the groundtruth's and the estimate's body: E keeps its own axis.
     """
 
     position_world_m: Floats

@@ -1,8 +1,8 @@
 """Absolute and relative errors of paired states: eq. (21) to (27) of the tutorial.
 
-Groundtruth states are (p, R, v), estimated ones (p', R', v'); the rotation error is
-E = R R'^T in the groundtruth's world. `plain` errors are differences, p - p'. The tutorial's
-own form, eq. (23), p - E p', depends on where the world's origin is and is offered by name.
+Groundtruth states are (p, R, v), estimated states (p', R', v'). The rotation error is E = R R'^T
+in the groundtruth's frame. `plain` position errors are p - p'. Form `tutorial` is p - E p', eq.
+(23), which depends on the origin of the frame.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from trajeval_ros.metrics.span_alignment import align_spans
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteErrors:
-    """Errors of N aligned states; a column that can't be had is None, never zeros.
+    """Errors of N aligned states; a quantity that is not available is None, never zeros.
 
     Attributes:
         position_m: (N,), length of the position error.
-        horizontal_m: (N,), length of its level part, across the groundtruth's up axis.
-        vertical_m: (N,), length of its part along that axis.
+        horizontal_m: (N,), its component perpendicular to the groundtruth's up axis.
+        vertical_m: (N,), its component along the up axis, absolute value.
         rotation_deg: (N,), angle of E.
-        yaw_deg: (N,), absolute twist of E about gravity, the groundtruth's up axis.
+        yaw_deg: (N,), twist of E about the groundtruth's up axis, absolute value.
         tilt_deg: (N,), angle between the up axis and its image under E: roll and pitch.
         velocity_mps: (N,), length of the velocity error.
-        gyroscope_bias: (N,), rad/s, length of the difference, in the body.
-        accelerometer_bias: (N,), m/s^2, length of the difference, in the body.
+        gyroscope_bias: (N,), rad/s, length of the difference, in the body frame.
+        accelerometer_bias: (N,), m/s^2, length of the difference, in the body frame.
     """
 
     position_m: Floats
@@ -51,13 +51,13 @@ class AbsoluteErrors:
 def absolute_errors(
     groundtruth: Trajectory, aligned: Trajectory, form: str = "plain", *, rotation: bool = True
 ) -> AbsoluteErrors:
-    """Return the errors of an aligned estimate, state by state: eq. (23).
+    """Return the errors of an aligned estimate, eq. (23).
 
     Args:
         groundtruth: N states.
-        aligned: N states, paired with the groundtruth's and aligned with them, eq. (14).
-        form: `plain` or `tutorial`; the latter needs rotations on both sides.
-        rotation: False withholds all that depends on an undetermined rotation.
+        aligned: N states paired with the groundtruth and aligned to it, eq. (14).
+        form: `plain` or `tutorial`; the latter needs orientations on both sides.
+        rotation: False withholds all errors that depend on an undetermined rotation.
     """
     velocities = aligned.velocities if rotation else None
     truth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
@@ -90,7 +90,7 @@ def absolute_errors(
 
 
 def _parts(errors: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
-    """Return the lengths of position errors (N, 3), of their level parts and of the rest."""
+    """Return the lengths (N,) of errors (N, 3), and of their horizontal and vertical parts."""
     level = up.turned(errors)
     return lengths(errors), np.hypot(level[:, 0], level[:, 1]), np.abs(level[:, 2])
 
@@ -101,7 +101,7 @@ def position_errors(groundtruth: Trajectory, aligned: Trajectory, form: str) -> 
     Args:
         groundtruth: N states.
         aligned: N states, aligned.
-        form: `tutorial` for p - E p', which needs rotations on both sides; else it is p - p'.
+        form: `tutorial` for p - E p', which needs orientations on both sides; p - p' otherwise.
     """
     if form != "tutorial":
         return groundtruth.positions - aligned.positions
@@ -128,15 +128,15 @@ def _sizes(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class RelativeErrors:
-    """Errors (27) at the ends of K sub-trajectories of one length.
+    """Errors of eq. (27) at the ends of K sub-trajectories of one length.
 
     Attributes:
-        starts: (K,) index of the pair of states that each begins with.
-        ends: (K,) index of the pair that it ends with.
+        starts: (K,) indices of the first pairs.
+        ends: (K,) indices of the last pairs.
         position_m: (K,), length of the position error at the end.
         rotation_deg: (K,), angle of E at the end; None without orientations on both sides.
-        yaw_deg: (K,), absolute twist about gravity; None where it isn't known which way is up.
-        tilt_deg: (K,), roll and pitch; likewise, and where a plane leaves none.
+        yaw_deg: (K,), twist about the up axis, absolute value; None if the up axis is unknown.
+        tilt_deg: (K,), roll and pitch; None if the up axis is unknown or the gauge is planar.
         velocity_mps: (K,), length of the velocity error at the end, or None.
     """
 
@@ -161,23 +161,24 @@ def relative_errors(
     """Return the errors at the ends of sub-trajectories that are aligned at their starts.
 
     Args:
-        groundtruth: N states with rotations; for `fitted` they may have positions alone.
-        estimate: Likewise, paired with the groundtruth's, in their own frame.
-        starts: (K,) indices of first states.
-        ends: (K,) indices of last states.
-        gauge: What each alignment by the first state may change, eq. (19) and (20).
-        scale: The global alignment's, since one state has none.
-        form: `gauge`: aligned by the gauge, plain difference at the end. `se3`: aligned by
-            SE(3) whatever the gauge, which is the error of relative poses (KITTI, rpg).
-            `tutorial`: aligned by the gauge, eq. (26) to the letter. `euler`: as `se3`, with
-            yaw and tilt as Euler angles of the error in the estimate's own world, as
-            rpg_trajectory_evaluation has them. `fitted`: aligned by yaw and position over all
-            its states, eq. (18), plain difference at the end. `matrices`: as `se3`, with the
-            matrices as KITTI's files have them, which the devkit doesn't make rotations. `evo`:
-            as `se3`.
+        groundtruth: N states with orientations; form `fitted` accepts positions alone.
+        estimate: N states paired with the groundtruth, in their own frame; likewise.
+        starts: (K,) indices of the first states.
+        ends: (K,) indices of the last states.
+        gauge: Group of the alignment by the first state, eq. (19) and (20).
+        scale: Scale of the alignment of the whole trajectory; one state has none.
+        form: `gauge`: alignment by the gauge, plain difference at the end.
+            `se3`: alignment in SE(3) for any gauge: the error of relative poses (KITTI, rpg).
+            `tutorial`: alignment by the gauge, eq. (26) to the letter.
+            `euler`: as `se3`; yaw and tilt are Euler angles of the error in the estimate's
+            world, as in rpg_trajectory_evaluation.
+            `fitted`: alignment by yaw and position over all states, eq. (18), plain difference.
+            `matrices`: as `se3`, with the matrices of KITTI's files, which the devkit does not
+            orthonormalise.
+            `evo`: as `se3`.
 
-    Gauges `none` and `translation` use SE(3) here: a relative error without an alignment of
-    the first state's rotation would be an absolute one.
+    Gauges `none` and `translation` use SE(3) here: without a rotation of the first state a
+    relative error would be an absolute one.
     """
     if form == "fitted" and (groundtruth.quaternions is None or estimate.quaternions is None):
         sides = groundtruth.positions, estimate.positions
@@ -211,7 +212,7 @@ def relative_errors(
 
 
 class PoseArrays(NamedTuple):
-    """The columns of poses that relative errors need.
+    """Positions and orientations for relative errors.
 
     Attributes:
         positions: (..., 3), metres.
@@ -223,14 +224,14 @@ class PoseArrays(NamedTuple):
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> PoseArrays:
-        """Return the N poses of a trajectory with rotations."""
+        """Return the N poses of a trajectory with orientations."""
         quaternions = trajectory.quaternions
         assert quaternions is not None
         return cls(trajectory.positions, quaternions)
 
     def at(self, rows: Indices) -> PoseArrays:
         """Return the poses of these rows."""
-        # Faster than by [rows].
+        # `take` is faster than indexing.
         return PoseArrays(self.positions.take(rows, axis=0), self.quaternions.take(rows, axis=0))
 
 
@@ -240,22 +241,22 @@ def differences_at_ends(
     """Align K sub-trajectories at their starts; return the differences at their ends.
 
     Args:
-        truth: (2, K) groundtruth poses, those of the starts and those of the ends.
+        truth: (2, K) groundtruth poses: first the starts, then the ends.
         other: (2, K) estimated poses.
         gauge: As for `relative_errors`.
         scale: As for `relative_errors`.
         form: As for `relative_errors`.
 
     Returns:
-        The position errors (K, 3), the rotation errors (K, 4), the alignments' rotations (K, 4).
+        Position errors (K, 3), rotation errors (K, 4), rotations of the alignments (K, 4).
     """
     first, last = rotation_errors(truth.quaternions, other.quaternions)
-    # The alignment is eq. (19), for yaw with the rotation of eq. (20).
+    # The alignment is eq. (19); for yaw its rotation is eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
     alignment = lie.heading(first) if about_gravity else first
-    # eq. (14) with the first state's alignment, relative to that state's position.
+    # eq. (14) with the alignment by the first state, relative to the first position.
     step = scale * lie.rotate(alignment, other.positions[1] - other.positions[0])
-    # R (R_a R')^T, with R R'^T at hand for both states.
+    # R (R_a R')^T; R R'^T is available for both states.
     between = lie.multiply(last, lie.conjugate(alignment))
     if form == "tutorial":
         aligned = truth.positions[0] + step
@@ -266,7 +267,7 @@ def differences_at_ends(
 def _fitted(
     truth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats, Floats]:
-    """Align K sub-trajectories by all their states; return what `differences_at_ends` does."""
+    """Align K sub-trajectories by all their states; return the same as `differences_at_ends`."""
     difference, alignment = _fitted_differences(truth.positions, other.positions, starts, ends)
     turned = lie.multiply(alignment, other.quaternions[ends])
     between = lie.multiply(truth.quaternions[ends], lie.conjugate(turned))
@@ -279,7 +280,7 @@ def _fitted_differences(
     """Align K sub-trajectories of positions (N, 3) by yaw and position over all their states.
 
     Returns:
-        The position errors at their ends (K, 3), and the alignments' rotations (K, 4).
+        The position errors at the ends (K, 3), and the rotations of the alignments (K, 4).
     """
     alignment, mean_p, mean_q = align_spans(truth, other, starts, ends)
     aligned = mean_p + lie.rotate(alignment, other[ends] - mean_q)
@@ -289,10 +290,10 @@ def _fitted_differences(
 def _euler_in_estimate_world(
     truth_q: Floats, other_q: Floats, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats]:
-    """Return |yaw| and hypot(pitch, roll) of relative poses' error, degrees, as the toolbox.
+    """Return |yaw| and hypot(pitch, roll) of the relative poses' errors, degrees, (K,) each.
 
-    The relative rotation's error is turned into the unaligned estimate's world at the end
-    state, then read as intrinsic z-y-x Euler angles.
+    As in rpg_trajectory_evaluation, the error of the relative rotation is expressed in the
+    unaligned estimate's world at the end state and converted to intrinsic z-y-x Euler angles.
     """
     truth_step = lie.multiply(lie.conjugate(truth_q[starts]), truth_q[ends])
     other_step = lie.multiply(lie.conjugate(other_q[starts]), other_q[ends])

@@ -1,4 +1,4 @@
-"""The whole evaluation of one estimate: associate, align, measure. Reads like the tutorial."""
+"""The evaluation of one estimate: associate, align, measure. It follows the tutorial's order."""
 
 from __future__ import annotations
 
@@ -46,23 +46,23 @@ ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
-    """How wrong an estimate is, with everything that the numbers depend on.
+    """The result of an evaluation, with everything that the numbers depend on.
 
     Attributes:
         protocol: The settings.
-        groundtruth: All groundtruth states, cleaned.
-        estimate: All estimated states, cleaned, in their own frame.
-        association: The pairs, the estimate's in its own frame.
+        groundtruth: All groundtruth states, without invalid ones.
+        estimate: All estimated states, without invalid ones, in their own frame.
+        association: The pairs; the estimate is in its own frame.
         alignment: From the estimate's frame to the groundtruth's.
-        absolute: Errors pair by pair.
-        ate: Their statistics by metric; None where a metric can't be had.
-        segments: Relative errors by length; None where they can't be had at all.
+        absolute: Errors of every pair.
+        ate: Statistics of the absolute errors by metric; None if a metric is not available.
+        segments: Relative errors by length; None if they are not available.
         pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
-            sub-trajectories of all lengths in metres, as KITTI ranks by; None without any.
-        warnings: What a reader of the numbers must know, one sentence each; the pipeline adds
-            them.
-        score: By the protocol's points; None if it has none.
-        recall: Of the groundtruth's points; None unless the protocol asks for it.
+            sub-trajectories of all lengths in metres, as in the KITTI ranking; None without any.
+        warnings: Warnings about the validity of the numbers, one sentence each, added by the
+            pipeline.
+        score: Score by the protocol's table of points; None without a table.
+        recall: Recall of the groundtruth's points; None without a recall rule.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -89,46 +89,46 @@ class Evaluation:
 
     @cached_property
     def aligned(self) -> Trajectory:
-        """The paired estimated states, aligned; made when they are first asked for."""
+        """The paired estimated states, aligned; computed at the first access."""
         return self.alignment.similarity.trajectory(self.association.estimate)
 
     @property
     def withheld(self) -> str:
-        """Empty, or why the alignment's rotation and velocity errors mean nothing."""
+        """The reason why rotation and velocity errors are withheld; empty if they are not."""
         return self.alignment.why_withheld(self.protocol)
 
     @property
     def drift(self) -> Drift | None:
         """The drift over the longest sub-trajectories in metres; None if there are none."""
-        known = [
-            Drift(percent, each.length_m)
-            for each in self.segments or ()
-            if each.length_m is not None and (percent := each.statistics["position_percent"])
+        drifts = [
+            Drift(percent, segment.length_m)
+            for segment in self.segments or ()
+            if segment.length_m is not None and (percent := segment.statistics["position_percent"])
         ]
-        return max(known, key=lambda drift: drift.length_m, default=None)
+        return max(drifts, key=lambda drift: drift.length_m, default=None)
 
     def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:
         """Return errors as columns of equal lengths.
 
         Args:
             length: One of the protocol's lengths, for the errors of its K sub-trajectories; None
-                for those of all N pairs.
+                for the errors of all N pairs.
 
         Returns:
-            Of pairs `stamps` (int64 ns, of the groundtruth's clock) and each error that
-            `AbsoluteErrors` has; of sub-trajectories `starts` and `ends` (indices of pairs) and
-            each error that `RelativeErrors` has.
+            For pairs: `stamps` (int64 ns, groundtruth's clock) and the available columns of
+            `AbsoluteErrors`. For sub-trajectories: `starts` and `ends` (indices of pairs) and the
+            available columns of `RelativeErrors`.
 
         Raises:
-            SettingsError: No relative errors of that length were computed.
+            SettingsError: There are no relative errors of that length.
         """
         if length is None:
             return {"stamps": self.association.estimate.stamps, **_columns_of(self.absolute)}
         wanted = Length.of(length)
-        for each in self.segments or ():
-            if each.length == wanted:
-                return _columns_of(each.errors)
-        known = ", ".join(str(each.length) for each in self.segments or ()) or "none"
+        for segment in self.segments or ():
+            if segment.length == wanted:
+                return _columns_of(segment.errors)
+        known = ", ".join(str(segment.length) for segment in self.segments or ()) or "none"
         raise SettingsError(f"no relative errors of {wanted}; available: {known}")
 
     def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
@@ -148,14 +148,14 @@ class Evaluation:
         return pandas_frame(self.to_columns(length))
 
     def __repr__(self) -> str:
-        """Return a few lines that say how wrong the estimate is, without the arrays."""
+        """Return a summary of the errors in a few lines, without arrays."""
         pairs, segments = self.association, self.segments or ()
         lines = [
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
             f"{self.protocol.gauge.value}, {counted(len(pairs), 'pair')}, "
             f"{percent(pairs.groundtruth_coverage)} of groundtruth",
             f"  ATE: {rmse_text(self.ate)}",
-            *(f"  RE {each.length}: {rmse_text(each.statistics)}" for each in segments),
+            *(f"  RE {part.length}: {rmse_text(part.statistics)}" for part in segments),
         ]
         if self.warnings:
             lines.append(f"  warnings: {len(self.warnings)}")
@@ -165,12 +165,12 @@ class Evaluation:
         """Return the statistics as a table, for notebooks."""
         names = ("rmse", "mean", "median", "std", "max", "count")
         groups = [("ATE", self.ate)]
-        groups += [(f"RE {each.length}", each.statistics) for each in self.segments or ()]
+        groups += [(f"RE {part.length}", part.statistics) for part in self.segments or ()]
         rows = [
-            (kind, metric, *(f"{getattr(found, name):.4g}" for name in names))
+            (kind, metric, *(f"{getattr(values, name):.4g}" for name in names))
             for kind, statistics in groups
-            for metric, found in statistics.items()
-            if found is not None
+            for metric, values in statistics.items()
+            if values is not None
         ]
         caption = (
             f"{self.estimate.name or 'unnamed'}: gauge {self.protocol.gauge.value}, "
@@ -192,21 +192,26 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate an estimated trajectory against groundtruth.
 
+    Args:
+        groundtruth: M states.
+        estimate: States in their own frame.
+        protocol: The settings; None for the default protocol.
+
     Raises:
-        InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
+        InputError: A trajectory cannot be evaluated; `NoMatchError` if there is no pair.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
     """
     protocol = protocol or Protocol()
     if protocol.in_order:
         groundtruth, estimate = groundtruth.in_order(), estimate.in_order()
     if protocol.lever_m is not None:
-        # Surveyed points have no orientation, whatever their file says.
+        # Surveyed points have no orientation, also if their file has a constant one.
         groundtruth = dataclasses.replace(groundtruth, quaternions=None)
     if protocol.gauge is Gauge.PLANAR:
         groundtruth = _on_plane(groundtruth)
     rule = protocol.association.for_kind(groundtruth.kind)
     if rule.method == AT_GROUNDTRUTH:
-        # The lever arm swings with the orientation at the groundtruth's stamp.
+        # The lever arm depends on the orientation at the groundtruth's timestamp.
         pairs = associate(groundtruth, estimate, rule)
         same_point = _of_same_point(pairs.estimate, protocol)
         pairs = dataclasses.replace(pairs, estimate=same_point)
@@ -218,9 +223,9 @@ def evaluate(
 
 
 def _of_same_point(estimate: Trajectory, protocol: Protocol) -> Trajectory:
-    """Return the estimate of the point that the groundtruth is of, in the plane if that is asked.
+    """Return the estimate of the groundtruth's point, projected on the plane for gauge planar.
 
-    The lever arm comes first, which a tilting body swings to the side.
+    The lever arm is applied before the projection, since roll and pitch move the point sideways.
     """
     if protocol.lever_m is not None:
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
@@ -228,9 +233,9 @@ def _of_same_point(estimate: Trajectory, protocol: Protocol) -> Trajectory:
 
 
 def _for_positions(protocol: Protocol) -> Protocol:
-    """Return a protocol whose relative errors need no orientation.
+    """Return the protocol for pairs without orientations.
 
-    Ends are chosen along the estimate: noise makes the path through sparse fixes longer.
+    Lengths are measured along the estimate, because noise lengthens the path through sparse fixes.
     """
     if protocol.re_form != "gauge" or not protocol.gauge.turns_about_gravity_only:
         return protocol
@@ -241,16 +246,16 @@ def _for_positions(protocol: Protocol) -> Protocol:
 def evaluate_pairs(
     pairs: Association, groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
 ) -> Evaluation:
-    """Evaluate what has been associated: align, measure, count.
+    """Evaluate pairs: align them and compute errors and statistics.
 
     Args:
         pairs: States paired by the protocol's rule.
-        groundtruth: All states that they were chosen from.
-        estimate: Likewise, in their own frame.
+        groundtruth: All groundtruth states.
+        estimate: All estimated states, in their own frame.
         protocol: The settings.
 
     Raises:
-        InputError: The pairs lack what the protocol needs.
+        InputError: The pairs lack data that the protocol needs.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
     """
     if not pairs.have_rotations:
@@ -298,7 +303,7 @@ def evaluate_pairs(
 def _absolute_errors(
     pairs: Association, alignment: Alignment, protocol: Protocol
 ) -> AbsoluteErrors:
-    """Align and measure block by block: all aligned states at once are seldom needed."""
+    """Align and measure block by block, which needs less memory than all aligned states."""
     rotation = not alignment.why_withheld(protocol)
     names: list[str] = []
 
@@ -319,14 +324,14 @@ def _absolute_errors(
 def _point_errors(
     pairs: Association, groundtruth: Trajectory, absolute: AbsoluteErrors, dimensions: int
 ) -> Floats:
-    """Return the error of each groundtruth state that is in a pair, metres."""
+    """Return the position errors of the groundtruth states in a pair, (K,), metres."""
     errors = absolute.horizontal_m if dimensions == 2 else absolute.position_m
     assert errors is not None
     return errors[_nearest_of_each_point(pairs, groundtruth)]
 
 
 def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
-    """Return, for each groundtruth state that is in a pair, the pair that is closest in time."""
+    """Return, for every groundtruth state in a pair, the row of the pair closest in time, (K,)."""
     points = pairs.groundtruth_rows
     assert points is not None
     apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
@@ -335,12 +340,12 @@ def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArr
 
 
 def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
-    """Return what the protocol applies of the alignment by all matched states, or the first few.
+    """Return the alignment by all pairs or by the first ones (tutorial, Table I).
 
-    Tutorial, Table I.
+    With `apply="scale"` only its scale is kept.
 
     Raises:
-        InputError: The states lack what the protocol's weights need.
+        InputError: The pairs lack orientations or covariances that the protocol needs.
         DegenerateGeometryError: Too few states, or no motion, for the gauge.
     """
     alignment = _alignment_of(pairs, protocol)
@@ -378,6 +383,7 @@ def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:
 
 
 def _known_covariances(side: Trajectory, who: str) -> Floats:
+    """Return the covariances of a trajectory, all of which must have a position."""
     covariances = side.covariances
     if covariances is not None:
         variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
@@ -390,6 +396,6 @@ def _known_covariances(side: Trajectory, who: str) -> Floats:
 
 
 def _on_plane(trajectory: Trajectory) -> Trajectory:
-    """Return the states projected on the xy plane; their covariances, for weights, as they are."""
+    """Return the states projected on the xy plane; covariances are kept for the weights."""
     flat = flattened(trajectory, "xy")
     return dataclasses.replace(flat, covariances=trajectory.covariances)

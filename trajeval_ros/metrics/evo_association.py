@@ -1,7 +1,7 @@
-"""Which of two trajectories' stamps belong together for evo 1.38, also where it is a quirk.
+"""The association of evo 1.38, including its behaviour for repeated and unsorted timestamps.
 
-evo searches sorted stamps by bisection and unsorted ones one by one, and the two differ where
-several stamps are equally near.
+evo bisects sorted timestamps and scans unsorted ones. The results differ if several timestamps are
+equally near.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 
 
 def match(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indices, Indices]:
-    """Return pairs of rows: for each of the shorter trajectory's stamps the nearest other one.
+    """Return pairs of rows: every timestamp of the shorter trajectory with the nearest other one.
 
     Args:
         short_s: (N,) seconds, of the trajectory with fewer states.
-        long_s: (M,) seconds, M > 0. Several of the N may be paired with the same one.
-        limit_s: Largest difference, itself included.
+        long_s: (M,) seconds, M > 0. Several of the N rows can be paired with one of these.
+        limit_s: Largest difference, inclusive.
 
     Returns:
-        Rows of `short_s`, (K,), increasing, and the rows of `long_s` that belong to them, (K,).
+        Rows of `short_s`, (K,), increasing, and the paired rows of `long_s`, (K,).
     """
     if (np.diff(long_s) >= 0.0).all():
         return _match_sorted(short_s, long_s, limit_s)
@@ -28,10 +28,10 @@ def match(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indices, Ind
 
 
 def _match_sorted(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indices, Indices]:
-    """Bisect: of equal stamps that are hit, the last one; of two as near, the earlier."""
+    """Bisect: the last of equal timestamps; the earlier of two equally near ones."""
     last = len(long_s) - 1
-    # For a stamp on or after the last one both neighbours are the last two rows. So of a repeated
-    # last stamp that is hit, evo takes the last row but one.
+    # On or after the last timestamp, the two candidates are the last two rows. If the last
+    # timestamp is repeated, evo therefore takes the last row but one.
     upper = np.minimum(np.searchsorted(long_s, short_s, side="right"), last)
     to_upper = long_s[upper] - short_s
     to_lower = np.where(upper > 0, short_s - long_s[upper - 1], np.inf)
@@ -43,12 +43,12 @@ def _match_sorted(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indi
 
 
 def _match_unsorted(short_s: Floats, long_s: Floats, limit_s: float) -> tuple[Indices, Indices]:
-    """Find what a search in file order finds: of all that are equally near, the first row."""
+    """Scan in file order: of equally near timestamps, the first row."""
     order = np.argsort(long_s, kind="stable")  # equal stamps stay in file order
     in_order = long_s[order]
     after = np.minimum(np.searchsorted(in_order, short_s), len(in_order) - 1)
     before = np.searchsorted(in_order, in_order[np.maximum(after - 1, 0)])
-    to_after, to_before = (np.abs(in_order[each] - short_s) for each in (after, before))
+    to_after, to_before = (np.abs(in_order[rows] - short_s) for rows in (after, before))
     after, before = order[after], order[before]
     nearest = np.where(to_after < to_before, after, before)
     nearest = np.where(to_after == to_before, np.minimum(after, before), nearest)

@@ -1,7 +1,7 @@
-"""Jumps of fixes: stretches in which an estimate and its fixes are suddenly apart, and back again.
+"""Jumps of GNSS fixes: periods in which the error between estimate and fixes steps away and back.
 
-Multipath does that without a word in the fix's covariance, and so may an estimate. A flag is for a
-second figure; nothing is dropped by it in silence.
+Multipath causes them without an increase of the fix's covariance; an estimate can cause them, too.
+Flagged pairs stay in the evaluation and are left out of an additional result only.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ _LONGEST_NS = 30 * NANOSECONDS
 
 
 def jumps_of(stamps: Stamps, errors: Floats) -> Booleans:
-    """Return which of the pairs lie in a jump, (N,).
+    """Return which of the pairs are in a jump, (N,).
 
-    A jump begins with a level step of the error beyond five medians of such steps. It ends where
-    the error is back within as much of where it was, or where such steps have undone the first:
-    a large jump turns the alignment, under which the errors wander. A level that is kept for 30 s
-    is believed.
+    A jump starts with a horizontal step of the error above five times the median step. It ends
+    when the error is back within that distance of its value before the jump, or when later large
+    steps have cancelled the first: a large jump rotates the alignment, so that the error drifts.
+    A change that lasts 30 s is no jump.
 
     Args:
         stamps: (N,), nanoseconds, increasing.
-        errors: (N, 3), groundtruth less aligned estimate, metres, z up.
+        errors: (N, 3), groundtruth minus aligned estimate, metres, z up.
     """
     flags = np.zeros(len(errors), dtype=bool)
     level = errors[:, :2]

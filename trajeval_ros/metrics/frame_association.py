@@ -1,4 +1,4 @@
-"""Pairs without stamps: by the number of the frame, as KITTI's files have it, or row by row."""
+"""Pairs without timestamps: by frame number, as in KITTI's files, or row by row."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from trajeval_ros.geometry.trajectory import Trajectory
 def match_rows(
     groundtruth: Trajectory, estimate: Trajectory
 ) -> tuple[Indices, Indices, dict[str, int]]:
-    """Return the rows of either side that belong together, (K,) each, and what has no partner.
+    """Return the paired rows of both sides, (K,) each, and the number of estimates without a pair.
 
-    Frames are paired by their numbers where a file gives them, or where both files have a row
-    for every frame; else rows are paired one by one.
+    Frames are paired by number if a file has numbers, or if both files have a row for every frame.
+    Otherwise rows are paired in order.
 
     Raises:
-        InputError: Frames that aren't in order, or repeat; rows that differ in number.
+        InputError: Frame numbers are not increasing, or the files have different numbers of rows.
     """
     truth, other = groundtruth.frames, estimate.frames
     numbered = groundtruth.numbered or estimate.numbered
@@ -41,7 +41,7 @@ def match_rows(
 
 
 def _rows_of(trajectory: Trajectory) -> int:
-    """Return how many rows the file had, with those that are no poses."""
+    """Return the number of rows in the file, including those without a pose."""
     return len(trajectory) + sum(trajectory.dropped.values())
 
 

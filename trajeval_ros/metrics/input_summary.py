@@ -1,4 +1,4 @@
-"""What an evaluation says of its inputs: how much there was, in which frames, and a checksum."""
+"""Summary of the inputs of an evaluation: counts, frames and a checksum."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from trajeval_ros.geometry.up_axis import UpAxis
 
 @dataclass(frozen=True)
 class FixSummary:
-    """Which GNSS fixes were used.
+    """Summary of the GNSS fixes.
 
     Attributes:
         datum: The origin of their east-north-up frame.
-        accepted: Their number.
-        dropped: How many messages were not used, by reason.
-        sigma_level_m: Median of their standard deviations along the worst level axis; None if
-            unknown.
-        sigma_up_m: Likewise of the heights.
+        accepted: Number of fixes that are used.
+        dropped: Number of messages that are not used, by reason.
+        sigma_level_m: Median standard deviation along the worst horizontal axis; None if unknown.
+        sigma_up_m: Median standard deviation of the height; None if unknown.
     """
 
     datum: Datum
@@ -35,12 +34,12 @@ class FixSummary:
 
     @classmethod
     def of(cls, fixes: Fixes, dropped: Mapping[str, int]) -> FixSummary:
-        """Summarise fixes that are in a frame."""
+        """Summarise fixes that have a datum."""
         assert fixes.datum is not None
         known = fixes.known
         level, up = (
-            float(np.median(each[known])) if known.any() else None
-            for each in (fixes.sigma_level_m, fixes.sigma_up_m)
+            float(np.median(sigma[known])) if known.any() else None
+            for sigma in (fixes.sigma_level_m, fixes.sigma_up_m)
         )
         return cls(fixes.datum, len(fixes), dict(dropped), level, up)
 
@@ -50,17 +49,17 @@ class InputSummary:
     """One side of an evaluation, as it was read.
 
     Attributes:
-        source: Where it was read from; "" if nobody said.
-        name: What tables call it.
-        poses: Number of poses, repeated stamps included.
-        duration_s: From the earliest to the latest.
-        path_length_m: Of the path through the poses that were used.
-        frame: The frame that poses are in.
-        child_frame: The body that they are of.
-        up: Which axis of the frame points up.
-        kind: What it holds: `gnss` fixes, `points` without orientation, or `poses`.
-        fixes: Of GNSS fixes which were used; else None.
-        notes: What the reader recognised or repaired.
+        source: The source that it was read from; "" if unknown.
+        name: Its name in tables.
+        poses: Number of poses, repeated timestamps included.
+        duration_s: From the earliest to the latest timestamp.
+        path_length_m: Length of the path through the poses in use.
+        frame: The frame of the poses.
+        child_frame: The body whose poses these are.
+        up: The axis of the frame that points up.
+        kind: `gnss` fixes, `points` without orientation, or `poses`.
+        fixes: Summary of GNSS fixes; None for other kinds.
+        notes: What the reader detected or corrected, one sentence each.
         fingerprint: sha256 of the pose columns.
     """
 
@@ -79,7 +78,7 @@ class InputSummary:
 
     @classmethod
     def of(cls, read: Trajectory, used: Trajectory) -> InputSummary:
-        """Summarise a trajectory as it was read, and as it was put in order."""
+        """Summarise a trajectory as it was read, and as it is used (sorted)."""
         return cls(
             source=read.source,
             name=read.name,
@@ -97,7 +96,7 @@ class InputSummary:
 
 
 def fingerprint(trajectory: Trajectory) -> str:
-    """Return the sha256 of the pose columns: stamps, positions, xyzw, little-endian."""
+    """Return the sha256 of the pose columns (stamps, positions, xyzw; little-endian)."""
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(trajectory.stamps, dtype="<i8").data)
     digest.update(np.ascontiguousarray(trajectory.positions, dtype="<f8").data)

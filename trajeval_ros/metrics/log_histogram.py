@@ -1,4 +1,4 @@
-"""Quantiles of a stream at a constant cost: counts in bins of equal ratio."""
+"""Quantiles of a stream at a constant cost: counts in bins of constant ratio."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 
-# A factor of two is a whole number of bins, each 2.2 % wide.
+# 32 bins per factor of two, every one 2.2 % wide.
 _PER_OCTAVE = 32
-# Powers of two between which values are told apart: 1e-6 to 1e9 of any unit.
+# Powers of two of the lowest and the highest bin: 1e-6 to 2e9 of any unit.
 _LOWEST, _HIGHEST = -20, 31
-# Upper bounds of an octave's bins, as shares of its end; the first is that of the octave before.
+# Upper bounds of an octave's bins relative to its end; the first is the end of the octave below.
 _BOUNDS = 2.0 ** (np.arange(_PER_OCTAVE) / _PER_OCTAVE - 1.0)
 
 
 class LogHistogram:
-    """Counts values in bins; the same counts whatever the order and the batches they come in."""
+    """Counts values in bins; the counts do not depend on the order or the batches of values."""
 
     def __init__(self) -> None:
         """Create it empty."""
@@ -32,9 +32,9 @@ class LogHistogram:
         self._counts += np.bincount(bins, minlength=size)
 
     def quantile(self, share: float) -> float:
-        """Return the upper bound of the bin of the least value that this share doesn't exceed.
+        """Return a quantile: the upper bound of the bin that contains it.
 
-        It is that value, or larger by at most 2.2 %. Of no values it is 0.
+        It exceeds the exact quantile by at most 2.2 %. Without values it is 0.
         """
         counts = self._counts.cumsum()
         if not counts[-1]:

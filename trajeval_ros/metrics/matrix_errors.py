@@ -1,7 +1,8 @@
-"""Relative errors as the KITTI devkit computes them: by matrices that are nearly rotations.
+"""Relative errors as the KITTI devkit computes them: with matrices that are not quite rotations.
 
-KITTI's files have few digits. The devkit inverts and multiplies the matrices as they are, which
-changes small angles: at 6 digits, on KITTI 00 the smallest by 9 %, their mean by 0.003 %.
+KITTI's files have few digits. The devkit inverts and multiplies the matrices without correction,
+which changes small angles. With 6 digits on KITTI 00, the smallest changes by 9 %, the mean by
+0.003 %.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ def by_matrices(
 ) -> tuple[Floats, Floats]:
     """Return the position errors, metres, and rotation errors, degrees, (K,) each.
 
-    With the poses T_i of the groundtruth, and T'_i of the estimate with its positions scaled, the
-    error of s to e is (T'_s^-1 T'_e)^-1 T_s^-1 T_e: the length of its translation, and the arc
-    cosine of half its trace less one.
+    With poses T_i of the groundtruth and T'_i of the scaled estimate, the error from s to e is
+    (T'_s^-1 T'_e)^-1 T_s^-1 T_e. The position error is the length of its translation, the
+    rotation error the arc cosine of (trace - 1) / 2.
 
     Args:
-        groundtruth: N states with rotations; those without matrices take their rotations.
-        estimate: N states with rotations, likewise.
+        groundtruth: N states with matrices or, without them, orientations.
+        estimate: N states, likewise.
         starts: (K,) indices of first states.
         ends: (K,) indices of last states.
-        scale: Groundtruth metres in a unit of the estimate.
+        scale: Groundtruth metres per unit of the estimate.
     """
     true_turn, true_step = _steps(groundtruth, starts, ends)
     turn, step = _steps(estimate, starts, ends)
@@ -40,7 +41,7 @@ def by_matrices(
 
 
 def _steps(trajectory: Trajectory, starts: Indices, ends: Indices) -> tuple[Floats, Floats]:
-    """Return the turns (K, 3, 3) and the translations (K, 3) from start to end, at the start."""
+    """Return rotations (K, 3, 3) and translations (K, 3) from start to end, in start's frame."""
     inverse = np.linalg.inv(_matrices(trajectory, starts))
     moved = trajectory.positions[ends] - trajectory.positions[starts]
     return inverse @ _matrices(trajectory, ends), np.einsum("nij,nj->ni", inverse, moved)

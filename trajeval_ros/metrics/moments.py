@@ -1,7 +1,7 @@
-"""Sums over pairs of positions: all that alignment and the position error need to know of them.
+"""Sums over pairs of positions from which the alignment and the position ATE follow.
 
-They can be added to, removed from and merged, so that batches, sliding windows and shards of a
-run share one solver, and a live update costs the same however long the run is.
+Sums can be added, removed and merged. Therefore batches, sliding windows and parts of a run share
+one solver, and a live update has a constant cost.
 """
 
 from __future__ import annotations
@@ -16,25 +16,24 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.similarity import Similarity
 
-# Pairs to sum at once: what stays in a core's cache.
+# Pairs per block, so that a block fits into a core's cache.
 _BLOCK = 8192
 _IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Sums over pairs (groundtruth position p, estimated position q) that alignment needs.
+    """Sums over pairs (groundtruth position p, estimated position q).
 
-    Kept are the moments of (q, r), where r = p - (anchor of q) is the residual under an anchor
-    alignment: sums of p and q themselves cancel when coordinates are large and errors small
-    (3e-5 relative at 5 km; of residuals 3e-12). `+` merges, `-` removes; both operands must have
-    the same anchor.
+    The sums are of (q, r), where r = p - (anchor of q) is the residual under an anchor alignment.
+    Sums of p and q cancel if coordinates are large and errors small: relative error 3e-5 at 5 km,
+    against 3e-12 with residuals. `+` merges, `-` removes; both operands need the same anchor.
 
     Attributes:
-        anchor: Alignment under which residuals are taken.
-        weight: Sum of weights; the number of pairs where no weights were given.
+        anchor: Alignment of the residuals.
+        weight: Sum of the weights; the number of pairs without weights.
         mean: (6,) mean of x = (q, r), metres.
-        scatter: (6, 6) sum of w (x - mean)(x - mean)^T.
+        scatter: (6, 6) sum of w (x - mean)(x - mean)^T, square metres.
     """
 
     anchor: Similarity
@@ -44,7 +43,7 @@ class Moments:
 
     @classmethod
     def empty(cls, anchor: Similarity) -> Moments:
-        """Return the moments of no pair at all."""
+        """Return the moments of zero pairs."""
         return cls(anchor, 0.0, np.zeros(6), np.zeros((6, 6)))
 
     @classmethod
@@ -55,13 +54,14 @@ class Moments:
         weights: Floats | None = None,
         anchor: Similarity | None = None,
     ) -> Moments:
-        """Return the moments of N pairs of positions, (N, 3) each.
+        """Return the moments of N pairs of positions.
 
         Args:
             groundtruth: (N, 3) positions p, metres.
             estimate: (N, 3) positions q, metres.
-            weights: (N,) positive weights; None weighs all pairs alike.
-            anchor: Alignment for residuals; by default a shift of the first mean to the other.
+            weights: (N,) positive weights; None for equal weights.
+            anchor: Alignment of the residuals; by default the translation between the means of
+                the first block.
         """
         if anchor is None and len(groundtruth):
             first = slice(_BLOCK)
@@ -93,11 +93,11 @@ class Moments:
         return cls(anchor, total, mean, weighted.T @ x)
 
     def __add__(self, other: Moments) -> Moments:
-        """Return the moments of both sets of pairs (Chan, Golub and LeVeque's merge)."""
+        """Return the moments of both sets of pairs (merge of Chan, Golub and LeVeque)."""
         return self._combined(other, 1.0)
 
     def __sub__(self, other: Moments) -> Moments:
-        """Return the moments without a part of the pairs that is in them."""
+        """Return the moments without a subset of the pairs."""
         return self._combined(other, -1.0)
 
     def _combined(self, other: Moments, sign: float) -> Moments:
@@ -106,7 +106,7 @@ class Moments:
         weight = self.weight + sign * other.weight
         if weight <= 0.0:
             return Moments.empty(self.anchor)
-        # For removal `share` is negative, and the same formulas hold.
+        # For removal `share` is negative; the formulas are the same.
         share = sign * other.weight / weight
         step = other.mean - self.mean
         between = share * self.weight * step[:, None] * step
@@ -118,7 +118,7 @@ class Moments:
         )
 
     def with_anchor(self, anchor: Similarity) -> Moments:
-        """Return the moments of the same pairs with residuals under another anchor."""
+        """Return the moments of the same pairs with the residuals of another anchor."""
         # r' = p - A' q - t' = r + (A - A') q + (t - t').
         turn = np.eye(6)
         turn[3:, :3] = self.anchor.linear - anchor.linear
@@ -139,7 +139,7 @@ class Moments:
 
     @property
     def variance_q(self) -> float:
-        """sigma^2 of the estimated positions in Alg. 1, square metres."""
+        """The variance sigma^2 of the estimated positions in Alg. 1, square metres."""
         return float(self.scatter[:3, :3].trace()) / self.weight
 
     def covariance_aligned(self, linear: Floats) -> Floats:
@@ -155,7 +155,7 @@ class Moments:
 
     def mean_difference(self, linear: Floats) -> Floats:
         """Return the mean of p - L q, (3,), metres, for a linear map L (3, 3)."""
-        # p - L q = (A - L) q + r + t, with small A - L and small r: nothing cancels.
+        # p - L q = (A - L) q + r + t, where A - L and r are small: no cancellation.
         turned = (self.anchor.linear - linear) @ self.mean_q
         return turned + self.mean[3:] + self.anchor.translation
 
@@ -165,6 +165,6 @@ class Moments:
         return math.sqrt(max(float(np.vdot(turn @ self.scatter, turn)), 0.0) / self.weight)
 
     def rmse(self, alignment: Similarity) -> float:
-        """Return the root mean square of |p - (alignment of q)|, metres: the ATE, eq. (24)."""
+        """Return the root mean square of |p - (aligned q)|, metres: the ATE, eq. (24)."""
         mean = self.mean_difference(alignment.linear) - alignment.translation
         return math.hypot(*mean.tolist(), self.spread(alignment.linear))

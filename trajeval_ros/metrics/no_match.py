@@ -1,4 +1,4 @@
-"""Why two trajectories share no pair: the message that a new user meets first."""
+"""The error message for trajectories without a common pair, with the likely cause."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ LATEST_CLOCK_S = 5e9  # the year 2128
 def explain_no_match(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
 ) -> str:
-    """Return both time ranges, and the likely cause of their having no pair, in a sentence.
+    """Return both time ranges and the likely cause, as one sentence.
 
     Args:
-        groundtruth: With stamps.
-        estimate: Its stamps shifted by the time offset.
-        rule: That paired nothing.
-        dropped: Number of estimated states by the reason why they are in no pair.
+        groundtruth: States with timestamps.
+        estimate: States with timestamps, time offset applied.
+        rule: The rule that made no pair.
+        dropped: Number of states without a pair, by reason.
     """
 
     def span(trajectory: Trajectory) -> tuple[float, float]:
@@ -62,6 +62,7 @@ def explain_no_match(
 
 
 def _clock(start: float, end: float) -> str:
+    """Return a time range in seconds, with the date if the clock is a Unix clock."""
     text = f"{start:.3f} to {end:.3f} s"
     if 1e8 < start < 2e10:
         day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")

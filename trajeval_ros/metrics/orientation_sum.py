@@ -1,4 +1,4 @@
-"""The sum over pairs of orientations that alignment needs, beside the `Moments` of positions."""
+"""The sum over pairs of orientations for the alignment; `Moments` is its counterpart."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 
-# A mean square below this, rad^2, is the rounding of the sum.
+# A mean square angle below this, rad^2, is rounding of the sum.
 _ROUNDING = 1e-13
 
 
@@ -18,12 +18,12 @@ _ROUNDING = 1e-13
 class OrientationSum:
     """Sum over pairs (groundtruth rotation A, estimated rotation B) of w A B^T.
 
-    Nine numbers, from which follow the rotation that brings the estimated orientations closest
-    to the groundtruth's, and the rotation error under any alignment. `+` merges, `-` removes.
-    All terms are rotations, so nothing cancels and no anchor is needed.
+    From this matrix follow the rotation that aligns the orientations best, and the rotation error
+    under any alignment. `+` merges, `-` removes. All terms are rotations, so that nothing cancels
+    and no anchor is needed.
 
     Attributes:
-        weight: Sum of weights; the number of pairs where no weights were given.
+        weight: Sum of the weights; the number of pairs without weights.
         total: (3, 3) sum of w A B^T.
     """
 
@@ -32,19 +32,19 @@ class OrientationSum:
 
     @classmethod
     def empty(cls) -> OrientationSum:
-        """Return the sum over no pair at all."""
+        """Return the sum over zero pairs."""
         return cls(0.0, np.zeros((3, 3)))
 
     @classmethod
     def of_pairs(
         cls, groundtruth: Floats, estimate: Floats, weights: Floats | None = None
     ) -> OrientationSum:
-        """Return the sum over N pairs of unit quaternions, (N, 4) xyzw each.
+        """Return the sum over N pairs of unit quaternions.
 
         Args:
-            groundtruth: (N, 4) rotations A.
-            estimate: (N, 4) rotations B.
-            weights: (N,) positive weights; None weighs all pairs alike.
+            groundtruth: (N, 4) xyzw, rotations A.
+            estimate: (N, 4) xyzw, rotations B.
+            weights: (N,) positive weights; None for equal weights.
         """
         between = lie.by_blocks(
             lambda a, b: (lie.multiply(a, lie.conjugate(b)),), groundtruth, estimate
@@ -57,7 +57,7 @@ class OrientationSum:
         return OrientationSum(self.weight + other.weight, self.total + other.total)
 
     def __sub__(self, other: OrientationSum) -> OrientationSum:
-        """Return the sum without a part of the pairs that is in it."""
+        """Return the sum without a subset of the pairs."""
         return OrientationSum(self.weight - other.weight, self.total - other.total)
 
     @property
@@ -69,9 +69,9 @@ class OrientationSum:
     def error(self, rotation: Floats) -> float:
         """Return the rotation error under an alignment's rotation (3, 3), rad.
 
-        The angle whose chord is the root mean square of all chords: of one angle throughout it
-        is that angle, of small angles their root mean square.
+        It is the angle whose chord is the root mean square of the chords of all pairs. For small
+        angles it is the root mean square of the angles.
         """
-        # The mean of the squared chords, (2 sin(angle / 2))^2.
+        # Mean of the squared chords, (2 sin(angle / 2))^2.
         squared = 3.0 - float(np.vdot(rotation, self.mean))
         return 2.0 * math.asin(min(math.sqrt(squared) / 2.0, 1.0)) if squared > _ROUNDING else 0.0

@@ -1,8 +1,8 @@
-"""The estimate's own error: the ATE without what the noise of GNSS fixes adds to it.
+"""The estimate's own error: the ATE without the contribution of GNSS noise.
 
-With e the estimate's errors, n the noise of the fixes with covariance C, and P what an alignment
-leaves of both, residuals are r = P (e + n), so that E|r|^2 = |Pe|^2 + tr(PC). The errors of fixes
-are correlated for minutes: hundreds of fixes may be worth a few independent ones.
+Let e be the estimate's errors, n the noise of the fixes with covariance C, and P the projection
+that an alignment applies to both. Then r = P (e + n) and E|r|^2 = |Pe|^2 + tr(PC). Errors of fixes
+are correlated over minutes: hundreds of fixes can be worth a few independent ones.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import Evaluation, align_pairs
 from trajeval_ros.metrics.fix_jumps import jumps_of
 
-# Of the variance of a fix, which is new each time; the rest is correlated.
+# White share of a fix's variance; the rest is correlated over time.
 _WHITE = 0.2
 _Z_95 = 1.959963984540054
-_MOST_FIXES = 2000  # the cost grows with their square
+_MOST_FIXES = 2000  # the cost is quadratic
 _FEWEST_FIXES = 10
-# More flags than this share are multipath that no covariance announced; clean RTK has 0.3 %.
+# A larger share of flagged fixes is multipath that the covariances omit; clean RTK has 0.3 %.
 _MULTIPATH = 0.01
 
 
 @dataclass(frozen=True)
 class OwnError:
-    """The position error of an estimate at the fixes that were paired, without their noise.
+    """The position error of an estimate without the noise of the paired fixes.
 
     Attributes:
-        correlation_s: For how long the errors of fixes are taken to be correlated.
-        ate_m: The rmse without the noise of fixes, and without fixes that jump.
-        interval_m: Of 95 %.
-        with_jumps_m: The rmse without the noise of fixes, those that jump included.
-        noise_rms_m: What the noise of the fixes adds to the ATE, in squares.
-        effective_fixes: How many independent fixes these are worth.
-        fixes: How many were used.
-        jumps: How many were left out, since all estimates are suddenly apart from them.
-        own_jumps: How many are apart from this estimate and not from all; they were used.
-        by_guess: Whether the covariances of the fixes are the driver's guess.
-        resolved: Whether more can be said than that the error is below the interval's upper end.
+        correlation_s: Correlation time of the fix errors, seconds.
+        ate_m: RMSE without the noise of the fixes, jumps of fixes excluded.
+        interval_m: Its 95 % interval.
+        with_jumps_m: RMSE without the noise of the fixes, jumps included.
+        noise_rms_m: Contribution of the noise to the ATE (their squares add).
+        effective_fixes: Number of independent fixes with the same information.
+        fixes: Number of fixes in use.
+        jumps: Number of fixes left out, because the errors of all estimates jump there.
+        own_jumps: Number of fixes where this estimate's error jumps and not all do; in use.
+        by_guess: Whether the covariances of the fixes are the driver's approximation.
+        resolved: Whether the error is known better than as an upper bound.
 
     Example:
         >>> from trajeval_ros.metrics.own_error import OwnError
@@ -67,13 +67,13 @@ class OwnError:
 
 @dataclass(frozen=True)
 class Debiased:
-    """An rmse without the noise of what it was measured by.
+    """An RMSE without the noise of the reference.
 
     Attributes:
-        ate_m: The rmse; 0 where the noise explains more than there is.
-        interval_m: Of 95 %.
-        noise_rms_m: What the noise adds, in squares.
-        effective: How many independent samples there are.
+        ate_m: The RMSE; 0 if the noise explains all of the residuals.
+        interval_m: Its 95 % interval.
+        noise_rms_m: Contribution of the noise to the ATE (their squares add).
+        effective: Number of independent samples with the same information.
     """
 
     ate_m: float
@@ -85,14 +85,14 @@ class Debiased:
 def debiased(
     errors: Floats, aligned: Floats, covariances: Floats, correlations: Floats, gauge: Gauge
 ) -> Debiased:
-    """Return the rmse of errors that an unweighted alignment left, without the noise in them.
+    """Return the RMSE after an unweighted alignment, without the groundtruth's noise.
 
     Args:
-        errors: (N, 3), groundtruth less aligned estimate, metres.
-        aligned: (N, 3), the aligned positions.
-        covariances: (N, 3, 3) of the groundtruth, m^2; zero across a plane.
-        correlations: (N, N), of the noise of one state with another's.
-        gauge: Of the alignment.
+        errors: (N, 3), groundtruth minus aligned estimate, metres.
+        aligned: (N, 3), aligned positions, metres.
+        covariances: (N, 3, 3) of the groundtruth, m^2; zero perpendicular to a plane.
+        correlations: (N, N), correlation of the noise between states.
+        gauge: Gauge of the alignment.
     """
     count = len(errors)
     values, axes = np.linalg.eigh(covariances)
@@ -103,8 +103,8 @@ def debiased(
         """Return C X for X (3N, m), C_ij = S_i^(1/2) K_ij S_j^(1/2)."""
         wide = halves @ columns.reshape(count, 3, -1)
         mixed = (correlations @ wide.reshape(count, -1)).reshape(wide.shape)
-        found: Floats = (halves @ mixed).reshape(columns.shape)
-        return found
+        product: Floats = (halves @ mixed).reshape(columns.shape)
+        return product
 
     turned = times_covariance(basis)
     products = covariances.reshape(count, 9) @ covariances.reshape(count, 9).T
@@ -127,7 +127,7 @@ def debiased(
 
 
 def correlations_of(stamps: Stamps, correlation_s: float) -> Floats:
-    """Return how the noise of fixes at N stamps is correlated, (N, N)."""
+    """Return the correlation of the noise of fixes between N stamps, (N, N)."""
     seconds = (stamps - stamps[0]) / NANOSECONDS
     apart = np.abs(seconds[:, None] - seconds)
     correlations: Floats = (1.0 - _WHITE) * np.exp(-apart / correlation_s)
@@ -138,41 +138,44 @@ def correlations_of(stamps: Stamps, correlation_s: float) -> Floats:
 def own_errors(
     evaluations: Sequence[Evaluation], correlation_s: float
 ) -> list[tuple[OwnError | None, str]]:
-    """Return the own error of each of several estimates of one run, or why there is none.
+    """Return the own errors of the estimates of one run, or why one is not available.
 
-    A jump that all estimates show is the fix's; one that some don't show is their own.
+    A jump in the errors of all estimates is a jump of the fixes; otherwise it is the estimate's.
 
     Args:
-        evaluations: By the same fixes.
-        correlation_s: For how long the errors of fixes are correlated, to 1/e.
+        evaluations: Evaluations against the same fixes.
+        correlation_s: Correlation time of the fix errors (decay to 1/e), seconds.
+
+    Returns:
+        For every evaluation its own error and an empty text, or None and the reason.
     """
-    flags = [_flagged(each) for each in evaluations]
-    paired = [each.association.groundtruth.stamps for each in evaluations]
+    flags = [_flagged(evaluation) for evaluation in evaluations]
+    paired = [evaluation.association.groundtruth.stamps for evaluation in evaluations]
     blamed = flags[0]
     for own, stamps in zip(flags[1:], paired[1:], strict=True):
         blamed = np.intersect1d(blamed, np.union1d(own, np.setdiff1d(blamed, stamps)))
-    found: list[tuple[OwnError | None, str]] = []
-    for each, own in zip(evaluations, flags, strict=True):
-        why = _why_not(each)
+    results: list[tuple[OwnError | None, str]] = []
+    for evaluation, own in zip(evaluations, flags, strict=True):
+        why = _why_not(evaluation)
         if why:
-            found.append((None, why))
+            results.append((None, why))
             continue
-        stamps = each.association.groundtruth.stamps
+        stamps = evaluation.association.groundtruth.stamps
         jumps = np.isin(stamps, np.intersect1d(own, blamed))
         own_jumps = len(np.setdiff1d(own, blamed))
-        found.append((_own_error(each, correlation_s, jumps, own_jumps), ""))
-    return found
+        results.append((_own_error(evaluation, correlation_s, jumps, own_jumps), ""))
+    return results
 
 
 def _flagged(evaluation: Evaluation) -> Stamps:
-    """Return the stamps of the pairs that lie in a jump."""
+    """Return the stamps of the pairs in a jump."""
     truth, aligned = evaluation.association.groundtruth, evaluation.aligned
     errors = truth.up.turned(truth.positions - aligned.positions)
     return truth.stamps[jumps_of(truth.stamps, errors)]
 
 
 def _why_not(evaluation: Evaluation) -> str:
-    """Return why the noise of the fixes can't be taken out, or nothing."""
+    """Return why the noise of the fixes cannot be removed; empty if it can."""
     protocol, truth = evaluation.protocol, evaluation.association.groundtruth
     if protocol.align_states is not None or protocol.align_weights != "none":
         return "the alignment does not use all fixes with equal weights"
@@ -215,7 +218,7 @@ def _own_error(
 
 
 def _of_rows(evaluation: Evaluation, rows: Indices, correlation_s: float) -> Debiased:
-    """Return the debiased error of some pairs, aligned by these alone; of many, evenly thinned."""
+    """Return the debiased error of some pairs, aligned by these alone, thinned if too many."""
     if len(rows) > _MOST_FIXES:
         rows = rows[np.linspace(0, len(rows) - 1, _MOST_FIXES).round().astype(np.int64)]
     pairs, gauge = evaluation.association, evaluation.protocol.gauge
@@ -231,7 +234,7 @@ def _of_rows(evaluation: Evaluation, rows: Indices, correlation_s: float) -> Deb
 
 
 def _tangent(gauge: Gauge, aligned: Floats) -> Floats:
-    """Return how an alignment moves positions, (3N, k), about their mean."""
+    """Return the derivatives (3N, k) of aligned positions by the gauge, about their mean."""
     centred = aligned - aligned.mean(axis=0)
     if gauge is Gauge.TRANSLATION:
         return orbit_basis(Gauge.YAW, centred)[:, :3, 1:].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The steps from pair to pair: how long they take, and how far the groundtruth gets in them."""
+"""Steps between consecutive pairs: their duration and the groundtruth's motion in them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# 20 Hz is enough to see motion, and few enough states to keep.
+# 20 Hz resolves the motion of a robot and needs little memory.
 _CELL_NS = 50_000_000
-POSE = slice(0, 7)  # columns of a state that are its pose
+POSE = slice(0, 7)  # columns of the pose in a state
 
 
 class StampedPoses(NamedTuple):
-    """Poses in order of their stamps.
+    """Poses in order of their timestamps.
 
     Attributes:
         stamps: (N,) int64, nanoseconds.
-        poses: (N, 7), position and quaternion xyzw; the latter NaN where it is not known.
+        poses: (N, 7), position and quaternion xyzw; the latter NaN if unknown.
     """
 
     stamps: Stamps
@@ -28,7 +28,7 @@ class StampedPoses(NamedTuple):
 
     @classmethod
     def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
-        """Return these rows of a trajectory, which are in order of their stamps."""
+        """Return rows of a trajectory; the rows are in order of time."""
         turned = trajectory.quaternions
         poses = np.empty((len(rows), POSE.stop))
         poses[:, :3] = trajectory.positions[rows]
@@ -37,20 +37,20 @@ class StampedPoses(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[StampedPoses]) -> StampedPoses:
-        """Return parts that follow each other as one; none for none."""
+        """Return consecutive parts as one; empty for no parts."""
         if not parts:
             return cls(np.empty(0, dtype=np.int64), np.empty((0, POSE.stop)))
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 class PairSteps(NamedTuple):
-    """Steps from each of N + 1 pairs to the next.
+    """N steps between N + 1 consecutive pairs.
 
     Attributes:
-        time_ns: (N,) what they take, the groundtruth's gaps left out, nanoseconds.
-        reach_m: (N,) the farthest that the groundtruth got from where the step began; 0 of steps
-            of up to a 20th of a second.
-        turn_rad: (N,) the farthest that it turned, likewise; NaN where orientations are not known.
+        time_ns: (N,) duration without gaps of the groundtruth, nanoseconds.
+        reach_m: (N,) largest distance of the groundtruth from its position at the start of the
+            step; 0 for steps of up to 50 ms.
+        turn_rad: (N,) largest rotation since the start of the step; NaN without orientations.
     """
 
     time_ns: Indices
@@ -58,15 +58,15 @@ class PairSteps(NamedTuple):
     turn_rad: Floats
 
     def where(self, chosen: Booleans) -> PairSteps:
-        """Return the steps that are chosen (N,)."""
+        """Return the steps of a mask (N,)."""
         return PairSteps(self.time_ns[chosen], self.reach_m[chosen], self.turn_rad[chosen])
 
 
 def waypoints(stamps: Stamps, max_gap_ns: int) -> Booleans:
     """Return which groundtruth states (N,) are needed to measure steps, by their sorted stamps.
 
-    Of each 20th of a second the first, and both ends of longer steps, so that gaps stay what they
-    are. Which ones depends on their stamps and those of their neighbours alone.
+    These are the first state of every 50 ms and both ends of longer steps, so that gaps keep their
+    length. The choice depends only on a state's timestamp and its neighbours'.
     """
     cell = min(_CELL_NS, max(max_gap_ns // 2, 1))
     needed = np.ones(len(stamps), dtype=bool)
@@ -77,32 +77,32 @@ def waypoints(stamps: Stamps, max_gap_ns: int) -> Booleans:
 
 
 class StepMeter:
-    """Measures steps as pairs and groundtruth come, in order, in batches of any size."""
+    """Measures steps from batches of pairs and groundtruth, of any size, in order."""
 
     def __init__(self, max_gap_ns: int) -> None:
         """Create it before the first pair.
 
         Args:
-            max_gap_ns: A longer step of the groundtruth is a gap.
+            max_gap_ns: A longer step of the groundtruth is a gap, nanoseconds.
         """
         self._max_gap_ns = max_gap_ns
-        self._last: tuple[int, int] | None = None  # waypoint's stamp, time without gaps to there
+        self._last: tuple[int, int] | None = None  # last waypoint: stamp, time without gaps
         self._begin: Floats | None = None  # pose of the newest pair
-        self._stamp = self._begin_ns = 0  # of it, and the time without gaps to there
-        self._reach_m = self._turn_rad = 0.0  # since then
+        self._stamp = self._begin_ns = 0  # newest pair: stamp, time without gaps
+        self._reach_m = self._turn_rad = 0.0  # since the newest pair
 
     def measure(self, truth: StampedPoses, pairs: StampedPoses) -> PairSteps:
         """Return the steps that end at new pairs.
 
         Args:
-            truth: (M,) the groundtruth's waypoints since the last call: all up to the newest of
-                the pairs, and maybe some beyond.
-            pairs: (N,) the groundtruth's poses at the new pairs.
+            truth: (M,) waypoints of the groundtruth since the last call: all up to the newest
+                pair, possibly some after it.
+            pairs: (N,) groundtruth poses of the new pairs.
         """
         times = self._time_without_gaps(truth.stamps, pairs.stamps)
         if not len(pairs.stamps) and self._begin is None:
             return PairSteps(times, np.empty(0), np.empty(0))
-        # Step k ends at pair k; what is beyond the last pair is of a step that hasn't ended.
+        # Step k ends at pair k. Waypoints after the last pair belong to the open step.
         count = len(pairs.stamps)
         begin = pairs.poses[:1] if self._begin is None else self._begin
         known = pairs.poses if count else begin
@@ -119,7 +119,7 @@ class StepMeter:
             with np.errstate(invalid="ignore"):  # unknown angles
                 np.maximum.at(turn, ends[rows], angle)
         reach[~is_long] = turn[~is_long] = 0.0
-        # No step ends at the first pair of all.
+        # The first pair ends no step.
         first = int(self._begin is None)
         time_ns = np.diff(times, prepend=self._begin_ns)[first:]
         if count:
@@ -129,7 +129,7 @@ class StepMeter:
         return PairSteps(time_ns, reach[first:-1], turn[first:-1])
 
     def _time_without_gaps(self, truth: Stamps, stamps: Stamps) -> Indices:
-        """Return the groundtruth's time up to stamps (N,), and go on to the last waypoint (M,)."""
+        """Return the time without gaps up to stamps (N,); advance to the last waypoint (M,)."""
         since_ns = 0
         if self._last is not None:
             truth = np.concatenate([[self._last[0]], truth])
@@ -141,7 +141,7 @@ class StepMeter:
         until = since_ns + np.concatenate([[0], np.cumsum(np.where(is_gap, 0, step))])
         place = (truth.searchsorted(stamps, side="right") - 1).clip(0)
         beyond = (stamps - truth[place]).clip(0)
-        # After the last waypoint a step as long can only be a gap whose end has not come yet.
+        # A longer time after the last waypoint can only be an open gap.
         in_gap = np.append(is_gap, False)[place] | (beyond > self._max_gap_ns)
         self._last = int(truth[-1]), int(until[-1])
         times: Indices = until[place] + np.where(in_gap, 0, beyond)
@@ -150,7 +150,7 @@ class StepMeter:
 
 def _apart(one: Floats, other: Floats) -> tuple[Floats, Floats]:
     """Return distances and angles between poses (N, 7), metres and radians."""
-    # By components, so that a pose gives the same digits in a batch of any size.
+    # By components, so that the digits do not depend on the size of the batch.
     x, y, z = (one[:, i] - other[:, i] for i in range(3))
     same, opposite = (
         sum((one[:, i] - sign * other[:, i]) ** 2 for i in range(3, 7)) for sign in (1.0, -1.0)

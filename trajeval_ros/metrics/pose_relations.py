@@ -1,9 +1,9 @@
-"""Errors of whole poses, and of distances alone: what evo names pose relations.
+"""Errors of whole poses and of distances: evo's pose relations.
 
-With dp a position error and E a rotation error of angle a, the error of a pose is the 4 x 4 matrix
-[E dp; 0 1]. Its distance from the identity by the Frobenius norm is `full`; that of E alone, the
-chord 2 sqrt(2) sin(a / 2), is `rotation_part`. Both have no unit: `full` adds squared metres and
-squared chords.
+With a position error dp and a rotation error E of angle a, the error of a pose is the 4 x 4 matrix
+[E dp; 0 1]. `full` is its Frobenius distance from the identity. `rotation_part` is that of E
+alone, the chord 2 sqrt(2) sin(a / 2). Both have no unit: `full` adds squared metres and squared
+chords.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ def pose_errors(position_m: Floats, rotation_deg: Floats | None) -> dict[str, St
 def distance_errors(
     groundtruth: Floats, estimate: Floats, starts: Indices, ends: Indices, scale: float
 ) -> dict[str, Statistics | None]:
-    """Return statistics of how wrong the distances between first and last states are.
+    """Return statistics of the errors of distances between first and last states.
 
-    `distance_m` is | |p_e - p_s| - |p'_e - p'_s| |, `distance_percent` its share of the
-    groundtruth's distance, without the sub-trajectories that end where they began. Neither needs
-    an alignment or orientations.
+    `distance_m` is | |p_e - p_s| - |p'_e - p'_s| |. `distance_percent` is relative to the
+    groundtruth's distance, without sub-trajectories that end where they start. Neither needs an
+    alignment or orientations.
 
     Args:
         groundtruth: (N, 3) positions, metres.
         estimate: (N, 3) positions, in their own frame.
         starts: (K,) indices of first states.
         ends: (K,) indices of last states.
-        scale: Of the alignment.
+        scale: Scale of the alignment.
     """
     true = np.linalg.norm(groundtruth[ends] - groundtruth[starts], axis=1)
     error = np.abs(true - scale * np.linalg.norm(estimate[ends] - estimate[starts], axis=1))

@@ -1,4 +1,4 @@
-"""Protocols: named bundles of settings, so that a published number can be had again."""
+"""Protocols: named sets of settings that reproduce published numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUNDTRUTH_WEIGHTS = "groundtruth-covariance"
 ALIGN_WEIGHTS = ("none", "covariance", GROUNDTRUTH_WEIGHTS)
 ALIGN_WITH = ("positions", "poses")
 APPLY = ("all", "scale")
-# Protocols that give what a program prints, whatever we think of it.
+# Protocols that reproduce the numbers of another program.
 _BETWEEN = (AUTO, "linear", "continuous")  # may take poses between the groundtruth's
 _OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
@@ -38,12 +38,12 @@ def _lengths(lengths: Iterable[Length | float | str] | str) -> tuple[Length, ...
         return parse_lengths(lengths)
     if not isinstance(lengths, Iterable):
         raise SettingsError(f"lengths must be a sequence, as in (8, 16), not {lengths!r}")
-    return tuple(Length.of(each) for each in lengths)
+    return tuple(Length.of(length) for length in lengths)
 
 
 def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
     try:
-        x, y, z = (float(each) for each in lever_m)
+        x, y, z = (float(component) for component in lever_m)
     except (TypeError, ValueError):
         raise SettingsError(
             f"a lever arm must be three numbers in metres, not {lever_m!r}"
@@ -53,40 +53,38 @@ def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, init=False)
 class Protocol:
-    """All settings of an evaluation; strings and numbers are accepted and checked here.
+    """All settings of an evaluation. Strings and numbers are converted and checked.
 
-    `dataclasses.replace` makes a variant; one for other sensors needs
+    `dataclasses.replace` makes a variant. For other sensors use
     `replace(protocol, gauge=None, modality="mono")`.
 
     Attributes:
-        name: The bundle that it started from.
-        gauge: What the alignment may change, or its name; by default that of the modality, or
-            `se3`.
-        modality: The sensor set that chooses the gauge (tutorial, Table I); None for none.
-        align_states: Align by the first so many matched states; None for all.
-        align_with: `positions`, or `poses` to let orientations help with the rotation: see
-            `alignment.solve`.
-        apply: What of the alignment is applied: `all`, or the `scale` of `sim3` alone, about
+        name: Name of the set of settings that it is based on.
+        gauge: Group of the alignment, or its name; default: the modality's gauge, or `se3`.
+        modality: Sensor set that determines the gauge (tutorial, Table I), or None.
+        align_states: Number of first pairs to align by; None for all.
+        align_with: `positions`, or `poses` to include orientations: see `alignment.solve`.
+        apply: Part of the alignment that is applied: `all`, or only the `scale` of `sim3` about
             the origin, as evo_ape -s does.
-        align_weights: `none`, `covariance` to weigh states by the estimate's position
-            covariances, or `groundtruth-covariance` by the groundtruth's.
-        association: How pairs are made: a rule, or the name of a method.
-        in_order: Sort states by stamp and drop repeated stamps first.
-        ate_form: `plain`; `tutorial` for eq. (23) to the letter; `evo` for plain errors with
-            those of whole poses beside them (`pose_relations`).
+        align_weights: `none`, `covariance` for weights by the estimate's position covariances,
+            or `groundtruth-covariance` for weights by the groundtruth's.
+        association: The association's rule, or the name of its method.
+        in_order: Sort states by timestamp and drop repeated timestamps first.
+        ate_form: `plain`; `tutorial` for eq. (23) to the letter; `evo` for plain errors and the
+            errors of whole poses (`pose_relations`).
         re_form: See `errors.relative_errors`.
-        nees_form: `gauge`, by covariances in the gauge of the alignment, or `as_published`.
-        lengths: Of sub-trajectories: metres as numbers, texts such as "1s" or "10%", or
-            `Length`; empty for no relative error.
-        selection: How a sub-trajectory's end is chosen.
-        lever_m: Where in the estimate's body the point is whose position the groundtruth has;
-            None for poses of the body itself.
-        score: Points for positions that are right; None for no score.
-        recall: Up to which errors the groundtruth's points count as found; None for no recall.
+        nees_form: `gauge`, with covariances in the gauge of the alignment, or `as_published`.
+        lengths: Lengths of sub-trajectories: metres as numbers, texts such as "1s" or "10%", or
+            `Length`; empty for no relative errors.
+        selection: Rule for the ends of sub-trajectories, or its name.
+        lever_m: Position of the groundtruth's point in the estimate's body, metres; None if the
+            groundtruth has poses of the body.
+        score: Table of points per position error; None for no score.
+        recall: Error bounds within which a groundtruth point is found; None for no recall.
 
     Raises:
-        SettingsError: A name that there is none of, a gauge that contradicts the modality, or
-            settings that mean nothing together.
+        SettingsError: An unknown name, a gauge that contradicts the modality, or settings that
+            exclude one another.
 
     Example:
         >>> from trajeval_ros import Protocol
@@ -171,19 +169,19 @@ class Protocol:
 
     @property
     def is_of_a_program(self) -> bool:
-        """Whether it gives the numbers of another program, misleading ones included."""
+        """Whether it reproduces another program, including misleading numbers."""
         return self.name in _OF_PROGRAMS
 
     @property
     def is_upright(self) -> bool:
-        """Whether trajectories are to be in worlds whose z axis is up before anything is measured.
+        """Whether trajectories are converted to frames with z up before the evaluation.
 
-        For alignments about gravity, and for likelihoods, which tell the tilt of any alignment.
+        Alignments about gravity need it, and likelihoods, which use the tilt of any alignment.
         """
         return self.gauge.turns_about_gravity_only or self.association.method == "continuous"
 
     def _require_sense(self) -> None:
-        """Refuse settings that mean nothing, or nothing together."""
+        """Refuse values out of range and settings that exclude one another."""
         states: object = self.align_states
         if states is not None and not (isinstance(states, (int, np.integer)) and states >= 1):
             raise SettingsError(f"align states must be all (None) or at least 1, not {states!r}")
@@ -229,7 +227,7 @@ _HILTI_TIP_M = (0.059, -0.00855, 0.1964)
 
 PROTOCOLS: dict[str, Protocol] = {
     "default": Protocol(),
-    # uzh-rpg/rpg_trajectory_evaluation at 8c8ceec: what its code does, not its paper.
+    # uzh-rpg/rpg_trajectory_evaluation at 8c8ceec: the behaviour of its code, not of its paper.
     "rpg": Protocol(
         name="rpg",
         association=AssociationRule("rpg", max_time_difference_s=0.02),
@@ -238,7 +236,7 @@ PROTOCOLS: dict[str, Protocol] = {
         lengths=tuple(Length(percent, "%") for percent in (10, 20, 30, 40, 50)),
         selection="toolbox",
     ),
-    # evo 1.38: evo_ape; with lengths evo_rpe, which has no list of them.
+    # evo 1.38: evo_ape; with lengths evo_rpe, which takes a single one.
     "evo": Protocol(
         name="evo",
         association=AssociationRule("evo", max_time_difference_s=0.01),
@@ -256,7 +254,7 @@ PROTOCOLS: dict[str, Protocol] = {
         re_form="se3",
         nees_form="as_published",
     ),
-    # The KITTI odometry devkit: frames pair by number, nothing is aligned.
+    # The KITTI odometry devkit: frames pair by number, without an alignment.
     "kitti": Protocol(
         name="kitti",
         gauge=Gauge.NONE,
@@ -267,14 +265,14 @@ PROTOCOLS: dict[str, Protocol] = {
         selection=Selection("first-past", every=10),
     ),
     # The UZH-FPV competitions: the organisers' answer in issue 3 of
-    # uzh-rpg/IROS2020-FPV-VIO-Competition. Ranked by the means of position and rotation.
+    # uzh-rpg/IROS2020-FPV-VIO-Competition. The ranking uses the means of position and rotation.
     "uzh-fpv": Protocol(
         name="uzh-fpv",
         gauge=Gauge.YAW,
         re_form="fitted",
         lengths=metres(40, 60, 80, 100, 120),
     ),
-    # Hilti SLAM challenge 2022: surveyed points under the tip of the handheld's pole.
+    # Hilti SLAM challenge 2022: surveyed points at the tip of the handheld's pole.
     "hilti-2022": Protocol(
         name="hilti-2022",
         association=AssociationRule("evo", max_time_difference_s=2.0),
@@ -283,8 +281,8 @@ PROTOCOLS: dict[str, Protocol] = {
         lever_m=_HILTI_TIP_M,
         score=PointTable((0.01, 0.03, 0.06, 0.1), (10.0, 6.0, 3.0, 1.0)),
     ),
-    # Hilti-Research/hilti-slam-challenge-2023 at 9af5e39, evaluation-2023: surveyed points under
-    # the tip of the handheld's pole. Those of site 3 count twice: best 200.
+    # Hilti-Research/hilti-slam-challenge-2023 at 9af5e39, evaluation-2023: surveyed points at the
+    # tip of the handheld's pole. Points of site 3 count twice there: best score 200.
     "hilti-2023": Protocol(
         name="hilti-2023",
         association=AssociationRule("evo", max_time_difference_s=2.0),
@@ -293,8 +291,8 @@ PROTOCOLS: dict[str, Protocol] = {
         lever_m=_HILTI_TIP_M,
         score=PointTable((0.005, 0.01, 0.03, 0.06, 0.1, 0.4), (20.0, 10.0, 6.0, 5.0, 3.0, 1.0)),
     ),
-    # LaMAria's control points, level errors. Its own evaluation refines the alignment with the
-    # reprojection errors of the tags that mark them; this is the part of the positions.
+    # LaMAria's control points, horizontal errors. Its own evaluation refines the alignment with
+    # reprojection errors of the tags at the points; this protocol uses the positions alone.
     "lamaria": Protocol(
         name="lamaria",
         gauge=Gauge.SIM3,

@@ -1,4 +1,4 @@
-"""Relative errors by length: eq. (25) to (27) of the tutorial, for every length of a protocol."""
+"""Relative errors for all lengths of a protocol: eq. (25) to (27) of the tutorial."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from trajeval_ros.metrics.sub_trajectories import (
     select_turns,
 )
 
-_MOST_HELD = 100_000  # sub-trajectories of one length, 5 MB
+_MOST_HELD = 100_000  # sub-trajectories of a length that are kept in memory, 5 MB
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,14 +37,13 @@ class SubTrajectoryErrors:
     """The relative errors of all sub-trajectories of one length.
 
     Attributes:
-        length: As asked for.
-        length_m: Its value in metres; None where the length isn't a distance.
-        mean_length_m: Mean true length of the sub-trajectories; None where there is none.
+        length: The length as configured.
+        length_m: The length in metres; None if it is no distance.
+        mean_length_m: Mean true length of the sub-trajectories; None if there are none.
         count: K, the number of sub-trajectories.
-        measure: Returns their errors.
-        held: The errors; None of a long run, of which they take more memory than all else and
-            are seldom asked for.
-        statistics: By metric; None where there is nothing to tell.
+        measure: Function that computes the errors.
+        held: The errors; None for long runs, where they would take most of the memory.
+        statistics: Statistics by metric; None if a metric is not available.
     """
 
     length: Length
@@ -57,11 +56,11 @@ class SubTrajectoryErrors:
 
     @cached_property
     def errors(self) -> RelativeErrors:
-        """Sub-trajectory by sub-trajectory; of a long run measured again."""
+        """Errors of the K sub-trajectories; computed again for long runs."""
         return self.held or self.measure()
 
     def without(self, *metrics: str) -> SubTrajectoryErrors:
-        """Return the same with some metrics withheld."""
+        """Return a copy with some metrics withheld."""
         return dataclasses.replace(
             self,
             measure=partial(_measure_without, self.measure, metrics),
@@ -71,26 +70,26 @@ class SubTrajectoryErrors:
 
     @property
     def duration_s(self) -> float | None:
-        """Its value in seconds; None where the length isn't a duration."""
+        """The length in seconds; None if it is no duration."""
         return self.length.value if self.length.unit == "s" else None
 
     @property
     def frames(self) -> int | None:
-        """Its number of frames; None where it isn't one."""
+        """The length in frames; None if it is no number of frames."""
         return int(self.length.value) if self.length.unit == "f" else None
 
     @property
     def turn_deg(self) -> float | None:
-        """Its value in degrees; None where the length isn't a rotation."""
+        """The length in degrees; None if it is no rotation."""
         return float(np.degrees(self.length.radians)) if self.length.turns else None
 
     def __repr__(self) -> str:
-        """Return a line that says how large they are, without the arrays."""
+        """Return a summary in one line, without arrays."""
         return f"<SubTrajectoryErrors of {self.length}: {rmse_text(self.statistics)}>"
 
 
 def rmse_text(statistics: dict[str, Statistics | None]) -> str:
-    """Return the rmse of position and rotation as a text."""
+    """Return the RMSE of position and rotation as a text."""
     position, rotation = statistics["position_m"], statistics["rotation_deg"]
     parts = ["none" if position is None else f"{position.rmse:.4g} m"]
     if rotation is not None:
@@ -101,20 +100,20 @@ def rmse_text(statistics: dict[str, Statistics | None]) -> str:
 def relative_evaluation(
     pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
 ) -> tuple[tuple[SubTrajectoryErrors, ...] | None, dict[str, Statistics | None]]:
-    """Measure the errors (27) of all sub-trajectories of all lengths.
+    """Compute the errors of eq. (27) for all sub-trajectories of all lengths.
 
     Args:
-        pairs: The states.
-        groundtruth: All states that they were chosen from.
-        alignment: Of the pairs; sub-trajectories take its scale.
+        pairs: The paired states.
+        groundtruth: All groundtruth states.
+        alignment: Alignment of the pairs; sub-trajectories use its scale.
         protocol: Lengths, selection and form.
 
     Returns:
-        One for each length; None without lengths, or without rotations on both sides where the
-        form needs them. And statistics of drift over all lengths in metres.
+        The errors by length; None without lengths, or without orientations on both sides if the
+        form needs them. Statistics of the drift over all lengths in metres.
 
     Raises:
-        InputError: A length can't be measured along these pairs.
+        InputError: A length cannot be measured along these pairs.
     """
     if not protocol.lengths or not (pairs.have_rotations or protocol.re_form == "fitted"):
         return None, PooledDrift(0).statistics()
@@ -149,7 +148,7 @@ def relative_evaluation(
                 statistics=statistics,
             )
         )
-        del errors, starts, ends  # before those of the next length are there
+        del errors, starts, ends  # frees their memory before the next length
     return tuple(segments), pooled.statistics()
 
 
@@ -175,14 +174,14 @@ def _measure_without(
 
 
 class _Measure:
-    """What lengths are measured along: states of one side, by path, time, number and turns."""
+    """Measures lengths along one side: by path, time, number of states and rotation."""
 
     def __init__(
         self, pairs: Association, groundtruth: Trajectory, protocol: Protocol, scale: float
     ) -> None:
         self._pairs, self._groundtruth = pairs, groundtruth
         self._selection = protocol.selection
-        # The devkit measures the path through all frames, those without an estimate included.
+        # The devkit measures the path through all frames, including those without an estimate.
         self._by_frame = self._selection.rule == "first-past" and pairs.rule.method == "index"
         if self._by_frame:
             self._states, self._scale = groundtruth, 1.0
@@ -193,12 +192,12 @@ class _Measure:
 
     @cached_property
     def _travelled(self) -> Floats:
-        """The path up to each of the states that lengths are measured along, metres."""
+        """Path up to every state that lengths are measured along, metres."""
         return self._scale * self._states.travelled
 
     @property
     def travelled_by_pairs(self) -> Floats:
-        """The groundtruth's path up to each pair (N,), metres."""
+        """The groundtruth's path up to every pair, (N,), metres."""
         if self._by_frame:
             return self._travelled[self._pairs.groundtruth_rows]
         if self._states is self._pairs.groundtruth:
@@ -206,7 +205,7 @@ class _Measure:
         return self._pairs.groundtruth.travelled
 
     def metres(self, length: Length) -> float:
-        """Return a length in metres; the toolbox's share is of all groundtruth, in full cm."""
+        """Return a length in metres; the toolbox's percentages are of all groundtruth, in cm."""
         if length.unit != "%":
             return float(length.value)
         if self._selection.rule == "toolbox":
@@ -216,7 +215,7 @@ class _Measure:
         return float(length.value / 100.0 * whole_m)
 
     def select(self, length: Length) -> tuple[Indices, Indices]:
-        """Return the starts and ends (K,) of a length, as indices of pairs."""
+        """Return the starts and ends (K,) of sub-trajectories, as indices of pairs."""
         if self._by_frame:
             return self._select_frames(length)
         if length.unit == "f":
@@ -232,7 +231,7 @@ class _Measure:
         assert paired is not None
         numbers = np.arange(len(self._groundtruth)) if frames is None else frames
         if length.unit == "f":
-            # The first frame past half a frame less is the one with that number, or the next.
+            # The first frame beyond `value - 0.5` has that number, or is the next one.
             along, value = numbers.astype(float), length.value - 0.5
         else:
             along, value = self._along(length), self._value(length)
@@ -245,7 +244,7 @@ class _Measure:
         return float(length.value) if length.unit == "s" else self.metres(length)
 
     def _along(self, length: Length) -> Floats:
-        """Return the time, angle turned or path up to each of the states, in that unit."""
+        """Return path (m), time (s) or rotation (rad) up to every state, by the length's unit."""
         states = self._states
         if length.unit == "s":
             time = states.seconds if self._by_frame else self._pairs.groundtruth.seconds

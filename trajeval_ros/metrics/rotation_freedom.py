@@ -1,8 +1,8 @@
-"""How far the states leave the alignment's rotation open, and what orientations say of it.
+"""Uncertainty of the alignment's rotation, and its comparison with the orientations.
 
-A nearly straight path hardly determines the rotation about itself: the alignment then turns the
-whole estimate by what drift happens to prefer, and the rotation error contains that turn. All
-here follows from sums over pairs, so that a live run is told the same at a constant cost.
+A nearly straight path hardly determines the rotation about itself. Drift then decides the rotation
+of the whole estimate, and the rotation error contains it. All results follow from sums over pairs,
+so that a live run has them at a constant cost.
 """
 
 from __future__ import annotations
@@ -20,30 +20,31 @@ from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.orientation_sum import OrientationSum
 
 UNDETERMINED_DEG = 30.0
-# A rotation error is misleading from so many times the error by orientations alone, if so large.
+# A rotation error is misleading if it exceeds both this multiple of the error of the alignment by
+# orientations, and this angle.
 _TIMES = 3.8
 _LEAST_DEG = 2.0
-# One constant turn of so much isn't printed as an error.
+# A constant rotation larger than this is not reported as an error.
 _LARGE_TURN_DEG = 10.0
-# Beyond so many standard deviations, drift doesn't explain the turn. Axes that positions hold fast
-# are known to so much at best, rad: attitude drifts by as much apart from positions.
+# Beyond this number of standard deviations, drift does not explain the rotation. The least
+# standard deviation, rad, of a well determined axis: attitude can drift by this much on its own.
 _DRIFT = 5.0
 _LEAST_SPREAD = math.radians(_LEAST_DEG) / _DRIFT
-# Of squared lengths: what is less is rounding, not motion.
+# Ratio of squared lengths below which a component is rounding error rather than motion.
 _ROUNDING = 1e-12
 _IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True)
 class OrientationEvidence:
-    """What the orientations of the aligned states say of the alignment's rotation.
+    """Comparison of the alignment with an alignment by orientations.
 
     Attributes:
-        error_deg: Their rotation error under the alignment (`OrientationSum.error`).
-        least_deg: The same under the alignment by orientations alone.
+        error_deg: Rotation error under the alignment (`OrientationSum.error`).
+        least_deg: Rotation error under the alignment by orientations.
         turn_deg: Angle between the two alignments.
-        turn_in_stds: That turn in standard deviations, of drift in positions and orientations;
-            0 where an axis is exactly free.
+        turn_in_stds: That angle in standard deviations of drift in positions and orientations;
+            an undetermined axis contributes 0.
     """
 
     error_deg: float
@@ -54,13 +55,12 @@ class OrientationEvidence:
 
 @dataclass(frozen=True)
 class RotationFreedom:
-    """How far the states leave an alignment's rotation open.
+    """Uncertainty of an alignment's rotation.
 
     Attributes:
-        about_gravity: Whether the alignment turns about gravity only.
-        std_deg: Standard deviation of the rotation about its freest axis; infinite where nothing
-            determines it.
-        orientations: What orientations say; None without orientations on both sides.
+        about_gravity: Whether the gauge's rotation is about gravity only.
+        std_deg: Standard deviation about the least determined axis; infinite if undetermined.
+        orientations: Comparison with the orientations; None without them on both sides.
     """
 
     about_gravity: bool
@@ -69,7 +69,7 @@ class RotationFreedom:
 
     @property
     def is_misleading(self) -> bool:
-        """Whether the rotation error is mostly one constant turn of the alignment."""
+        """Whether the rotation error is mostly one constant rotation of the alignment."""
         seen = self.orientations
         return (
             seen is not None
@@ -79,13 +79,13 @@ class RotationFreedom:
 
     @property
     def disagrees(self) -> bool:
-        """Whether that turn is more than drift explains: another body, or other axes."""
+        """Whether drift does not explain that rotation: another body, or other axes."""
         seen = self.orientations
         return self.is_misleading and seen is not None and seen.turn_in_stds > _DRIFT
 
     @property
     def undetermined(self) -> str:
-        """Empty, or why the rotation is not determined; rotation errors mean nothing then."""
+        """The reason why the rotation is undetermined; empty if it is determined."""
         if self.std_deg <= UNDETERMINED_DEG:
             return ""
         how = f"its standard deviation is {self.std_deg:.0f} deg"
@@ -105,7 +105,7 @@ class RotationFreedom:
 
     @property
     def misleading(self) -> str:
-        """Empty, or the sentence on a rotation error that is mostly one constant turn."""
+        """The sentence about a rotation error that is mostly constant; empty if it is not."""
         seen = self.orientations
         if seen is None or not self.is_misleading:
             return ""
@@ -123,7 +123,7 @@ class RotationFreedom:
 
     @property
     def untrustworthy(self) -> str:
-        """Empty, or why rotation errors are not to be printed."""
+        """The reason why rotation errors are withheld; empty if they are reported."""
         seen = self.orientations
         if self.undetermined or seen is None or seen.turn_deg < _LARGE_TURN_DEG:
             return self.undetermined
@@ -145,23 +145,23 @@ def rotation_freedom(
     *,
     is_free: bool,
 ) -> RotationFreedom:
-    """Return how far an alignment's rotation is open.
+    """Return the uncertainty of an alignment's rotation.
 
-    The covariance is the sandwich H^-1 G H^-1 of the alignment's cost. With a the aligned
-    estimate's and e the errors' positions about their means, H = tr(C_aa) I - C_aa is the cost's
-    curvature and G = E[(a x e) (a x e)^T], for errors that are independent of where they happen,
-    but for a wrong scale. Drift is correlated over the whole run, so all pairs together count as
-    one sample.
+    The covariance is the sandwich H^-1 G H^-1 of the alignment's cost. Let a be the aligned
+    estimate's positions and e the errors, both about their means. H = tr(C_aa) I - C_aa is the
+    curvature of the cost. G = E[(a x e) (a x e)^T] holds for errors that do not depend on the
+    position, except through a wrong scale. Drift is correlated over the whole run, so that all
+    pairs together count as one sample.
 
     Args:
-        gauge: One that turns.
-        moments: Of the states' positions.
-        orientations: Of the same states; None if either side has none.
+        gauge: A gauge with a rotation.
+        moments: Sums over the states' positions.
+        orientations: Sum over the same states; None if a side has no orientations.
         similarity: The alignment.
-        by_orientations: (3, 3) the gauge's rotation that fits `orientations` best, or None.
-        arm_m: What orientations weigh in the alignment, see `alignment.solve`; metres.
-        best_scale: The scale that fits best with the alignment's rotation, whatever the gauge.
-        is_free: Whether some turn changes the cost by rounding alone.
+        by_orientations: (3, 3) rotation of the gauge that fits `orientations` best, or None.
+        arm_m: Weight of orientations in the alignment (see `alignment.solve`), metres.
+        best_scale: The best scale for the alignment's rotation, for any gauge.
+        is_free: Whether the cost is constant, up to rounding, along some rotation.
     """
     rotation, linear = similarity.rotation, similarity.linear
     error = 0.0 if orientations is None else orientations.error(rotation)
@@ -172,9 +172,9 @@ def rotation_freedom(
     curvatures, directions = np.linalg.eigh(curvature)
     variances, principal = np.array([np.inf]), np.zeros((len(curvature), 1))
     if not is_free and curvatures[0] > _ROUNDING * size:
-        # A wrong scale is an error along the lever arm, which turns nothing.
+        # The error of a wrong scale is parallel to the lever arm and causes no rotation.
         gradient = _of_cross_products(aligned, moments.covariance_error(best_scale * rotation))
-        # Errors of orientations, weighed by the arm, are one sample too.
+        # Errors of orientations, weighted by the arm, count as one sample, too.
         gradient += arm_m**4 * error**2 / 3.0 * _IDENTITY
         inverse = directions / curvatures @ directions.T
         variances, principal = np.linalg.eigh(inverse @ gradient[axes, axes] @ inverse)
@@ -194,7 +194,7 @@ def rotation_freedom(
 
 
 def _of_cross_products(a: Floats, e: Floats) -> Floats:
-    """Return E[(a x e)(a x e)^T] of independent vectors with covariances A and E, (3, 3) each."""
+    """Return E[(a x e)(a x e)^T] for independent vectors with covariances A and E, (3, 3) each."""
     trace_a, trace_e, product = float(a.trace()), float(e.trace()), a @ e
     crossed: Floats = product + product.T - trace_a * e - trace_e * a
     return crossed + (trace_a * trace_e - float(product.trace())) * _IDENTITY

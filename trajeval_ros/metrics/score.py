@@ -1,4 +1,4 @@
-"""A score by points: the closer to a surveyed point, the more, and nothing for a missing one."""
+"""Scores by points per surveyed position; missing positions have no points."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from trajeval_ros.geometry.arrays import Floats
 
 @dataclass(frozen=True)
 class PointTable:
-    """How many points an error is worth.
+    """Points per position error, constant between bounds.
 
     Attributes:
-        bounds_m: Increasing, metres; an error under the first is worth the first of `points`.
-        points: As many; an error of the last bound or more is worth nothing.
-        best: The score of a run that is right everywhere.
-        dimensions: Of the errors: 3, or 2 for their level part.
+        bounds_m: Increasing bounds, metres; an error below the first has the first points.
+        points: Points, as many as bounds; an error of at least the last bound has none.
+        best: Score of a run without errors.
+        dimensions: 3, or 2 for horizontal errors.
+
+    Raises:
+        SettingsError: The table is inconsistent.
     """
 
     bounds_m: tuple[float, ...]
@@ -27,7 +30,7 @@ class PointTable:
     dimensions: int = 3
 
     def __post_init__(self) -> None:
-        """Refuse tables that can't be meant."""
+        """Refuse inconsistent tables."""
         _require_dimensions(self.dimensions)
         if len(self.bounds_m) != len(self.points) or not self.points:
             raise SettingsError(
@@ -39,11 +42,11 @@ class PointTable:
             raise SettingsError("the first points and the best score must be positive")
 
     def score(self, errors_m: Floats, references: int) -> Score:
-        """Score a run.
+        """Return the score of a run.
 
         Args:
-            errors_m: (N,), of the points that were found.
-            references: How many there are in all.
+            errors_m: (N,) errors of the points that have an estimate, metres.
+            references: Number of all points.
         """
         worth = np.array([*self.points, 0.0])
         place = np.searchsorted(np.array(self.bounds_m), errors_m, side="right")
@@ -52,7 +55,7 @@ class PointTable:
             value=self.best * total / (self.points[0] * references),
             best=self.best,
             bounds_m=self.bounds_m,
-            found=tuple(int(each) for each in np.bincount(place, minlength=len(worth))),
+            found=tuple(int(count) for count in np.bincount(place, minlength=len(worth))),
             missing=references - len(errors_m),
             references=references,
         )
@@ -60,15 +63,18 @@ class PointTable:
 
 @dataclass(frozen=True)
 class KnotTable:
-    """How many points an error is worth, linearly between knots and nothing beyond the last.
+    """Points per position error, linear between knots and zero beyond the last.
 
-    Two knots, worth 1 and 0, give the area under the curve of recall up to the last knot.
+    Two knots with points 1 and 0 give the area under the recall curve up to the last knot.
 
     Attributes:
-        knots_m: Increasing from 0, metres.
-        points: As many, not increasing.
-        best: The score of a run that is right everywhere.
-        dimensions: Of the errors: 3, or 2 for their level part.
+        knots_m: Errors, increasing from 0, metres.
+        points: Points, as many as knots, not increasing.
+        best: Score of a run without errors.
+        dimensions: 3, or 2 for horizontal errors.
+
+    Raises:
+        SettingsError: The table is inconsistent.
     """
 
     knots_m: tuple[float, ...]
@@ -77,7 +83,7 @@ class KnotTable:
     dimensions: int = 3
 
     def __post_init__(self) -> None:
-        """Refuse tables that can't be meant."""
+        """Refuse inconsistent tables."""
         _require_dimensions(self.dimensions)
         if len(self.knots_m) != len(self.points) or len(self.points) < 2:
             raise SettingsError(
@@ -92,7 +98,7 @@ class KnotTable:
             raise SettingsError("the best score must be positive")
 
     def score(self, errors_m: Floats, references: int) -> Score:
-        """Score a run, as `PointTable.score` does."""
+        """Return the score of a run; see `PointTable.score`."""
         worth = np.interp(errors_m, self.knots_m, self.points, right=0.0)
         bounds = self.knots_m[1:]
         place = np.searchsorted(np.array(bounds), errors_m, side="right")
@@ -100,7 +106,7 @@ class KnotTable:
             value=self.best * float(worth.sum()) / (self.points[0] * references),
             best=self.best,
             bounds_m=bounds,
-            found=tuple(int(each) for each in np.bincount(place, minlength=len(self.points))),
+            found=tuple(int(count) for count in np.bincount(place, minlength=len(self.points))),
             missing=references - len(errors_m),
             references=references,
         )
@@ -108,38 +114,41 @@ class KnotTable:
 
 @dataclass(frozen=True)
 class RecallRule:
-    """Up to which errors a point counts as found.
+    """Error bounds within which a point counts as found.
 
     Attributes:
-        bounds_m: Metres, themselves included.
-        dimensions: Of the errors: 3, or 2 for their level part.
+        bounds_m: Bounds in metres, inclusive.
+        dimensions: 3, or 2 for horizontal errors.
+
+    Raises:
+        SettingsError: A bound is not positive.
     """
 
     bounds_m: tuple[float, ...]
     dimensions: int = 3
 
     def __post_init__(self) -> None:
-        """Refuse bounds that can't be meant."""
+        """Refuse bounds that are not positive."""
         _require_dimensions(self.dimensions)
         if not self.bounds_m or min(self.bounds_m) <= 0.0:
             raise SettingsError("recall bounds must be greater than 0, in metres")
 
     def recall(self, errors_m: Floats, references: int) -> Recall:
-        """Return the shares of all references with an error within the bounds, in percent."""
+        """Return the percentage of all points with an error within every bound."""
         within = (
-            100.0 * np.count_nonzero(errors_m <= each) / references for each in self.bounds_m
+            100.0 * np.count_nonzero(errors_m <= bound) / references for bound in self.bounds_m
         )
         return Recall(self.bounds_m, self.dimensions, tuple(within))
 
 
 @dataclass(frozen=True)
 class Recall:
-    """How many of the groundtruth's points an estimate finds.
+    """Percentages of the groundtruth's points that are found.
 
     Attributes:
-        bounds_m: As in the rule.
-        dimensions: As in the rule.
-        percent: For each bound, of all points; missing ones are not found.
+        bounds_m: Error bounds, metres.
+        dimensions: 3, or 2 for horizontal errors.
+        percent: Percentage of all points within every bound; missing points are not found.
     """
 
     bounds_m: tuple[float, ...]
@@ -153,11 +162,11 @@ class Score:
 
     Attributes:
         value: From 0 to `best`.
-        best: What can be had.
-        bounds_m: As in the table.
-        found: Number of points under each bound, and of those beyond the last.
-        missing: Points without an estimate: they are worth nothing.
-        references: All points.
+        best: Score of a run without errors.
+        bounds_m: Error bounds, metres.
+        found: Number of points below every bound, and beyond the last one.
+        missing: Number of points without an estimate; they have no points.
+        references: Number of all points.
     """
 
     value: float

@@ -1,4 +1,4 @@
-"""From the words of the command line, and of the node's parameters, to a protocol."""
+"""Conversion of options (command line, ROS parameters) to a protocol."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def protocol_named(name: str) -> Protocol:
     """Return a protocol by name.
 
     Raises:
-        SettingsError: There is none of that name.
+        SettingsError: The name is unknown.
     """
     require_one_of(name, PROTOCOLS, "protocol")
     return PROTOCOLS[name]
@@ -45,30 +45,30 @@ def protocol_from(
     ate_form: str | None = None,
     re_form: str | None = None,
 ) -> Protocol:
-    """Return a protocol, or that of a name, with whatever else was said; None leaves it as is.
+    """Return a protocol with some settings replaced; None keeps a setting.
 
     Args:
         base: The protocol, or its name.
-        gauge: What alignment may change, by name.
-        modality: The sensors, which choose the gauge.
+        gauge: Name of the gauge.
+        modality: Sensor set, which determines the gauge.
         align_states: `all`, or a number.
         align_with: `positions` or `poses`.
-        apply: `all` of the alignment, or its `scale` alone.
+        apply: `all`, or the alignment's `scale` alone.
         align_weights: See `Protocol`.
-        lever_m: Where in the estimate's body the groundtruth's point is.
-        association: How poses are paired.
+        lever_m: Position of the groundtruth's point in the estimate's body, metres.
+        association: Method of the association.
         max_time_difference: Seconds.
         max_gap: Seconds.
-        time_offset: Added to the estimate's stamps, seconds.
-        continuous_model: The groundtruth's motion model, for association continuous.
+        time_offset: Added to the estimate's timestamps, seconds.
+        continuous_model: Motion model of the groundtruth, for association continuous.
         groundtruth_noise: Standard deviations of its samples (m, deg), for association continuous.
-        lengths: Of sub-trajectories, as in "8,16,24", "1s,5s", "10f", "5deg", "10%,20%", "none".
+        lengths: "8,16,24", "1s,5s", "10f", "5deg", "10%,20%" or "none".
         pairs: `all` or `consecutive` sub-trajectories.
         ate_form: See `Protocol`.
         re_form: See `Protocol`.
 
     Raises:
-        SettingsError: Words that mean nothing, or nothing together.
+        SettingsError: An unknown value, or settings that exclude one another.
     """
     base = protocol_named(base) if isinstance(base, str) else base
     method = association or base.association.method
@@ -93,7 +93,7 @@ def protocol_from(
         time_offset_s=time_offset,
     )
     if gauge is not None or modality is not None:
-        # One that the base names goes with its gauge.
+        # The modality of the base is replaced together with its gauge.
         chosen = gauge_for(gauge, modality, base.gauge)
         base = dataclasses.replace(base, gauge=chosen, modality=modality)
     protocol: Protocol = _replaced(
@@ -104,7 +104,7 @@ def protocol_from(
         ate_form=ate_form,
         re_form=re_form,
     )
-    # Together, since one may make sense of the other.
+    # In one step: a setting can be valid only together with another one.
     return dataclasses.replace(
         protocol,
         align_states=protocol.align_states if align_states is None else parse_states(align_states),

@@ -1,4 +1,4 @@
-"""The best alignment of each of many stretches of one trajectory, all in O(N + K)."""
+"""Alignments of many spans of one trajectory in O(N + K)."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 def align_spans(
     groundtruth: Floats, estimate: Floats, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats, Floats]:
-    """Align K spans by yaw and position, eq. (18) over all states of each.
+    """Align K spans by yaw and position over all states of a span, eq. (18).
 
-    By differences of running sums, about the means of the whole so that they don't cancel.
+    The sums of a span are differences of running sums. These are about the trajectory's mean, to
+    avoid cancellation.
 
     Args:
         groundtruth: (N, 3), metres.
         estimate: (N, 3), metres.
-        starts: (K,) index of the first state of each span.
-        ends: (K,) index of the last one, which belongs to it.
+        starts: (K,) index of the first state of a span.
+        ends: (K,) index of the last state of a span, inclusive.
 
     Returns:
-        The rotations about z (K, 4), xyzw, and the means of groundtruth and estimate (K, 3) that
-        fall on each other.
+        Rotations about z (K, 4), xyzw, and the means of groundtruth and estimate (K, 3), which
+        the alignment maps to each other.
     """
     middle_p, middle_q = groundtruth.mean(axis=0), estimate.mean(axis=0)
     p, q = groundtruth - middle_p, estimate - middle_q

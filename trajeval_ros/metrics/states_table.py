@@ -1,7 +1,6 @@
-"""The ATE by the number of states that the alignment is from: Table III of the tutorial.
+"""The ATE as a function of the number of aligned states: Table III of the tutorial.
 
-The more of them, the smaller the position ATE tends to be, so that numbers compare only where as
-many were used.
+The position ATE tends to decrease with this number. Compare only results with the same number.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from trajeval_ros.metrics.statistics import Statistics
 
 @dataclass(frozen=True)
 class FirstStates:
-    """How many of the first matched states to align by.
+    """A number of first pairs to align by.
 
     Attributes:
-        states: So many; None for all, or for a share.
-        share: So large a share of them, above 0 and below 1; None otherwise.
+        states: The number; None for all pairs, or if `share` is set.
+        share: The number as a share of all pairs, above 0 and below 1, or None.
     """
 
     states: int | None = None
@@ -31,10 +30,10 @@ class FirstStates:
 
     @classmethod
     def parse(cls, text: str) -> FirstStates:
-        """Read "1", "25%" or "all".
+        """Parse "1", "25%" or "all".
 
         Raises:
-            SettingsError: It is none of them.
+            SettingsError: The text is not valid.
         """
         text = text.strip()
         if not text.endswith("%"):
@@ -51,23 +50,23 @@ class FirstStates:
         return cls(share=share)
 
     def __str__(self) -> str:
-        """Write it as `parse` reads it."""
+        """Return the text that `parse` accepts."""
         if self.share is not None:
             return f"{100.0 * self.share:g}%"
         return "all" if self.states is None else str(self.states)
 
     def count(self, matched: int) -> int | None:
-        """Return how many of so many matched states these are; None for all."""
+        """Return the number of states out of `matched` pairs; None for all."""
         if self.share is None:
             return self.states
         return max(1, math.floor(self.share * matched + 0.5))
 
 
 def parse_first_states(text: str) -> tuple[FirstStates, ...]:
-    """Read "1,25%,50%,75%,all".
+    """Parse "1,25%,50%,75%,all".
 
     Raises:
-        SettingsError: A part means nothing, or is given twice.
+        SettingsError: A part is not valid, or occurs twice.
     """
     chosen = tuple(FirstStates.parse(part) for part in text.split(","))
     if len(set(chosen)) < len(chosen):
@@ -80,11 +79,11 @@ class AlignedBy:
     """The ATE of one alignment.
 
     Attributes:
-        states: As asked for.
-        states_used: So many; None where there is no such alignment.
-        position_m: Statistics of the position error; None where there is no such alignment.
-        rotation_deg: Statistics of the rotation error; None where there is none.
-        reason: Empty, or why there is no such alignment, or no rotation error.
+        states: The number of states as configured.
+        states_used: Number of states in the fit; None if there is no alignment.
+        position_m: Statistics of the position error; None if there is no alignment.
+        rotation_deg: Statistics of the rotation error; None if not available.
+        reason: Why there is no alignment, or no rotation error; empty otherwise.
     """
 
     states: str
@@ -95,8 +94,8 @@ class AlignedBy:
 
 
 def states_table(evaluation: Evaluation, chosen: Iterable[FirstStates]) -> tuple[AlignedBy, ...]:
-    """Return the ATE of the same pairs by alignments from other numbers of their first states."""
-    return tuple(_aligned_by(evaluation, each) for each in chosen)
+    """Return the ATE of the same pairs for alignments by different numbers of first pairs."""
+    return tuple(_aligned_by(evaluation, first) for first in chosen)
 
 
 def _aligned_by(evaluation: Evaluation, first: FirstStates) -> AlignedBy:

@@ -1,4 +1,4 @@
-"""Named statistics of a set of errors. A number without its name is not a result."""
+"""Statistics of a set of errors, by name."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 
-_BLOCK = 8192  # values whose squares stay in a core's cache
+_BLOCK = 8192  # values per block, so that a block fits into a core's cache
 
 
 @dataclass(frozen=True, repr=False)
 class Statistics:
-    """Statistics of errors that are never negative; each has the unit of the errors.
+    """Statistics of non-negative errors, in the unit of the errors.
 
-    `std` is the population's (ddof 0), as in the authors' toolbox and in evo; `p95` is the
-    sample's 95th percentile (linear between order statistics), not a normal distribution's.
+    `std` is the population's (ddof 0), as in rpg_trajectory_evaluation and evo. `p95` is the 95th
+    percentile of the sample (linear between order statistics), not of a normal distribution.
 
     Example:
         >>> from trajeval_ros import Statistics
@@ -35,13 +35,13 @@ class Statistics:
     count: int
 
     def __repr__(self) -> str:
-        """Return a line to read; `dataclasses.asdict` has all digits."""
+        """Return a summary in one line; `dataclasses.asdict` has all digits."""
         names = ("rmse", "mean", "median", "std", "min", "max", "p95")
         values = ", ".join(f"{name} {getattr(self, name):.4g}" for name in names)
         return f"<Statistics {values}, count {self.count}>"
 
     def scaled(self, factor: float) -> Statistics:
-        """Return the statistics of the same errors in another unit, `factor` > 0 times as many."""
+        """Return the statistics of the errors multiplied by `factor` > 0."""
         return Statistics(
             self.rmse * factor,
             self.mean * factor,
@@ -55,7 +55,7 @@ class Statistics:
 
 
 def statistics_of(errors: Floats | None) -> Statistics | None:
-    """Return the statistics of (N,) errors; None, never zeros, where there are no errors.
+    """Return the statistics of errors (N,); None if there are none.
 
     The root mean square is eq. (24) of the tutorial.
     """
@@ -63,7 +63,7 @@ def statistics_of(errors: Floats | None) -> Statistics | None:
 
 
 def statistics_in_place(errors: Floats) -> Statistics | None:
-    """Return `statistics_of` (N,) errors that nobody needs any more: they are partly sorted."""
+    """Return `statistics_of` errors (N,), which are partly sorted in place."""
     if not len(errors):
         return None
     mean = float(errors.mean())
@@ -74,7 +74,7 @@ def statistics_in_place(errors: Floats) -> Statistics | None:
 
 
 def round_below(value: float) -> float:
-    """Return the largest of 1, 2 or 5 times a power of ten that a value > 0 holds."""
+    """Return the largest of 1, 2 or 5 times a power of ten that is at most `value` > 0."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
 
@@ -88,7 +88,7 @@ def quantile(ordered: Floats, share: float) -> float:
 
 
 def _root_mean_square(values: Floats, centre: float) -> float:
-    """Return the root mean square distance of (N,) values from a centre, without a copy of all."""
+    """Return the root mean square distance of values (N,) from a centre, block by block."""
     parts = (
         float(np.square(values[begin : begin + _BLOCK] - centre).sum())
         for begin in range(0, len(values), _BLOCK)
@@ -97,22 +97,22 @@ def _root_mean_square(values: Floats, centre: float) -> float:
 
 
 def _quantiles(values: Floats, *shares: float) -> list[float]:
-    """Return quantiles of (N,) values, as `quantile`, and put these in order as far as it takes.
+    """Return quantiles of values (N,), as `quantile`; the values are partly sorted in place.
 
-    One place after the other: numpy takes longer for several at once than to sort.
+    One quantile after the other: for several at once numpy is slower than a full sort.
 
     Args:
-        values: At least one; partly sorted in place.
-        shares: The largest first.
+        values: N > 0 values.
+        shares: Decreasing.
     """
-    found, end = [], len(values)
+    quantiles, end = [], len(values)
     for share in shares:
         place = share * (len(values) - 1)
         below = int(place)
         values[:end].partition(below)
-        # What follows is not less; of these the least is the next in order.
+        # All later values are at least as large; the least of them is next in order.
         low = values[below]
         above = values[below + 1 :].min() if below + 1 < len(values) else low
-        found.append(float(low + (place - below) * (above - low)))
+        quantiles.append(float(low + (place - below) * (above - low)))
         end = below + 1
-    return found
+    return quantiles

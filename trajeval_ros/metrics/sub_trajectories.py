@@ -1,8 +1,8 @@
-"""Sub-trajectories: which pairs of states (start, end) are a given length apart.
+"""Sub-trajectories: pairs of states (start, end) that are a given length apart.
 
-Tutorial, section IV-B, eq. (25). Lengths are measured along the path through the matched
-positions, in time, in states, or by how far the body has turned. Selection is a binary search per
-start, O(N log N), but for evo's pairs of rotations, which are compared with one another, O(N^2).
+Tutorial, section IV-B, eq. (25). Lengths are measured along the path through the paired positions,
+in time, in states, or by the rotation of the body. A selection takes O(N log N), except for evo's
+pairs by rotation, where all orientations are compared, O(N^2).
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ _EXAMPLES = "8 or 8m (metres), 1s (seconds), 10f (frames), 5deg or 0.1rad (of ro
 
 @dataclass(frozen=True)
 class Length:
-    """A length to choose sub-trajectories by.
+    """The length of sub-trajectories.
 
     Attributes:
-        value: In its unit.
-        unit: `m`, of the path; `s`; `%`, of the whole path; `f`, frames, which are matched states;
-            `deg` or `rad`, by which the body turns.
+        value: The number in its unit.
+        unit: `m`, of the path; `s`; `%`, of the whole path; `f`, frames, which are paired states;
+            `deg` or `rad`, of rotation.
+
+    Raises:
+        SettingsError: An unknown unit, or a value that is not positive.
 
     Example:
         >>> from trajeval_ros import Length
@@ -43,7 +46,7 @@ class Length:
     unit: str
 
     def __post_init__(self) -> None:
-        """Refuse lengths that no sub-trajectory can have."""
+        """Refuse unknown units and values that are not positive."""
         if self.unit not in UNITS:
             raise SettingsError(
                 f"the unit of a length must be one of {', '.join(UNITS)}, not {self.unit!r}"
@@ -55,7 +58,7 @@ class Length:
 
     @property
     def in_metres(self) -> bool:
-        """Whether it is a distance, so that errors can be a share of it."""
+        """Whether it is a distance, so that drift is defined."""
         return self.unit in ("m", "%")
 
     @property
@@ -65,12 +68,12 @@ class Length:
 
     @property
     def radians(self) -> float:
-        """How far the body turns, of a length that is a rotation."""
+        """The rotation in radians; only for `deg` and `rad`."""
         return float(np.radians(self.value)) if self.unit == "deg" else self.value
 
     @classmethod
     def parse(cls, text: str) -> Length:
-        """Read "8", "8m", "1s", "10f", "5deg", "0.1rad" or "10%"."""
+        """Parse "8", "8m", "1s", "10f", "5deg", "0.1rad" or "10%"."""
         pattern = rf"\s*([0-9.]+(?:e-?[0-9]+)?)\s*({'|'.join(UNITS)})?\s*"
         match = re.fullmatch(pattern, text)
         if match is None:
@@ -82,10 +85,10 @@ class Length:
 
     @classmethod
     def of(cls, length: Length | float | str) -> Length:
-        """Return a length, one of so many metres, or what a text says.
+        """Return a length from metres, a text or a length.
 
         Raises:
-            SettingsError: It is none.
+            SettingsError: The value is not valid.
         """
         if isinstance(length, Length):
             return length
@@ -99,12 +102,12 @@ class Length:
         return cls(float(length), "m")
 
     def __str__(self) -> str:
-        """Write it as `parse` reads it."""
+        """Return the text that `parse` accepts."""
         return f"{self.value:g}{self.unit}"
 
 
 def parse_lengths(text: str) -> tuple[Length, ...]:
-    """Read "8,16,24", "1s,5s", "1f,10f", "5deg", "10%,20%" or "none"."""
+    """Parse "8,16,24", "1s,5s", "1f,10f", "5deg", "10%,20%" or "none"."""
     if text.strip() == "none":
         return ()
     lengths = tuple(Length.parse(part) for part in text.split(","))
@@ -115,24 +118,26 @@ def parse_lengths(text: str) -> tuple[Length, ...]:
 
 @dataclass(frozen=True)
 class Selection:
-    """The rule by which starts and ends of sub-trajectories are chosen.
+    """The rule for the starts and ends of sub-trajectories.
 
-    Frames are counted, so that all rules agree about them.
+    Lengths in frames are exact for all rules.
 
     Attributes:
-        rule: `nearest`: the state whose distance is nearest to the length, within 1 % of it or
-            half the local spacing of states, whichever is more, but never more than 20 %.
-            `toolbox`: nearest, within 20 %, as rpg_trajectory_evaluation does.
-            `first-past`: the first state beyond the length, as the KITTI devkit does.
-            `evo`: as evo_rpe does. Of consecutive pairs the first state at or beyond the length;
-            of all pairs the nearest one within the tolerance, but of rotations every pair of
-            states whose orientations are so far apart, within the tolerance.
-        every: Take each n-th state as a start.
-        pairs: `all`: every start is used. `consecutive`: the next sub-trajectory begins where
-            the one before ends.
-        path: Along which positions and rotations lengths are measured: the `groundtruth`'s, or
-            the `estimate`'s with the alignment's scale.
-        tolerance: By what share an end may miss the length: rule `evo`, all pairs.
+        rule: `nearest`: the state nearest to the length, within 1 % of it or half the local
+            spacing of states, whichever is larger, but at most 20 %.
+            `toolbox`: the nearest within 20 %, as in rpg_trajectory_evaluation.
+            `first-past`: the first state beyond the length, as in the KITTI devkit.
+            `evo`: as evo_rpe. For consecutive pairs the first state at or beyond the length; for
+            all pairs the nearest within the tolerance; for rotations every pair of states whose
+            orientations differ by the length, within the tolerance.
+        every: Use every n-th state as a start.
+        pairs: `all`: all starts. `consecutive`: a sub-trajectory starts where the previous ends.
+        path: The side along which positions and rotations are measured: `groundtruth`, or
+            `estimate` with the alignment's scale.
+        tolerance: Largest relative deviation from the length, for rule `evo` with all pairs.
+
+    Raises:
+        SettingsError: An unknown name, or a number out of range.
     """
 
     rule: str = "nearest"
@@ -142,7 +147,7 @@ class Selection:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Refuse rules that there are not."""
+        """Refuse unknown names and numbers out of range."""
         require_one_of(self.rule, RULES, "selection rule")
         require_one_of(self.pairs, PAIRS, "selection of pairs")
         require_one_of(self.path, PATHS, "path")
@@ -160,7 +165,7 @@ class Selection:
             )
 
     def __str__(self) -> str:
-        """Return what the sub-trajectories depend on, in a few words."""
+        """Return the settings that determine the sub-trajectories, as a short text."""
         parts = [self.rule, f"every {self.every}"]
         parts += [self.pairs] if self.is_consecutive else []
         parts += ["along the estimate"] if self.path == "estimate" else []
@@ -169,28 +174,27 @@ class Selection:
 
     @property
     def is_consecutive(self) -> bool:
-        """Whether a sub-trajectory begins where the one before ends."""
+        """Whether a sub-trajectory starts where the previous one ends."""
         return self.pairs == "consecutive"
 
     @property
     def compares_rotations(self) -> bool:
-        """Whether lengths in degrees are between the orientations of any two states."""
+        """Whether rotations are measured between any two states, not along the path."""
         return self.rule == "evo" and not self.is_consecutive
 
 
-LARGEST_DEVIATION = 0.2
-TOLERANCE = 0.01
-_TURN_BLOCK = 256
+LARGEST_DEVIATION = 0.2  # relative deviation from the length, rules `nearest` and `toolbox`
+TOLERANCE = 0.01  # relative deviation that rule `nearest` always accepts
+_TURN_BLOCK = 256  # states whose orientations are compared with all others at a time
 
 
 def select(along: Floats, length: float, selection: Selection) -> tuple[Indices, Indices]:
-    """Return the starts and ends (K,) of all sub-trajectories of that length.
+    """Return the starts and ends (K,) of all sub-trajectories of a length, eq. (25).
 
     Args:
-        along: (N,) distance travelled, metres, angle turned, or time, seconds, at each state; not
-            decreasing.
-        length: In the unit of `along`.
-        selection: How an end is chosen.
+        along: (N,) path (m), time (s) or rotation (rad) up to every state, not decreasing.
+        length: Length in the unit of `along`.
+        selection: The rule.
     """
     starts = np.arange(0, len(along), selection.every)
     if selection.rule == "first-past" or (selection.rule == "evo" and selection.is_consecutive):
@@ -201,43 +205,43 @@ def select(along: Floats, length: float, selection: Selection) -> tuple[Indices,
         ends, accepted = nearest_ends(along, starts, length, selection.rule, selection.tolerance)
     count = int(np.count_nonzero(accepted))
     if accepted[:count].all():
-        # All but the last ones, as is usual: no copies.
+        # Usually only the last starts are rejected: slices need no copy.
         return _used(starts[:count], ends[:count], selection)
     return _used(starts[accepted], ends[accepted], selection)
 
 
 def select_states(count: int, length: int, selection: Selection) -> tuple[Indices, Indices]:
-    """Return the starts and ends (K,) of sub-trajectories of so many steps between N states."""
+    """Return the starts and ends (K,) of sub-trajectories of `length` steps between N states."""
     starts = np.arange(0, max(count - length, 0), selection.every)
     return _used(starts, starts + length, selection)
 
 
 def select_turns(quaternions: Floats, angle: float, tolerance: float) -> tuple[Indices, Indices]:
-    """Return the starts and ends (K,) of all pairs of states whose orientations are so far apart.
+    """Return the starts and ends (K,) of all pairs of states with a given relative rotation.
 
     Args:
         quaternions: (N, 4) xyzw, unit.
-        angle: Radians, at most half a turn.
-        tolerance: Share of the angle by which it may be missed.
+        angle: Angle between the orientations, rad, at most pi.
+        tolerance: Largest relative deviation of the angle.
     """
     least, most = (1.0 - tolerance) * angle, min((1.0 + tolerance) * angle, np.pi)
-    # |q_i . q_j| is the cosine of half the angle between them.
+    # |q_i . q_j| is the cosine of half the angle between two orientations.
     high, low = np.cos(least / 2.0), np.cos(most / 2.0)
-    found: list[tuple[Indices, Indices]] = []
+    blocks: list[tuple[Indices, Indices]] = []
     for begin in range(0, len(quaternions), _TURN_BLOCK):
         block = quaternions[begin : begin + _TURN_BLOCK]
         cosine = np.abs(block @ quaternions[begin:].T)
         starts, ends = np.nonzero(np.triu((cosine <= high) & (cosine >= low), 1))
-        found.append((starts + begin, ends + begin))
-    starts, ends = np.hstack(found)
+        blocks.append((starts + begin, ends + begin))
+    starts, ends = np.hstack(blocks)
     return starts, ends
 
 
 def _used(starts: Indices, ends: Indices, selection: Selection) -> tuple[Indices, Indices]:
-    """Return all sub-trajectories, or those that begin where the one before ends."""
+    """Return all sub-trajectories, or only consecutive ones, as selected."""
     if not selection.is_consecutive or not len(starts):
         return starts, ends
-    # A state may be passed over that begins none, and none ends where it begins.
+    # States that start no sub-trajectory are skipped; sub-trajectories of length 0 are removed.
     forward = ends > starts
     starts, ends = starts[forward], ends[forward]
     following = np.searchsorted(starts, ends).tolist()
@@ -251,17 +255,18 @@ def _used(starts: Indices, ends: Indices, selection: Selection) -> tuple[Indices
 def select_frames(
     along: Floats, frames: Indices, paired: Indices, length: float, selection: Selection
 ) -> tuple[Indices, Indices]:
-    """Return the starts and ends (K,) that the KITTI devkit takes where frames may be missing.
+    """Return the starts and ends (K,) of the KITTI devkit, if frames may be missing.
 
-    Every n-th frame by its number is a start, and the end is the first groundtruth frame beyond
-    the length. Sub-trajectories whose start or end has no estimate are left out.
+    Starts are frames whose number is a multiple of `selection.every`. The end is the first
+    groundtruth frame beyond the length. Sub-trajectories without an estimate at the start or the
+    end are left out.
 
     Args:
-        along: (M,) as for `select`, of all groundtruth frames.
-        frames: (M,) their numbers.
-        paired: (N,) index of those that are in a pair; starts and ends count these pairs.
-        length: In the unit of `along`.
-        selection: Of rule `first-past`.
+        along: (M,) as for `select`, for all groundtruth frames.
+        frames: (M,) frame numbers.
+        paired: (N,) indices of the frames in a pair; starts and ends are indices of these pairs.
+        length: Length in the unit of `along`.
+        selection: A selection with rule `first-past`.
     """
     starts = np.flatnonzero(frames % selection.every == 0)
     ends = np.searchsorted(along, along[starts] + length, side="right")
@@ -280,14 +285,17 @@ def nearest_ends(
     rule: str = "nearest",
     share: float = LARGEST_DEVIATION,
 ) -> tuple[Indices, Booleans]:
-    """Return the state nearest to the length from each start (K,), and whether it is near enough.
+    """Return the state nearest to the length for every start, and whether it is accepted.
 
     Args:
         along: (N,) as for `select`.
         starts: (K,) indices of first states.
-        length: One for all starts, or (K,).
+        length: One length for all starts, or (K,).
         rule: `nearest`, `toolbox` or `evo`.
-        share: Of the length by which an end may miss it: rule `evo`.
+        share: Largest relative deviation for rule `evo`.
+
+    Returns:
+        Indices (K,) of the last states, and whether the sub-trajectories are accepted (K,).
     """
 
     def at(starts: Indices, length: Floats) -> tuple[Indices, Booleans]:
@@ -295,7 +303,7 @@ def nearest_ends(
         within = np.minimum(_search(along, target), len(along) - 1)
         before = np.maximum(within - 1, starts)
         reached, missed = along[within], along[before]
-        # Of states at the same place (a robot at rest) the first one ends the sub-trajectory.
+        # Of several states at the same place (a robot at rest), the first one is the end.
         rests = np.flatnonzero(along[np.maximum(before - 1, 0)] == missed)
         before[rests] = np.maximum(along.searchsorted(missed[rests]), starts[rests])
         too_long, too_short = np.abs(reached - target), np.abs(missed - target)
@@ -310,7 +318,7 @@ def nearest_ends(
             tolerance = np.minimum(
                 np.maximum(TOLERANCE * length, spacing / 2.0), LARGEST_DEVIATION * length
             )
-            # The comparison must not depend on rounding in the running sum of the distance.
+            # The decision must not depend on rounding of the running sum.
             accepted = deviation <= tolerance * (1.0 + 1e-9)
             accepted &= ends > starts
         return ends, accepted
@@ -320,9 +328,9 @@ def nearest_ends(
 
 
 def _search(along: Floats, target: Floats) -> Indices:
-    """Return `along.searchsorted(target)`, looking no further than the least and the greatest."""
+    """Return `along.searchsorted(target)`, restricted to the range of the targets."""
     if not len(target):
         return np.empty(0, dtype=np.intp)
     low, high = along.searchsorted([target.min(), target.max()])
-    found: Indices = low + along[low:high].searchsorted(target)
-    return found
+    places: Indices = low + along[low:high].searchsorted(target)
+    return places

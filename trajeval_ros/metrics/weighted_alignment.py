@@ -1,8 +1,7 @@
 """Alignment weighted by position covariances.
 
-Each pair of positions has a scalar weight, 1 / (tr Sigma / 3 + e^2 / 3). The size e of the errors
-is a part of the weights, and the errors depend on the alignment in turn, so weights and alignment
-are computed by turns.
+A pair has the weight 1 / (tr Sigma / 3 + e^2 / 3). The weights include the size e of the errors,
+which depends on the alignment. Therefore weights and alignment are computed alternately.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ _AT_REST = 1e-12
 
 
 def position_weights(covariances: Floats, error_m: float) -> Floats:
-    """Return a scalar weight per state (N,), 1/m^2.
+    """Return the weights of states, (N,), 1/m^2: 1 / (tr Sigma / 3 + e^2 / 3).
 
-    1 / (tr Sigma / 3 + e^2 / 3): the mean variance of an axis, with the size e of the errors
-    themselves as a floor, so that an over-confident state doesn't rule the alignment.
+    This is the inverse mean variance of an axis. The size e of the errors is a floor, so that an
+    overconfident state does not dominate the alignment.
 
     Args:
-        covariances: (N, 3, 3) of positions, or (N, 6, 6) of poses, position first; m^2. Those
-            of positions in a plane are (N, 2, 2).
-        error_m: Root mean square of the position errors, metres.
+        covariances: (N, 3, 3) of positions or (N, 6, 6) of poses, position first, m^2; (N, 2, 2)
+            for positions in a plane.
+        error_m: RMSE of the positions, metres.
     """
     variance = np.trace(covariances[:, :3, :3], axis1=1, axis2=2) / 3.0
     weights: Floats = 1.0 / (variance + error_m**2 / 3.0)
@@ -43,13 +42,13 @@ def align_weighted(
     orientations: tuple[Floats, Floats] | None,
     align_with: str,
 ) -> Alignment:
-    """Align by the estimate's covariances, from an alignment that weighs all pairs alike.
+    """Align with weights from the estimate's covariances, starting from equal weights.
 
     Args:
-        gauge: What the alignment may change.
+        gauge: Group of the alignment.
         groundtruth: (N, 3), metres.
-        estimate: (N, 3), in units of its own.
-        covariances: (N, 3, 3) or (N, 6, 6) of the estimate, in its own units.
+        estimate: (N, 3), in units of the estimate.
+        covariances: (N, 3, 3) or (N, 6, 6) of the estimate, in squared units of the estimate.
         orientations: As for `align`.
         align_with: As for `align`.
 
@@ -78,15 +77,15 @@ def align_by_groundtruth(
     orientations: tuple[Floats, Floats] | None,
     align_with: str,
 ) -> Alignment:
-    """Align by the groundtruth's covariances, to rest.
+    """Align with weights from the groundtruth's covariances, iterated to convergence.
 
-    The size e of the estimate's own errors is what its residuals have beyond these covariances:
-    e^2 = max(0, mean |r|^2 - mean tr Sigma).
+    The size e of the estimate's own errors is the part of the residuals that the covariances do
+    not explain: e^2 = max(0, mean |r|^2 - mean tr Sigma).
 
     Args:
-        gauge: What the alignment may change.
+        gauge: Group of the alignment.
         groundtruth: (N, 3), metres.
-        estimate: (N, 3), in units of its own.
+        estimate: (N, 3), in units of the estimate.
         covariances: (N, k, k) of the groundtruth's positions along k axes, m^2.
         orientations: As for `align`.
         align_with: As for `align`.
@@ -111,12 +110,12 @@ def align_by_groundtruth(
 def weighted_errors(
     gauge: Gauge | None, groundtruth: Floats, estimate: Floats, covariances: Floats
 ) -> tuple[Floats, float]:
-    """Return the errors (N, 3) after a weighted alignment, and their weighted rmse, both metres.
+    """Return errors (N, 3) after a weighted alignment and their weighted RMSE, both in metres.
 
     Args:
-        gauge: What the alignment may change; None for an estimate that is aligned already.
+        gauge: Group of the alignment; None if the estimate is aligned already.
         groundtruth: (N, 3), metres.
-        estimate: (N, 3), in units of its own.
+        estimate: (N, 3), in units of the estimate.
         covariances: (N, 3, 3) of the groundtruth, m^2.
     """
     weights = np.ones(len(estimate))

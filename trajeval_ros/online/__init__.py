@@ -1,1 +1,1 @@
-"""Evaluation while the robot moves: pure Python, without ROS, at a constant cost per message."""
+"""Live evaluation without ROS, at a constant cost per message."""

@@ -1,4 +1,4 @@
-"""Alarms: limits of quantities, and the largest values since they were last compared."""
+"""Alarms: limits of quantities, and their largest values since the last check."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from trajeval_ros.online.reports import Snapshot, Update
 
 
 class LimitedQuantity(NamedTuple):
-    """A quantity that has a limit for warnings and one for errors.
+    """A quantity with one limit for warnings and one for errors.
 
     Attributes:
-        name: The limits are called `warn_NAME` and `error_NAME`.
-        words: What it is.
-        unit: Of the quantity and its limits; empty for a plain number.
+        name: Suffix of the parameters `warn_NAME` and `error_NAME`.
+        words: The quantity in words.
+        unit: Unit of the quantity and its limits; empty for a plain number.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Peak(NamedTuple):
 
     Attributes:
         value: In the quantity's unit.
-        stamp: Of its pair, nanoseconds; None where it belongs to none.
+        stamp: Timestamp of its pair, nanoseconds; None if it belongs to no pair.
     """
 
     value: float
@@ -51,23 +51,23 @@ class Peak(NamedTuple):
 
 
 class Peaks:
-    """The largest values of limited quantities, so that no excursion passes between two looks."""
+    """The largest values of limited quantities between two checks."""
 
     def __init__(self) -> None:
-        """Create it without any."""
+        """Create it without values."""
         self._peaks: dict[str, Peak] = {}
 
     def see(self, name: str, value: float | None, stamp: int | None = None) -> None:
-        """Take a value of a quantity; None is no value."""
+        """Take a value of a quantity; None is ignored."""
         if value is not None and (name not in self._peaks or value > self._peaks[name].value):
             self._peaks[name] = Peak(value, stamp)
 
     def see_update(self, update: Update, *, knows_up: bool) -> None:
-        """Take the errors of all new pairs, and of sub-trajectories that ended.
+        """Take the errors of new pairs and of completed sub-trajectories.
 
         Args:
-            update: What is new.
-            knows_up: False leaves out what depends on the up axis.
+            update: The new results.
+            knows_up: False ignores errors that depend on the up axis.
         """
         for errors in update.errors:
             yaw = errors.yaw_deg if knows_up else None
@@ -83,31 +83,31 @@ class Peaks:
             self.see("drift_percent", end.drift_percent, end.stamp)
 
     def see_snapshot(self, snapshot: Snapshot) -> None:
-        """Take the errors of the window."""
+        """Take the statistics of the window."""
         self.see("ate_position_m", snapshot.window_position_rmse_m)
         self.see("nees", None if snapshot.nees is None else snapshot.nees.mean)
 
     def take(self) -> dict[str, Peak]:
-        """Return the largest values since the last call, by name of the quantity."""
+        """Return the largest values since the last call by name, and reset them."""
         peaks, self._peaks = self._peaks, {}
         return peaks
 
 
 def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]:
-    """Return what is over its limits.
+    """Return an alarm for every quantity above its limit.
 
     Args:
         peaks: The largest values by name of the quantity.
-        limits: `warn_NAME` and `error_NAME` by these names; 0 is no limit.
+        limits: The limits by `warn_NAME` and `error_NAME`; 0 is no limit.
     """
-    found = []
+    notices = []
     for name, words, unit in LIMITED_QUANTITIES:
         if name not in peaks:
             continue
         value, stamp = peaks[name]
         for level, limit in ((ERROR, limits[f"error_{name}"]), (WARN, limits[f"warn_{name}"])):
             if 0.0 < limit < value:
-                number, bound = (with_unit(each, unit) for each in (value, limit))
+                number, bound = (with_unit(quantity, unit) for quantity in (value, limit))
                 text = f"{words} {number} is over {bound}"
                 values: dict[str, float | int | str] = {
                     "value": value,
@@ -116,6 +116,6 @@ def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]
                 }
                 if stamp is not None:
                     values["stamp_ns"] = stamp
-                found.append(Notice("alarm", level, text, name, values))
+                notices.append(Notice("alarm", level, text, name, values))
                 break
-    return found
+    return notices

@@ -1,4 +1,4 @@
-"""Pairs at the estimate's stamps, between which the groundtruth is interpolated."""
+"""Pairs at the estimate's timestamps; the groundtruth is interpolated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trajeval_ros.online.waypoint_stream import WaypointStream
 
 
 class DensePairing(Pairing):
-    """Pairs an estimate's states with interpolated groundtruth: association `linear`."""
+    """Pairs estimated states with interpolated groundtruth: association `linear`."""
 
     interpolated: ClassVar[str] = "groundtruth"
     waits: ClassVar[tuple[str, str]] = "pose", "poses"
@@ -36,16 +36,16 @@ class DensePairing(Pairing):
         self._let_wait(stamps, rows)
 
     def take_waypoints(self) -> StampedPoses:
-        """Return the groundtruth's waypoints since the last call, up to the newest pair at least.
+        """Return the groundtruth's waypoints since the last call, at least up to the newest pair.
 
-        They tell how far the groundtruth got between pairs, also after it has been forgotten.
+        Coverage needs them for the motion between pairs after the states are forgotten.
         """
         self._pass_by(0)
         return self._waypoints.take()
 
     @property
     def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the newest groundtruth states, as far as they are remembered."""
+        """Copies of the newest groundtruth states that are still stored."""
         stamps, rows = self._track.held
         return stamps.copy(), rows.copy()
 
@@ -66,7 +66,7 @@ class DensePairing(Pairing):
 
     @property
     def estimate_count(self) -> int:
-        """Number of estimated states so far, without those that wait."""
+        """Number of estimated states so far, without waiting ones."""
         intake = self.estimate_intake
         return intake.poses - self.waiting - intake.dropped.get("duplicate_stamp", 0)
 
@@ -78,7 +78,7 @@ class DensePairing(Pairing):
         return Pairs(stamps, between, waited)
 
     def _leave(self, count: int) -> None:
-        """Keep what is needed of the oldest groundtruth states, which will be forgotten."""
+        """Record waypoints, time and path of groundtruth states that will be dropped."""
         stamps, rows = self._track.held
         if int(stamps[count - 1]) > self._waypoints.newest:
             self._pass_by(count)
@@ -86,7 +86,7 @@ class DensePairing(Pairing):
         self._forgotten_path_m += _path_m(rows[: count + 1])
 
     def _pass_by(self, end: int) -> None:
-        """Take the waypoints up to the newest pair, and among the states before a row."""
+        """Take the waypoints up to the newest pair, or up to row `end` if that is later."""
         stamps, rows = self._track.held
         paired = int(stamps.searchsorted(self._paired_until, side="right"))
         self._waypoints.pass_by(stamps, rows, max(end, paired))

@@ -1,7 +1,7 @@
-"""What is told about an estimate by topic, below `/evaluator/NAME/`: live and recorded alike.
+"""The topics of an estimate's results below `/evaluator/NAME/`, live and recorded.
 
-The node publishes it as it goes, `trajeval evaluate --mcap` writes it at the end. docs/topics.md
-says what each topic holds.
+The node publishes them during the run; `trajeval evaluate --mcap` writes them afterwards.
+docs/topics.md describes their content.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ ALIGNMENT, ALIGNMENT_TYPE = "alignment", "geometry_msgs/msg/TransformStamped"
 ALIGNED_PATH, GROUNDTRUTH_PATH = "aligned_path", "groundtruth_path"
 DIAGNOSTICS, DIAGNOSTICS_TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 WINDOW_NUMBERS = ("ate_position", "ate_rotation")
-# Of the window's newest pair, live alone: by part of the pose.
+# Of the window's newest pair, live only, by part of the pose.
 PROTECTION_LEVELS = {
     "horizontal": "protection_level",
     "vertical": "protection_level_vertical",
     "heading": "protection_level_heading",
 }
-NEES_NUMBERS = ("nees", "nees_position", "nees_rotation")  # of the window, live alone
+NEES_NUMBERS = ("nees", "nees_position", "nees_rotation")  # of the window, live only
 
-# Of each pair, with its stamp.
+# Of every pair, with its timestamp.
 VECTORS: Mapping[str, Callable[[PairErrors], Floats | None]] = {
     "stamped/position_error": lambda errors: errors.position,
     "stamped/rotation_error": lambda errors: errors.rotation_vector_deg,
@@ -38,7 +38,7 @@ VECTORS: Mapping[str, Callable[[PairErrors], Floats | None]] = {
     "stamped/attitude_error": lambda errors: errors.attitude_deg,
     "stamped/heading_error": lambda errors: errors.along_cross_vertical,
 }
-# Of each pair recorded, of the newest one live.
+# Of every pair in a recording, of the newest pair live.
 NUMBERS: Mapping[str, Callable[[PairErrors], Floats | None]] = {
     "position_error": lambda errors: errors.position_m,
     "rotation_error": lambda errors: errors.rotation_deg,
@@ -49,20 +49,20 @@ _BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_
 
 
 def relative_error_topic(length: str) -> str:
-    """Return the topic of the relative errors of a length; no name can begin with a digit."""
+    """Return the topic of the relative errors of a length; a topic cannot start with a digit."""
     return f"relative_error/length_{length.replace('.', '_').replace('%', '_percent')}"
 
 
 def vectors_of(
     errors: PairErrors, topic: str, offset_ns: int, *, knows_up: bool
 ) -> tuple[Stamps, Floats]:
-    """Return stamps (K,) and vectors (K, 3) of those of N pairs that have any.
+    """Return stamps (K,) and vectors (K, 3) of the pairs that have such an error.
 
     Args:
-        errors: Of the pairs.
+        errors: Errors of N pairs.
         topic: One of `VECTORS`.
-        offset_ns: What was added to the estimate's stamps, which are told as they were.
-        knows_up: False withholds what depends on the up axis.
+        offset_ns: Offset that was added to the estimate's timestamps; it is subtracted again.
+        knows_up: False withholds errors that depend on the up axis.
     """
     vectors = None if topic in _BY_UP and not knows_up else VECTORS[topic](errors)
     if vectors is None:
@@ -72,19 +72,19 @@ def vectors_of(
 
 
 def numbers_of(errors: PairErrors, topic: str, *, knows_up: bool) -> Floats | None:
-    """Return the numbers (N,) of N pairs for one of `NUMBERS`; None if they can't be had."""
+    """Return the numbers (N,) of N pairs for one of `NUMBERS`; None if not available."""
     return None if topic in _BY_UP and not knows_up else NUMBERS[topic](errors)
 
 
 def window_numbers(snapshot: Snapshot) -> dict[str, float | None]:
-    """Return the numbers of `WINDOW_NUMBERS`; None for what can't be had."""
+    """Return the values of `WINDOW_NUMBERS`; None if not available."""
     rotation = snapshot.ate.get("rotation_deg")
-    found = (snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse)
-    return dict(zip(WINDOW_NUMBERS, found, strict=True))
+    values = (snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse)
+    return dict(zip(WINDOW_NUMBERS, values, strict=True))
 
 
 def nees_numbers(snapshot: Snapshot) -> dict[str, float | None]:
-    """Return the numbers of `NEES_NUMBERS`; empty where covariances can't be judged."""
+    """Return the values of `NEES_NUMBERS`; empty without a consistency test."""
     nees = snapshot.nees
     if nees is None:
         return {}
@@ -93,18 +93,18 @@ def nees_numbers(snapshot: Snapshot) -> dict[str, float | None]:
 
 
 def integrity_numbers(snapshot: Snapshot) -> dict[str, float]:
-    """Return the newest protection levels, m and deg; empty where nobody asked for any."""
-    found = snapshot.integrity
-    parts = () if found is None else found.parts
-    return {PROTECTION_LEVELS[each.part]: float(each.levels[-1]) for each in parts}
+    """Return the newest protection levels, m and deg; empty if integrity is not configured."""
+    integrity = snapshot.integrity
+    parts = () if integrity is None else integrity.parts
+    return {PROTECTION_LEVELS[part.part]: float(part.levels[-1]) for part in parts}
 
 
 def status_values(snapshot: Snapshot, newest: Update) -> dict[str, Any]:
-    """Return what a status says of an evaluation, by name; None for what can't be had.
+    """Return the values of a status message by name; None if not available.
 
     Args:
-        snapshot: The evaluation.
-        newest: Of its newest pair.
+        snapshot: State of the evaluation.
+        newest: The update with the newest pair.
     """
     alignment, rotation = snapshot.alignment, snapshot.ate.get("rotation_deg")
     coverage = snapshot.coverage
@@ -134,7 +134,7 @@ def status_values(snapshot: Snapshot, newest: Update) -> dict[str, Any]:
 
 
 def status_texts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return values of a status as texts, without those that are None."""
+    """Return the values of a status message as texts, without those that are None."""
     return {
         name: f"{value:.6g}" if isinstance(value, float) else str(value)
         for name, value in values.items()

@@ -59,17 +59,16 @@ if TYPE_CHECKING:
 
 
 class OnlineEvaluator:
-    """Feed it states of both streams as they arrive; ask it for errors at any time.
+    """Evaluates states of both streams as they arrive; results are available at any time.
 
-    It pairs, aligns and measures as `evaluate` does: counts are equal, statistics agree to 1e-9.
-    The first states of the groundtruth settle association `auto`: without orientations they are
-    fixes or points, which wait for the estimate beyond them.
+    It associates, aligns and measures as `evaluate` does: counts are equal, statistics agree to
+    1e-9. Association `auto` is resolved by the first groundtruth states: without orientations they
+    are fixes or points, and the estimate is interpolated at their timestamps.
 
     Attributes:
-        buffer: What pairs the states.
-        groundtruth_up: Which axis points up in the groundtruth's frame. To be set, if at all,
-            before its first states, as well as the estimate's.
-        estimate_up: Which one does in the estimate's.
+        buffer: The pairing of the states.
+        groundtruth_up: Up axis of the groundtruth's frame. Set both axes before the first states.
+        estimate_up: Up axis of the estimate's frame.
 
     Example:
         >>> import numpy as np
@@ -89,13 +88,13 @@ class OnlineEvaluator:
         record_waypoints: Callable[[StampedPoses], object] | None = None,
         buffer: Pairing | None = None,
     ) -> None:
-        """Create it.
+        """Create an evaluator without states.
 
         Args:
-            settings: What to do.
-            record: Is given all new pairs, to keep them beyond this process.
-            record_waypoints: Is given the groundtruth's waypoints between them, for the same.
-            buffer: States to begin with, which another evaluator has left.
+            settings: The settings; None for the defaults.
+            record: Called with all new pairs, to store them outside this process.
+            record_waypoints: Called with the groundtruth's waypoints between pairs.
+            buffer: Pairing with the first states, which another evaluator has cut off.
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
@@ -115,26 +114,29 @@ class OnlineEvaluator:
         self._count = self._late = 0
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states that have arrived.
+        """Take new groundtruth states.
 
         Args:
             stamps: (N,) int64, nanoseconds.
             rows: (N, 3) positions, metres; (N, 7) positions and quaternions xyzw; or (N, 10) of
-                `state_rows.states`, with velocities; estimates may have (N, 46), with covariances.
+                `state_rows.states`, with velocities. Estimates can have (N, 46), with covariances.
+
+        Raises:
+            InputError: The rows have another number of columns.
         """
         rows = _all_columns(rows)[:, :WIDTH]
         if self._arm is not None:
-            rows = without_orientations(rows)  # of a point, whatever the messages say
+            rows = without_orientations(rows)  # of a point, also if messages have a constant one
         if not self._is_settled:
             self._settle(rows)
         rows = on_plane(rows, self.groundtruth_up) if self._is_planar else rows
         self.buffer.add_groundtruth(stamps, rows)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states that have arrived, as `add_groundtruth` does.
+        """Take new estimated states; see `add_groundtruth`.
 
         Raises:
-            InputError: They have no orientations, and the protocol has a lever arm.
+            InputError: The protocol has a lever arm, and the states have no orientations.
         """
         rows = _all_columns(rows)
         if self._arm is not None and np.isnan(rows[:, QUATERNION.start]).any():
@@ -144,7 +146,7 @@ class OnlineEvaluator:
         self.buffer.add_estimate(stamps + self._offset, rows)
 
     def update(self, *, at_end: bool = False) -> Update:
-        """Evaluate what has arrived since the last call.
+        """Evaluate the states since the last call.
 
         Args:
             at_end: No more groundtruth will come.
@@ -154,10 +156,10 @@ class OnlineEvaluator:
         return self.evaluate(pairs, at_end=at_end)
 
     def of_same_point(self, pairs: Pairs) -> Pairs:
-        """Return pairs, as the buffer makes them, of the point that the groundtruth is of.
+        """Return pairs of the pairing for the groundtruth's point, in the plane if planar.
 
-        In the plane, if that is asked. A lever arm swings with the orientation at the pair's
-        stamp, so that it comes first, and after the estimate was interpolated.
+        The lever arm depends on the orientation at the pair's timestamp. Therefore it is applied
+        after the interpolation of the estimate, and before the projection.
         """
         estimate = pairs.estimate
         if self._arm is not None:
@@ -167,7 +169,7 @@ class OnlineEvaluator:
         return pairs._replace(estimate=estimate)
 
     def evaluate(self, pairs: Pairs, *, at_end: bool = False) -> Update:
-        """Evaluate new pairs, both sides `of_same_point`; see `update`."""
+        """Evaluate new pairs, already converted by `of_same_point`; see `update`."""
         if len(pairs.stamps):
             if self._record is not None:
                 self._record(pairs)
@@ -196,7 +198,7 @@ class OnlineEvaluator:
         return Update(len(pairs.stamps), int(pairs.stamps[-1]), self._errors_of(own), ends)
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation; costs as much as the window is long."""
+        """Return the state of the evaluation, at a cost proportional to the window's length."""
         begin = self.store.window_begin(self.settings.window)
         consistency, why_not = self._consistency(begin)
         return Snapshot(
@@ -221,18 +223,18 @@ class OnlineEvaluator:
 
     @property
     def offset_s(self) -> float:
-        """What is added to the estimate's stamps, seconds."""
+        """Offset added to the estimate's timestamps, seconds."""
         return self.settings.protocol.association.time_offset_s
 
     def leaves_out_velocities_of(self, rows: Floats) -> bool:
-        """Return whether estimated states have velocities that a lever arm makes void."""
+        """Return whether states have velocities that are not evaluated because of a lever arm."""
         if self._arm is None or not self._arm.lever_m.any():
             return False
         return bool(np.nan_to_num(rows[:, VELOCITY]).any())
 
     @property
     def rule(self) -> AssociationRule:
-        """How pairs are made; of association `auto` as it looks so far."""
+        """Rule of the association, with `auto` as resolved so far."""
         kind = "points" if isinstance(self.buffer, SparsePairing) else "poses"
         return self.settings.protocol.association.for_kind(kind)
 
@@ -243,7 +245,7 @@ class OnlineEvaluator:
 
     @property
     def alignment(self) -> Alignment | None:
-        """The present alignment, between the frames' own axes; None while there is none."""
+        """The present alignment, between the frames' own axes; None before the first one."""
         if self._aligning.found is None or not self._is_upright:
             return self._aligning.found
         axes = self.groundtruth_up, self.estimate_up
@@ -252,18 +254,18 @@ class OnlineEvaluator:
 
     @property
     def frozen_at(self) -> int | None:
-        """Number of states that a frozen alignment is from; None while it isn't frozen."""
+        """Number of states of the frozen alignment; None while it is not frozen."""
         if not (self.settings.freeze and self._aligning.is_kept) or self._aligning.found is None:
             return None
         return self._aligning.found.states_used
 
     def set_gauge(self, gauge: Gauge) -> None:
-        """Align by another gauge; before the first groundtruth."""
+        """Change the gauge; call it before the first groundtruth."""
         self.settings = self.settings.with_gauge(gauge)
         self._begin_to_align()
 
     def _begin_to_align(self) -> None:
-        """Start to align, without a pair."""
+        """Reset the alignment and the relative errors."""
         protocol = self.settings.protocol
         self._is_planar = protocol.gauge is Gauge.PLANAR
         self._is_upright = protocol.gauge.turns_about_gravity_only
@@ -271,9 +273,9 @@ class OnlineEvaluator:
         self._aligning = LiveAlignment(protocol, freezes=self.settings.freeze)
 
     def change(self, settings: OnlineSettings) -> None:
-        """Take other lengths and another window from now on; other settings stay.
+        """Use other lengths and another window from now on; other settings are kept.
 
-        A wider window fills as pairs come, a new length counts from the next pair.
+        A larger window fills with new pairs. A new length starts at the next pair.
         """
         protocol = dataclasses.replace(self.settings.protocol, lengths=settings.protocol.lengths)
         self.settings = dataclasses.replace(
@@ -282,7 +284,7 @@ class OnlineEvaluator:
         self._relative = self._relative.with_lengths(protocol, self.store.end)
 
     def set_offset(self, offset_s: float) -> None:
-        """Add so many seconds to the estimate's stamps; before the first of them."""
+        """Set the offset of the estimate's timestamps, seconds; call it before the first state."""
         protocol = self.settings.protocol
         rule = dataclasses.replace(protocol.association, time_offset_s=offset_s)
         protocol = dataclasses.replace(protocol, association=rule)
@@ -290,12 +292,12 @@ class OnlineEvaluator:
         self._offset = round(offset_s * NANOSECONDS)
 
     def association(self) -> Association:
-        """Return all pairs, to be evaluated offline; only of a window that is the whole run.
+        """Return all pairs for an offline evaluation; needs a window of the whole run.
 
-        Those of gauges yaw and planar are in worlds whose z axis is up.
+        Pairs of gauges yaw and planar are in frames with z up.
 
         Raises:
-            SettingsError: The window is shorter, so that pairs have been forgotten.
+            SettingsError: The window is shorter, so that pairs have been dropped.
         """
         if not self.settings.window.is_whole_run:
             raise SettingsError(
@@ -309,7 +311,7 @@ class OnlineEvaluator:
         )
 
     def _pairs_from(self, begin: int) -> Association:
-        """Return the pairs from a number on, of which there is one, without counts."""
+        """Return the pairs from number `begin` on, at least one, without counts."""
         stamps = self.store.stamps(begin)
         return Association(
             rule=self.rule,
@@ -323,6 +325,7 @@ class OnlineEvaluator:
         )
 
     def _consistency(self, begin: int) -> tuple[Consistency | None, str]:
+        """Return the consistency test of the pairs from `begin` on, or why there is none."""
         if self.settings.covariances.source == "none":
             return None, ""
         if not len(self.store):
@@ -331,7 +334,7 @@ class OnlineEvaluator:
         return judge_window(self._pairs_from(begin), protocol, request.once_turned)
 
     def _settle(self, rows: Floats) -> None:
-        """Choose how pairs are made by the first states of the groundtruth, if there are any."""
+        """Resolve association `auto` by the first usable groundtruth states, if there are any."""
         usable = np.flatnonzero(np.isfinite(rows[:, POSITION]).all(axis=1))
         if not len(usable):
             return
@@ -340,18 +343,18 @@ class OnlineEvaluator:
             self._pair_by(SparsePairing.after(self.buffer))
 
     def _pair_by(self, buffer: Pairing) -> None:
-        """Have pairs made, and say what they cover."""
+        """Use a pairing, and measure its coverage."""
         self.buffer = buffer
         of_kind = LiveCompleteness if isinstance(buffer, SparsePairing) else LiveCoverage
         self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer, self._record_waypoints)
 
     @property
     def _vertical(self) -> UpAxis:
-        """The up axis of the groundtruth as it is in the store."""
+        """The up axis of the groundtruth in the store."""
         return Z_UP if self._is_upright else self.groundtruth_up
 
     def _in_order(self, pairs: Pairs) -> Pairs:
-        """Leave out pairs older than the newest one; the record has them."""
+        """Drop pairs older than the newest one; the recording keeps them."""
         if not len(self.store) or pairs.stamps[0] > self.store.stamps()[-1]:
             return pairs
         new = pairs.stamps > self.store.stamps()[-1]
@@ -359,12 +362,14 @@ class OnlineEvaluator:
         return pairs.picked(new)
 
     def _window_moments(self, begin: int) -> Moments:
+        """Return the moments of the pairs from `begin` on."""
         if self.settings.window.is_whole_run or not len(self.store):
             return self._aligning.whole
         pairs = self.store.groundtruth(begin), self.store.estimate(begin)
         return self._aligning.moments(*pairs, self._aligning.whole.anchor)
 
     def _errors(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> AbsoluteErrors:
+        """Return the errors of stored pairs (N,), (N, 10), (N, 10) under the present alignment."""
         assert self._aligning.found is not None
         aligned = self._aligning.found.similarity.trajectory(trajectory(stamps, estimate))
         return absolute_errors(
@@ -374,7 +379,7 @@ class OnlineEvaluator:
         )
 
     def _errors_of(self, pairs: Pairs) -> tuple[PairErrors, ...]:
-        """Return the errors of pairs between the frames' own axes, under the present alignment."""
+        """Return errors of pairs between the frames' own axes under the present alignment."""
         alignment = self.alignment
         if alignment is None:
             return ()
@@ -392,6 +397,7 @@ class OnlineEvaluator:
         }
 
     def _estimate_coverage(self) -> float | None:
+        """Return the share of estimated states in a pair; None for pairs at fixes and points."""
         if isinstance(self.buffer, SparsePairing):
             return None
         dropped = self.buffer.dropped.items()
@@ -400,7 +406,7 @@ class OnlineEvaluator:
 
 
 def _all_columns(rows: Floats) -> Floats:
-    """Return rows (N, 10) of positions (N, 3), or of positions and quaternions (N, 7)."""
+    """Return rows (N, 10), from positions (N, 3) or positions and quaternions (N, 7)."""
     if rows.ndim == 2 and rows.shape[1] in (WIDTH, WIDTH_WITH_COVARIANCE):
         return rows
     if rows.ndim != 2 or rows.shape[1] not in (3, 7):

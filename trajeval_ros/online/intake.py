@@ -1,4 +1,4 @@
-"""What a pairing is given of one side, and what it holds at the most."""
+"""Counts of the states that a pairing receives, and the limits of its memory."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY
 
 @dataclass
 class Intake:
-    """Poses of one side that a pairing was given.
+    """Counts of the poses of one side.
 
     Attributes:
-        poses: Number of them, repeated stamps included.
-        first: The earliest stamp, nanoseconds; None before the first pose.
-        last: The latest one.
-        dropped: Number of states that could not be used, by reason.
+        poses: Number of poses, repeated timestamps included.
+        first: The earliest timestamp, nanoseconds; None before the first pose.
+        last: The latest timestamp, nanoseconds.
+        dropped: Number of unusable states by reason.
     """
 
     poses: int = 0
@@ -30,15 +30,15 @@ class Intake:
     dropped: dict[str, int] = field(default_factory=dict)
 
     def take(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Count states (N,), (N, k), and return those that are poses; others as the readers do.
+        """Count states (N,), (N, k), and return the valid ones, by the same rules as the readers.
 
-        A velocity that can't be one is left out alone.
+        An invalid velocity is replaced by NaN.
         """
         wild = np.abs(rows[:, VELOCITY]) > LARGEST
         if wild.any():
             rows = rows.copy()
             rows[wild.any(axis=1), VELOCITY] = np.nan
-        # `states` writes it into all four columns.
+        # `states` sets all four columns to infinity.
         no_length = rows[:, QUATERNION.start] == np.inf
         finite = np.isfinite(rows[:, POSITION]).all(axis=1)
         keep = finite & ~no_length
@@ -54,13 +54,13 @@ class Intake:
         return stamps, rows
 
     def take_back(self, poses: int, last: int) -> None:
-        """Leave out so many poses, so that another one is the last."""
+        """Subtract poses from the count, after which `last` is the latest timestamp."""
         self.poses -= poses
         if poses:
             self.last = last
 
     def drop(self, reason: str, count: int) -> None:
-        """Count what could not be used."""
+        """Count unusable states."""
         count_up(self.dropped, reason, count)
 
     @property
@@ -73,16 +73,16 @@ class Intake:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a pairing holds at the most; beyond, the oldest is dropped and counted.
+    """Limits of a pairing's memory; beyond them the oldest states are dropped and counted.
 
-    A state takes 88 bytes, 376 with a covariance: 500 000 of each side are 88 MB, or 232 MB, and
-    up to twice that while they grow.
+    A state takes 88 bytes, 376 with a covariance. 500 000 states per side take 88 MB, or 232 MB,
+    and up to twice that while the arrays grow.
 
     Attributes:
-        past_s: What is kept of the side that is interpolated behind its newest state, for late
-            states of the other, seconds; infinite for as much as `past_states` allows.
-        past_states: The same as a number of states, whatever the rate.
-        waiting_states: States of the other side that wait.
+        past_s: Time before the newest state of the interpolated side that is kept for late states
+            of the other side, seconds; infinite for a limit by `past_states` only.
+        past_states: Number of kept states of the interpolated side.
+        waiting_states: Number of waiting states of the other side.
     """
 
     past_s: float = 10.0
@@ -90,7 +90,7 @@ class Limits:
     waiting_states: int = 500_000
 
     def horizon(self, newest: int) -> int:
-        """Return the stamp from which on states are kept, of a side's newest one, nanoseconds."""
+        """Return the timestamp from which on states are kept, nanoseconds."""
         if math.isinf(self.past_s):
             return NEVER
         return newest - round(self.past_s * NANOSECONDS)

@@ -1,4 +1,4 @@
-"""Restarts and large corrections of an estimate, noticed as they happen."""
+"""Live detection of restarts and large corrections of an estimate."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
 
-_MEMORY = 200.0  # steps over which a usual step is known
+_MEMORY = 200.0  # steps in the running means of usual steps
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A step that is no motion of the robot.
+    """A step of the estimate that is no motion of the robot.
 
     Attributes:
-        stamp: Of the first pair behind it, nanoseconds.
-        position_m: By how much the distance moved differs from the groundtruth's.
-        rotation_deg: By how much the angle turned differs from the groundtruth's.
+        stamp: Timestamp of the first pair after it, nanoseconds.
+        position_m: Difference between the distances of estimate and groundtruth.
+        rotation_deg: Difference between the angles of estimate and groundtruth.
     """
 
     stamp: int
@@ -29,14 +29,14 @@ class Jump:
 
 
 class JumpDetector:
-    """Looks at the steps between pairs as they come.
+    """Examines the steps between pairs as they arrive.
 
     Attributes:
         count: Number of jumps so far.
     """
 
     def __init__(self) -> None:
-        """Create it; a usual step is not known yet."""
+        """Create it without a usual step."""
         self.count = 0
         self._newest: Pairs | None = None
         self._typical_m = self._typical_deg = 0.0
@@ -44,7 +44,7 @@ class JumpDetector:
         self._were_jumps = np.zeros(2, dtype=bool)  # the newest steps
 
     def update(self, pairs: Pairs, scale: float) -> list[Jump]:
-        """Return the jumps among new pairs, sorted by stamp; late ones are passed over."""
+        """Return the jumps among new pairs, in order of time; late pairs are ignored."""
         newest = self._newest
         if newest is not None:
             new = pairs.stamps > newest.stamps[0]
@@ -65,22 +65,22 @@ class JumpDetector:
             estimate[:, QUATERNION] if turned else None,
             scale,
         )
-        found = self._alone(steps.jumps(self._typical_m, self._typical_deg), len(steps.true_m))
-        self._learn(steps, found)
-        self.count += len(found)
+        jumps = self._alone(steps.jumps(self._typical_m, self._typical_deg), len(steps.true_m))
+        self._learn(steps, jumps)
+        self.count += len(jumps)
         return [
             Jump(
                 int(pairs.stamps[row + 1]),
                 float(steps.position_m[row]),
                 float(steps.rotation_deg[row]),
             )
-            for row in found.tolist()
+            for row in jumps.tolist()
         ]
 
     def _alone(self, jumps: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Return which jumps among so many new steps don't follow two others.
+        """Return the jumps among `count` new steps that do not follow two others.
 
-        The third in a row is how the estimate moves, such as one in millimetres.
+        Three in a row are a property of the estimate, such as a unit of millimetres.
         """
         are_jumps = np.concatenate([self._were_jumps, np.zeros(count, dtype=bool)])
         are_jumps[jumps + 2] = True
@@ -89,7 +89,7 @@ class JumpDetector:
         return alone
 
     def _learn(self, steps: Steps, jumps: NDArray[np.int64]) -> None:
-        """Take the other steps into running means."""
+        """Update the running means with the other steps."""
         usual = np.ones(len(steps.true_m), dtype=bool)
         usual[jumps] = False
         new = int(np.count_nonzero(usual))

@@ -1,4 +1,4 @@
-"""The alignment of a run as it goes on: from sums over pairs, renewed with each batch of them."""
+"""The alignment of a running evaluation, from sums over pairs, updated with every batch."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from trajeval_ros.metrics.orientation_sum import OrientationSum
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
 
-# A frozen alignment is taken once its rotation is known to so much, as a standard deviation.
+# Standard deviation of the rotation at which a frozen alignment is taken.
 FREEZE_AT_DEG = 1.0
 
 
 class LiveAlignment:
-    """Aligns by the pairs so far, as the protocol says, at a constant cost.
+    """Aligns the pairs so far according to the protocol, at a constant cost.
 
     Attributes:
-        found: The present alignment; None while there is none.
-        why_not: Why there is none yet, or what leaves it open; empty if nothing does.
-        is_kept: Whether it stays as it is.
+        found: The present alignment; None before the first one.
+        why_not: Why there is none yet, or why it is undetermined; empty otherwise.
+        is_kept: Whether it no longer changes.
         whole: Moments of all pairs.
     """
 
@@ -36,7 +36,7 @@ class LiveAlignment:
 
         Args:
             protocol: Gauge, and the states to align by.
-            freezes: Keep the first alignment that the states determine well.
+            freezes: Keep the first alignment whose rotation is known to `FREEZE_AT_DEG`.
         """
         self._protocol, self._freezes = protocol, freezes
         self.found: Alignment | None = None
@@ -47,10 +47,10 @@ class LiveAlignment:
         self._anchored_at = 1
 
     def add(self, pairs: Pairs) -> None:
-        """Take new pairs, (N,), N > 0, that are newer than all before, and align anew.
+        """Take new pairs (N,), N > 0, newer than all before, and update the alignment.
 
-        Running sums drift by rounding. Coordinates are taken from the first pair's, residuals
-        under an anchor that is renewed when the number of pairs has doubled.
+        Running sums accumulate rounding errors. Therefore coordinates are relative to the first
+        pair, and the anchor of the residuals is renewed when the number of pairs has doubled.
         """
         if self._origin is None:
             self._origin = (
@@ -66,13 +66,13 @@ class LiveAlignment:
         self._align(pairs)
 
     def moments(self, groundtruth: Floats, estimate: Floats, anchor: Similarity) -> Moments:
-        """Return the moments of pairs of states (N, 10), under an anchor, from the origin."""
+        """Return the moments of pairs of states (N, 10) relative to the first pair."""
         assert self._origin is not None
         p, q = groundtruth[:, POSITION], estimate[:, POSITION]
         return Moments.of_pairs(p - self._origin[0], q - self._origin[1], anchor=anchor)
 
     def _align(self, pairs: Pairs) -> None:
-        """Renew the alignment: from all states so far, the first ones, or once for all."""
+        """Update the alignment by all states so far, or by the first ones."""
         protocol, gauge = self._protocol, self._protocol.gauge
         if self.is_kept:
             return
@@ -109,48 +109,50 @@ class LiveAlignment:
         if protocol.align_with == "poses" and not oriented:
             self.why_not = "align with poses needs orientations on both sides"
             return
-        found = solve(gauge, moments, turned if oriented else None, align_with=protocol.align_with)
-        self.why_not = found.undetermined
+        solution = solve(
+            gauge, moments, turned if oriented else None, align_with=protocol.align_with
+        )
+        self.why_not = solution.undetermined
         if self._freezes and not self.why_not:
-            open_deg = 0.0 if found.freedom is None else found.freedom.std_deg
-            if open_deg < FREEZE_AT_DEG:
+            std_deg = 0.0 if solution.freedom is None else solution.freedom.std_deg
+            if std_deg < FREEZE_AT_DEG:
                 self.is_kept = True
             else:
                 self.why_not = (
-                    f"standard deviation of the alignment {open_deg:.1f} deg, frozen at "
+                    f"standard deviation of the alignment {std_deg:.1f} deg, frozen at "
                     f"{FREEZE_AT_DEG:.0f} deg"
                 )
         if gauge.has_translation:
-            found = dataclasses.replace(
-                found,
-                similarity=self._unshifted(found.similarity),
+            solution = dataclasses.replace(
+                solution,
+                similarity=self._unshifted(solution.similarity),
                 by_positions=None
-                if found.by_positions is None
-                else self._unshifted(found.by_positions),
+                if solution.by_positions is None
+                else self._unshifted(solution.by_positions),
             )
-        self.found = found
+        self.found = solution
 
     def _unshifted(self, similarity: Similarity) -> Similarity:
-        """Return an alignment of coordinates from the origin as one of the frames' own."""
+        """Return an alignment of coordinates relative to the first pair as one of the frames."""
         assert self._origin is not None
         p, q = self._origin
         translation = similarity.translation + p - similarity.linear @ q
         return Similarity(similarity.rotation, translation, similarity.scale)
 
     def _shifted(self, similarity: Similarity) -> Similarity:
-        """Return an alignment of the frames' own coordinates as one of those from the origin."""
+        """Return an alignment of the frames as one of coordinates relative to the first pair."""
         assert self._origin is not None
         p, q = self._origin
         translation = similarity.translation - p + similarity.linear @ q
         return Similarity(similarity.rotation, translation, similarity.scale)
 
     def rmse(self, moments: Moments) -> float | None:
-        """Return the position error of moments from the origin; None without an alignment."""
+        """Return the position RMSE of moments; None without an alignment."""
         return None if self.found is None else moments.rmse(self._shifted(self.found.similarity))
 
 
 def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:
-    """Return the sum over pairs of rows (N, 10); the empty one where orientations lack."""
+    """Return the sum over pairs of rows (N, 10); empty if orientations are missing."""
     truth, other = groundtruth[:, QUATERNION], estimate[:, QUATERNION]
     if np.isnan(truth[:, 0] + other[:, 0]).any():
         return OrientationSum.empty()
@@ -158,5 +160,6 @@ def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:
 
 
 def _quaternion(row: Floats) -> Floats | None:
+    """Return the orientation of a state (10,); None without one."""
     quaternion = row[QUATERNION]
     return None if np.isnan(quaternion[0]) else lie.normalized(quaternion)

@@ -1,4 +1,4 @@
-"""The clocks' offset while a run goes on: estimated now and then, from a bounded past."""
+"""Live estimation of the clock offset, at intervals, from the newest ten minutes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.online.state_buffer import StateBuffer
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, WIDTH
 
-# Shorter, and rotation and lever arm can't be fitted beside the offset.
+# Rotation and lever arm cannot be estimated together with the offset from less.
 FIRST_S = 35.0
 _PAST_S = 600.0
 _PAUSE_S = 5.0
-_PAUSE_SHARE = 0.1  # of the time so far: so estimates become rarer, and cost a constant share
+_PAUSE_SHARE = 0.1  # pause relative to the run's duration, so that the mean load is constant
 _ESTIMATE_STEP_NS = 100_000_000
 _GROUNDTRUTH_STEP_NS = 20_000_000
 _INCREMENTS = 1500
@@ -28,15 +28,15 @@ _INCREMENTS = 1500
 
 @dataclass(frozen=True)
 class ClockReport:
-    """What is known of the clocks' offset by now.
+    """The present estimate of the clock offset.
 
     Attributes:
-        span_s: Time from the first estimated state to the newest one.
-        offset_s: To be added to the estimate's stamps; None while nothing is known.
+        span_s: Time from the first estimated state to the newest one, seconds.
+        offset_s: Offset to add to the estimate's timestamps; None before the first estimate.
         sigma_s: Its standard deviation.
-        half_width_95_s: Of its 95 % interval.
-        status: `waiting`, or that of `calibration.verdict.Parameter`.
-        reason: Why.
+        half_width_95_s: Half width of its 95 % interval.
+        status: `waiting`, or a status of `calibration.significance.Parameter`.
+        reason: The reason for the status.
     """
 
     span_s: float = 0.0
@@ -48,28 +48,28 @@ class ClockReport:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the clocks differ."""
+        """Whether the offset is statistically significant."""
         return self.status == "significant"
 
 
 class OnlineClock:
-    """Estimates the offset of an estimate's stamps from the newest ten minutes.
+    """Estimates the offset of an estimate's timestamps from the newest ten minutes.
 
-    Ten estimated and fifty groundtruth states a second are kept, 36 000 states of 88 bytes at the
-    most, and each estimate costs the same in the end.
+    It keeps 10 estimated and 50 groundtruth states per second, at most 36 000 states of 88 bytes.
+    Therefore the cost of an estimation is bounded.
 
     Attributes:
-        report: What is known by now.
-        calibration: All that was estimated with it; None before.
+        report: The present estimate.
+        calibration: The complete calibration with it; None before the first.
     """
 
     def __init__(self, gauge: Gauge, worker: Executor | None = None) -> None:
-        """Create it empty.
+        """Create it without states.
 
         Args:
             gauge: See `calibrate`.
-            worker: Does the estimating, which takes longer than messages may wait; None to do it
-                at once.
+            worker: Runs the estimation in parallel, since it takes longer than messages can wait;
+                None to run it immediately.
         """
         self._worker = worker
         self._asked: Future[tuple[ClockReport, Calibration | None]] | None = None
@@ -96,11 +96,11 @@ class OnlineClock:
         return 0.0 if self._first is None else (self._estimate.newest - self._first) / NANOSECONDS
 
     def update(self, *, at_end: bool = False, waits: bool = False) -> bool:
-        """Estimate anew if it is time to; returns whether there is a new report.
+        """Estimate the offset if it is due; returns whether there is a new report.
 
         Args:
-            at_end: Nothing more will come.
-            waits: Wait until it is estimated, as at the end.
+            at_end: No more states will come.
+            waits: Wait for the result.
         """
         waits |= at_end
         is_new = self._asked is not None
@@ -116,11 +116,11 @@ class OnlineClock:
         if not due or not len(self._truth):
             return is_new
         self._next_s = span_s + max(_PAUSE_S, _PAUSE_SHARE * span_s)
-        known = span_s, _trajectory(self._truth), _trajectory(self._estimate), self._gauge
+        inputs = span_s, _trajectory(self._truth), _trajectory(self._estimate), self._gauge
         if self._worker is not None and not waits:
-            self._asked = self._worker.submit(_estimated, *known)
+            self._asked = self._worker.submit(_estimated, *inputs)
             return False
-        self._take(*_estimated(*known))
+        self._take(*_estimated(*inputs))
         return True
 
     def _take(self, report: ClockReport, calibration: Calibration | None) -> None:
@@ -130,19 +130,19 @@ class OnlineClock:
 def _estimated(
     span_s: float, groundtruth: Trajectory, estimate: Trajectory, gauge: Gauge
 ) -> tuple[ClockReport, Calibration | None]:
-    """Return what the newest states tell of the clocks, and all that was estimated with it."""
+    """Return the clock report from the newest states, and the complete calibration."""
     try:
-        # A wild estimate may overflow, which is no reason to end the run.
+        # A diverged estimate can overflow; the run must go on.
         with np.errstate(over="ignore", invalid="ignore"):
-            found = calibrate(groundtruth, estimate, gauge, most_increments=_INCREMENTS)
+            calibration = calibrate(groundtruth, estimate, gauge, most_increments=_INCREMENTS)
     except TrajevalError as error:
         return ClockReport(span_s, status="unobservable", reason=str(error)), None
     except np.linalg.LinAlgError as error:
         reason = f"estimation not possible: {error}"
         return ClockReport(span_s, status="unobservable", reason=reason), None
-    offset = found.offset
+    offset = calibration.offset
     if offset.value is None or offset.sigma is None or offset.half_width_95 is None:
-        return ClockReport(span_s, status=offset.status, reason=offset.reason), found
+        return ClockReport(span_s, status=offset.status, reason=offset.reason), calibration
     report = ClockReport(
         span_s,
         float(offset.value[0]),
@@ -151,11 +151,11 @@ def _estimated(
         offset.status,
         offset.reason,
     )
-    return report, found
+    return report, calibration
 
 
 def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> None:
-    """Keep the first state of each step of time that is newer than all held; forget old ones."""
+    """Append the first state of every time step that is newer than all stored; drop old ones."""
     new = stamps > stream.newest
     if len(stream):
         new &= stamps // step_ns > stream.newest // step_ns
@@ -164,13 +164,14 @@ def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> Non
     kept = np.unique(stamps // step_ns, return_index=True)[1]
     if not len(kept):
         return
-    # The first that arrived of each step; steps are in order.
+    # The first state of every step in order of arrival.
     stream.append(stamps[kept], rows[kept])
     oldest = stream.newest - round(_PAST_S * NANOSECONDS)
     stream.drop(int(stream.held[0].searchsorted(oldest)))
 
 
 def _trajectory(stream: StateBuffer) -> Trajectory:
+    """Return the stored states as a trajectory, with orientations if all states have one."""
     stamps, rows = stream.held
     turns = rows[:, QUATERNION]
     known = not np.isnan(turns).any() and bool(turns[:, :3].any())

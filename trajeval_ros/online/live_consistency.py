@@ -1,4 +1,4 @@
-"""Whether covariances fit errors while a run goes on: of a window, as of a recorded run."""
+"""Live consistency test of covariances: a window is tested as a recorded run."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 def judge_window(
     pairs: Association, protocol: Protocol, request: CovarianceRequest
 ) -> tuple[Consistency | None, str]:
-    """Judge the covariances of pairs, aligned by themselves, by the rules of recorded runs.
+    """Test the covariances of pairs, which are aligned on their own, as for recorded runs.
 
     Args:
-        pairs: Those of a window, with the estimate's covariances.
-        protocol: Of the run.
-        request: Whether to judge at all, and how.
+        pairs: Pairs of a window, with the estimate's covariances.
+        protocol: Protocol of the run.
+        request: Settings of the test.
 
     Returns:
-        What was found, or why it can't be told.
+        The result, or None and the reason.
     """
     if request.source == "none":
         return None, ""
@@ -45,12 +45,12 @@ def judge_window(
 def window_integrity(
     consistency: Consistency | None, request: IntegrityRequest | None, stamps: Stamps
 ) -> Integrity | None:
-    """Return how errors of a window keep to their protection levels; None if it can't be told.
+    """Return the integrity of a window: errors against protection levels; None if not available.
 
     Args:
-        consistency: Of the window.
-        request: Limits and risk; None if nobody asked.
-        stamps: (N,) of its pairs, ns.
+        consistency: Consistency test of the window.
+        request: Limits and risk; None if integrity is not configured.
+        stamps: (N,) timestamps of its pairs, nanoseconds.
     """
     if consistency is None or request is None:
         return None

@@ -1,4 +1,4 @@
-"""What a live run covers so far: steps between pairs are measured as they come."""
+"""Coverage of a running evaluation, measured as pairs arrive."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from trajeval_ros.online.state_rows import POSITION, Pairs
 
 
 class LiveCoverage:
-    """Adds up the steps between pairs at a constant cost, equal to the offline coverage."""
+    """Sums the steps between pairs at a constant cost; equal to the offline coverage."""
 
     def __init__(self, buffer: Pairing, record: Callable[[StampedPoses], object] | None) -> None:
         """Create it without a pair.
 
         Args:
-            buffer: What makes the pairs, and holds their groundtruth.
-            record: Is given the groundtruth's waypoints, a second behind the pairs at the most.
+            buffer: The pairing, which also has the groundtruth's waypoints.
+            record: Called with the waypoints, at most one second after their pairs.
         """
         self._buffer, self._record = buffer, record
         self._meter = StepMeter(round(buffer.max_gap_s * NANOSECONDS))
@@ -31,9 +31,9 @@ class LiveCoverage:
         self._newest: int | None = None  # stamp of the newest pair that has been measured
 
     def add(self, pairs: Pairs, *, at_end: bool) -> None:
-        """Take new pairs (N,), in order; those of about a second are measured together.
+        """Take new pairs (N,), in order.
 
-        That is because a call costs more than the steps of many pairs.
+        Pairs of about one second are measured together, since a call has a high fixed cost.
         """
         if len(pairs.stamps):
             self._waiting.append(StampedPoses(pairs.stamps, pairs.groundtruth[:, POSE]))
@@ -43,7 +43,7 @@ class LiveCoverage:
             self._measure()
 
     def _measure(self) -> None:
-        """Measure all steps up to the newest pair, and record the waypoints between them."""
+        """Measure all steps up to the newest pair, and record their waypoints."""
         pairs, waypoints = StampedPoses.joined(self._waiting), self._buffer.take_waypoints()
         if self._record is not None and len(waypoints.stamps):
             self._record(waypoints)
@@ -53,7 +53,7 @@ class LiveCoverage:
         self._waiting = []
 
     def coverage(self) -> Coverage | None:
-        """Return what the pairs of the whole run cover; None while there is none."""
+        """Return the coverage of the run so far; None before the first pair."""
         if self._newest is None:
             return None
         self._measure()
@@ -61,20 +61,20 @@ class LiveCoverage:
 
 
 class LiveCompleteness:
-    """Tells how many of the groundtruth's own states are in pairs, equal to the offline share."""
+    """Counts the groundtruth states in pairs; equal to the offline completeness."""
 
     def __init__(self, buffer: Pairing, record: Callable[[StampedPoses], object] | None) -> None:
         """Create it without a state.
 
         Args:
-            buffer: What makes the pairs, and knows what is in none.
-            record: Is given the groundtruth's states that are in none.
+            buffer: The pairing, which also has the groundtruth states without a pair.
+            record: Called with the groundtruth states without a pair.
         """
         self._buffer, self._record = buffer, record
         self._sums = CompletenessSums()
 
     def add(self, pairs: Pairs, *, at_end: bool) -> None:
-        """Take new pairs (N,), in order, and the groundtruth's states between them."""
+        """Take new pairs (N,), in order, and the groundtruth states between them."""
         del at_end  # nothing waits
         missing = self._buffer.take_waypoints()
         if self._record is not None and len(missing.stamps):
@@ -85,5 +85,5 @@ class LiveCompleteness:
         self._sums.add(stamps[order], positions[order], order < len(pairs.stamps))
 
     def coverage(self) -> Coverage | None:
-        """Return the completeness of the whole run; None while there is no pair."""
+        """Return the completeness of the run so far; None before the first pair."""
         return self._sums.coverage()

@@ -1,4 +1,4 @@
-"""What a live evaluator is asked to do."""
+"""Settings of a live evaluator."""
 
 from __future__ import annotations
 
@@ -21,23 +21,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, init=False)
 class OnlineSettings:
-    """What a live evaluator does.
+    """Settings of a live evaluator.
 
     Attributes:
         protocol: Gauge, states to align by, gap, offset, lengths and forms, as offline. Lengths
-            that are shares of the path can only be had at the end.
-        window: What the sliding numbers are about: a `Window`, or "0" (the whole run), "30s",
+            in percent of the path are available at the end only.
+        window: Window of the sliding statistics: a `Window`, or "0" (the whole run), "30s",
             "50m" or "500" (pairs).
         freeze: Keep the first alignment that the states determine well.
-        limits: Of the memory for states that wait for their groundtruth.
-        covariances: Whether and how to judge the covariances of the estimate's messages; of those
-            in a file nothing is known live.
-        integrity: Alert limits and risk to compare protection levels with; None for none.
-        up: The axes that point up in the frames of groundtruth and estimate; None for those that
-            the names of the frames tell, or z.
+        limits: Limits of the memory for states.
+        covariances: Settings of the consistency test with the covariances of messages.
+        integrity: Alert limits and risk for protection levels; None for none.
+        up: Up axes of the groundtruth's and the estimate's frame; None for the axes implied by
+            the frames' names, or z.
 
     Raises:
-        SettingsError: A window or an axis that is none, or a protocol that can't be live.
+        SettingsError: An invalid window or axis, or a protocol that is not supported live.
 
     Example:
         >>> from trajeval_ros import OnlineSettings, Protocol
@@ -82,7 +81,7 @@ class OnlineSettings:
         return replace(self, protocol=replace(self.protocol, gauge=gauge))
 
     def _require_possible(self) -> None:
-        """Refuse what can't be done live."""
+        """Refuse settings that are not supported live."""
         for axis in self.up or ():
             UpAxis(axis)
         method = self.protocol.association.method

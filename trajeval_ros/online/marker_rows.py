@@ -1,4 +1,4 @@
-"""Rows of states brought from a marker to the body that carries it, as offline before pairing."""
+"""Conversion of state rows between a marker and the body, as offline before the association."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from trajeval_ros.online.state_rows import (
 
 
 def body_rows(rows: Floats, hand_eye: HandEye) -> Floats:
-    """Return the groundtruth's states (N, 10) of the body, from poses of the marker.
+    """Return groundtruth states (N, 10) of the body from poses of the marker.
 
-    A state without orientation can't be moved, and has no position here. Velocities are the
-    marker's and are left out if there is a lever arm.
+    A state without orientation cannot be converted; its position becomes NaN. Velocities are of
+    the marker and are dropped if there is a lever arm.
     """
     moved, oriented = _moved(rows, hand_eye)
     body = hand_eye.of_body(_poses(rows[oriented]))
@@ -33,15 +33,15 @@ def body_rows(rows: Floats, hand_eye: HandEye) -> Floats:
 
 
 def marker_rows(rows: Floats, hand_eye: HandEye, rotation_frame: str) -> Floats:
-    """Return the estimate's states (N, 10) or (N, 46) with the marker's position, in metres.
+    """Return estimated states (N, 10) or (N, 46) with the marker's position, in metres.
 
-    For groundtruth of positions alone. What `body_rows` says of orientations and velocities is
-    true here of the body's. Covariances are those of the marker's position.
+    It is for groundtruth without orientations. A state without orientation and velocities are
+    treated as in `body_rows`. Covariances become those of the marker's position.
 
     Args:
         rows: The states.
-        hand_eye: The marker's pose in the body.
-        rotation_frame: Axes of rotation covariances, which they keep: `world` or `body`.
+        hand_eye: Pose of the marker in the body.
+        rotation_frame: Axes of rotation covariances, `world` or `body`; they stay the same.
     """
     if rotation_frame == "body":
         moved = marker_rows(turned_covariances(rows), hand_eye, "world")
@@ -59,7 +59,7 @@ def marker_rows(rows: Floats, hand_eye: HandEye, rotation_frame: str) -> Floats:
 
 
 def _moved(rows: Floats, hand_eye: HandEye) -> tuple[Floats, Booleans]:
-    """Return a copy without what can't be moved, and which rows have an orientation."""
+    """Return a copy with NaN for what cannot be converted, and the rows with an orientation."""
     moved: Floats = rows.copy()
     oriented: Booleans = np.logical_and.reduce(np.isfinite(rows[:, : QUATERNION.stop]), axis=1)
     moved[np.isnan(rows[:, QUATERNION.start]), POSITION] = np.nan
@@ -69,5 +69,6 @@ def _moved(rows: Floats, hand_eye: HandEye) -> tuple[Floats, Booleans]:
 
 
 def _poses(rows: Floats) -> Trajectory:
+    """Return the poses of rows (N, 10), all with orientations, as a trajectory."""
     stamps = np.zeros(len(rows), dtype=np.int64)
     return Trajectory(stamps, rows[:, POSITION], rows[:, QUATERNION])

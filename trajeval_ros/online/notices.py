@@ -1,4 +1,4 @@
-"""What a user must know of a live evaluation, and when it begins and ends to be so."""
+"""Notices for the user of a live evaluation, reported when they start and when they end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 OK, WARN, ERROR, STALE = range(4)  # as diagnostic_msgs/DiagnosticStatus has them
-_BY_GRAVITY = (OK, WARN, STALE, ERROR)  # silence must not hide an error
+_BY_GRAVITY = (OK, WARN, STALE, ERROR)  # an error ranks above a missing message
 
 
 @dataclass(frozen=True)
@@ -14,11 +14,11 @@ class Notice:
     """One sentence for the user.
 
     Attributes:
-        kind: What it is about: alarm, jump, restart, frame, clock, hint, and others.
+        kind: Subject: alarm, jump, restart, frame, clock, hint, and others.
         level: `OK`, `WARN`, `ERROR` or `STALE`.
         text: The sentence.
-        subject: What tells it from others of its kind, such as the quantity of an alarm.
-        values: The numbers in it, by name.
+        subject: Distinguishes notices of one kind, such as the quantity of an alarm.
+        values: The numbers in the text, by name.
     """
 
     kind: str
@@ -29,30 +29,30 @@ class Notice:
 
 
 def gravest_first(notices: Iterable[Notice]) -> list[Notice]:
-    """Return notices by their gravity; an error comes before silence."""
-    return sorted(notices, key=lambda each: -_BY_GRAVITY.index(each.level))
+    """Return notices in order of decreasing severity."""
+    return sorted(notices, key=lambda notice: -_BY_GRAVITY.index(notice.level))
 
 
 class Standing:
-    """The notices that stand, to tell each once when it begins, gets graver, or ends."""
+    """The active notices. Each is reported once when it starts, gets more severe, or ends."""
 
     def __init__(self) -> None:
-        """Create it without any."""
+        """Create it without notices."""
         self._notices: dict[tuple[str, str], Notice] = {}
 
     def renew(self, notices: Iterable[Notice]) -> list[Notice]:
-        """Take all notices that stand now; returns what is new, and as OK what is over."""
-        now = {(each.kind, each.subject): each for each in notices if each.level != OK}
+        """Take all active notices; returns new ones, and ended ones with level OK."""
+        now = {(notice.kind, notice.subject): notice for notice in notices if notice.level != OK}
         before, self._notices = self._notices, now
-        told = [
-            each
-            for key, each in now.items()
+        started = [
+            notice
+            for key, notice in now.items()
             if key not in before
-            or _BY_GRAVITY.index(each.level) > _BY_GRAVITY.index(before[key].level)
+            or _BY_GRAVITY.index(notice.level) > _BY_GRAVITY.index(before[key].level)
         ]
-        over = [
-            replace(each, level=OK, text=f"no longer: {each.text}")
-            for key, each in before.items()
+        ended = [
+            replace(notice, level=OK, text=f"no longer: {notice.text}")
+            for key, notice in before.items()
             if key not in now
         ]
-        return told + over
+        return started + ended

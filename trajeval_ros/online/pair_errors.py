@@ -1,4 +1,4 @@
-"""Errors of new pairs as vectors: eq. (23) of the tutorial in its plain form, before lengths."""
+"""Errors of new pairs as vectors: eq. (23) of the tutorial in its plain form."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
 
 
 class PairErrors:
-    """Errors of N pairs under the alignment at the time when they came.
+    """Errors of N pairs under the alignment at their arrival.
 
-    Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless said
-    otherwise. What can't be had is None; each is computed when somebody asks.
+    Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless stated
+    otherwise. A quantity that is not available is None. Quantities are computed on access.
 
     Attributes:
-        stamps: (N,) of the pairs, nanoseconds.
+        stamps: (N,) timestamps of the pairs, nanoseconds.
         position: (N, 3), metres.
     """
 
     def __init__(self, pairs: Pairs, alignment: Similarity, up: UpAxis, *, rotation: bool) -> None:
-        """Measure pairs between the frames' own axes.
+        """Compute the errors of pairs between the frames' own axes.
 
         Args:
-            pairs: N pairs, N > 0.
+            pairs: N > 0 pairs.
             alignment: From the estimate's frame to the groundtruth's.
-            up: Which axis points up in the groundtruth's frame.
-            rotation: False withholds all that depends on an undetermined rotation.
+            up: Up axis of the groundtruth's frame.
+            rotation: False withholds errors that depend on an undetermined rotation.
         """
         self._pairs, self._alignment, self._up = pairs, alignment, up
         self._has_rotation = rotation
@@ -42,7 +42,7 @@ class PairErrors:
 
     @cached_property
     def position_m(self) -> Floats:
-        """Lengths of the position errors, (N,)."""
+        """Lengths of the position errors, (N,), metres."""
         return lengths(self.position)
 
     @cached_property
@@ -57,34 +57,34 @@ class PairErrors:
 
     @cached_property
     def rotation_deg(self) -> Floats | None:
-        """Angles of the rotation errors, (N,)."""
+        """Angles of the rotation errors, (N,), degrees."""
         return None if self._between is None else np.degrees(lie.angle(self._between))
 
     @cached_property
     def yaw_deg(self) -> Floats | None:
-        """Twists of the rotation errors about the up axis, (N,), with their sign."""
+        """Signed twists of the rotation errors about the up axis, (N,), degrees."""
         if self._between is None:
             return None
         return np.degrees(lie.yaw(self._up.turned(self._between)))
 
     @cached_property
     def tilt_deg(self) -> Floats | None:
-        """Angles between the up axis and its image under the rotation errors, (N,)."""
+        """Angles between the up axis and its image under the rotation errors, (N,), degrees."""
         if self._between is None:
             return None
         return np.degrees(lie.tilt(self._up.turned(self._between)))
 
     @property
     def rotation_vector_deg(self) -> Floats | None:
-        """Rotation vectors of the rotation errors, (N, 3), as long as their angles."""
+        """Rotation vectors of the rotation errors, (N, 3), degrees."""
         return None if self._between is None else np.degrees(lie.rotation_vector(self._between))
 
     @property
     def attitude_deg(self) -> Floats | None:
-        """The rotation errors as tilt after yaw, (N, 3).
+        """The rotation errors as a yaw followed by a tilt, (N, 3), degrees.
 
-        The part along the up axis is `yaw_deg`. The part across it is the rotation vector of the
-        tilt, and is `tilt_deg` long.
+        The component along the up axis is `yaw_deg`. The components perpendicular to it are the
+        rotation vector of the tilt, whose length is `tilt_deg`.
         """
         if self._between is None or self.yaw_deg is None:
             return None
@@ -97,9 +97,9 @@ class PairErrors:
 
     @property
     def velocity(self) -> Floats | None:
-        """Velocity errors, (N, 3), m/s; NaN where a side measures none.
+        """Velocity errors, (N, 3), m/s; NaN if a side has no velocity.
 
-        A velocity of exactly zero is a message that nobody has filled in.
+        A velocity of exactly zero is an unset field of a message.
         """
         truth, estimate = self._pairs.groundtruth[:, VELOCITY], self._pairs.estimate[:, VELOCITY]
         error = truth - self._alignment.vectors(estimate)
@@ -110,8 +110,8 @@ class PairErrors:
     def along_cross_vertical(self) -> Floats | None:
         """Position errors along the body's heading, to its left, and up, (N, 3), metres.
 
-        The heading is the rotation about the up axis that is nearest to the groundtruth's
-        attitude; x is forward (REP-103).
+        The heading is the rotation about the up axis nearest to the groundtruth's attitude; x is
+        forward (REP-103).
         """
         attitude = self._pairs.groundtruth[:, QUATERNION]
         if np.isnan(attitude[0, 0]):

@@ -1,9 +1,9 @@
-"""Two streams of states at their own rates, paired as they arrive.
+"""Pairing of two streams of states with different rates, as they arrive.
 
-One side is interpolated at the stamps of the other with the arithmetic of the offline association,
-so that both give the same pairs. A state of the other side waits until there are states beyond it,
-or until it is clear that none will come. Which side is which, `DensePairing` and `SparsePairing`
-say.
+One side is interpolated at the timestamps of the other, with the code of the offline association,
+so that both make the same pairs. A state of the other side waits until the interpolated side has
+states beyond it, or until the end. `DensePairing` and `SparsePairing` define which side is
+interpolated.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs
 
 
 class Decided(NamedTuple):
-    """States that have waited and wait no longer, in order of their stamps.
+    """States whose association has been decided, in order of time.
 
     Attributes:
         stamps: (N,) nanoseconds.
-        rows: (N, k).
-        bracket: Where they lie among the states of the side that is interpolated.
+        rows: (N, k) states.
+        bracket: Their position between the states of the interpolated side.
     """
 
     stamps: Stamps
@@ -38,7 +38,7 @@ class Decided(NamedTuple):
     bracket: Bracket
 
     def until(self, count: int) -> Decided:
-        """Return the first ones, so many of them."""
+        """Return the first `count` states."""
         return Decided(self.stamps[:count], self.rows[:count], self.bracket.until(count))
 
 
@@ -46,17 +46,16 @@ class Pairing(ABC):
     """Pairs the states of two sides in bounded memory.
 
     Attributes:
-        max_gap_s: Longest step of the side that is interpolated to interpolate across.
-        limits: What to hold at the most.
-        groundtruth_intake: What it was given of the groundtruth, and what of that is no use:
-            besides states that are none `too_late`, of the side that is interpolated, whose
-            neighbours had been forgotten, as when a bag is played anew; and `after_use`, which
-            arrived after its neighbours had been used without it.
-        estimate_intake: The same of the estimate.
+        max_gap_s: Longest step of the interpolated side that is interpolated, seconds.
+        limits: Limits of the memory.
+        groundtruth_intake: Counts of the groundtruth's states. Besides invalid states these are:
+            `too_late`, a state of the interpolated side whose neighbours have been forgotten; and
+            `after_use`, a state that arrived after its neighbours were used without it.
+        estimate_intake: Counts of the estimated states.
     """
 
-    interpolated: ClassVar[str]  # `groundtruth` or `estimate`, as counts and sentences have it
-    waits: ClassVar[tuple[str, str]]  # what waits: one, and several
+    interpolated: ClassVar[str]  # the interpolated side, `groundtruth` or `estimate`
+    waits: ClassVar[tuple[str, str]]  # name of the waiting states, singular and plural
 
     def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
         """Create it empty."""
@@ -64,13 +63,13 @@ class Pairing(ABC):
         self.limits = limits or Limits()
         self.groundtruth_intake, self.estimate_intake = Intake(), Intake()
         self._track, self._waiting = StateBuffer(), StateBuffer()
-        self._track_count = 0  # of states that were interpolated between, or may be
-        # Told in this order, as offline, whatever comes first.
+        self._track_count = 0  # states of the interpolated side so far
+        # In the same order as offline, whatever occurs first.
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
-        self._decided: Decided | None = None  # by the newest `made`, not counted yet
+        self._decided: Decided | None = None  # by the last `made`, not counted yet
         self._seen: Stamps = np.empty(0, dtype=np.int64)
         self._forgotten_until = self._paired_until = self._paired_before = NEVER
-        self._is_full = False  # whether memory has ended before time
+        self._is_full = False  # whether states were dropped by number, not by age
 
     @abstractmethod
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
@@ -82,12 +81,12 @@ class Pairing(ABC):
 
     @abstractmethod
     def take_waypoints(self) -> StampedPoses:
-        """Return what coverage needs of the groundtruth since the last call, beside its pairs."""
+        """Return the groundtruth's waypoints since the last call, for the coverage."""
 
     @property
     @abstractmethod
     def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the newest groundtruth states, (N,), (N, 10), as far as they are held."""
+        """Copies of the newest groundtruth states that are stored, (N,) and (N, 10)."""
 
     @property
     @abstractmethod
@@ -97,7 +96,7 @@ class Pairing(ABC):
     @property
     @abstractmethod
     def groundtruth_time(self) -> int:
-        """Time of the groundtruth that pairs can cover, nanoseconds."""
+        """Groundtruth time that pairs can cover, nanoseconds."""
 
     @property
     @abstractmethod
@@ -107,23 +106,23 @@ class Pairing(ABC):
     @property
     @abstractmethod
     def estimate_count(self) -> int:
-        """Number of estimated states so far, without those that wait."""
+        """Number of estimated states so far, without waiting ones."""
 
     @property
     @abstractmethod
     def _sides(self) -> tuple[Intake, Intake]:
-        """The intakes of the side that is interpolated, and of the one that waits."""
+        """The intakes of the interpolated and of the waiting side."""
 
     @abstractmethod
     def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
-        """Return pairs of interpolated states and those that have waited for them."""
+        """Return the pairs of interpolated states and the states that waited for them."""
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Number of states that are in no pair, by reason, as offline.
+        """Number of states without a pair by reason, as offline.
 
-        Besides those, `too_late`: what it would have been paired with had been forgotten;
-        `waited_too_long`: nothing came.
+        Two more reasons exist live. `too_late`: the states around it have been forgotten.
+        `waited_too_long`: too many states were waiting.
         """
         return add_counts(self.estimate_intake.dropped, self._unpaired)
 
@@ -134,7 +133,7 @@ class Pairing(ABC):
 
     @property
     def why_forgotten(self) -> str:
-        """Which states a longer memory would have paired; empty if there are none."""
+        """The sentence about states that were dropped because of the limits; empty if none."""
         told = []
         late, waited = self._unpaired.get("too_late"), self._unpaired.get("waited_too_long")
         if late:
@@ -155,17 +154,17 @@ class Pairing(ABC):
         return "; ".join(told)
 
     def take(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that have become possible, and forget what nothing needs any more.
+        """Return the pairs that are possible now, and drop states that are no longer needed.
 
         Args:
-            at_end: Nothing more will come: what still waits is decided now.
+            at_end: No states will follow; waiting states are decided now.
         """
         pairs = self.made(at_end=at_end)
         self.settle()
         return pairs
 
     def made(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that have become possible; nothing is forgotten until `settle`."""
+        """Return the pairs that are possible now; call `settle` afterwards to drop old states."""
         self._paired_before = self._paired_until
         track_stamps, track = self._track.held
         waiting, rows = self._waiting.held
@@ -197,16 +196,16 @@ class Pairing(ABC):
         return self._as_pairs(stamps, between, rows)
 
     def cut(self, pairs: Pairs, row: int) -> tuple[Pairs, Pairing]:
-        """End before one of the pairs that were just made.
+        """End this pairing before one of the pairs that were just made.
 
-        What is interpolated on both sides of it is in both pairings, so that either can.
+        States of the interpolated side around this pair are in both pairings, which both need.
 
         Args:
-            pairs: The newest ones.
-            row: The first of these that isn't of this pairing any more, nor what follows it.
+            pairs: The result of the last `made`.
+            row: The first of these pairs that belongs to the next pairing.
 
         Returns:
-            The pairs before it, and a pairing that goes on from there: it has the other states.
+            The pairs before it, and a pairing with all later states.
         """
         assert self._decided is not None
         stamp = int(pairs.stamps[row])
@@ -235,7 +234,7 @@ class Pairing(ABC):
         return pairs.picked(slice(row)), following
 
     def settle(self) -> None:
-        """Count what was decided, and forget what is older than what may still come."""
+        """Count the decided states, and drop states older than the limits allow."""
         if self._decided is not None and len(self._decided.stamps):
             self._pass(self._decided)
         self._decided = None
@@ -246,7 +245,7 @@ class Pairing(ABC):
         waiting, _ = self._waiting.held
         if len(waiting):
             keep_from = min(keep_from, int(waiting[0]))
-        # One state before the oldest stamp of interest, to interpolate from.
+        # Keep one state before the oldest relevant timestamp, for the interpolation.
         old = int(stamps.searchsorted(keep_from, side="right")) - 1
         excess = len(stamps) - self.limits.past_states
         self._is_full |= excess > max(old, 0)
@@ -257,7 +256,7 @@ class Pairing(ABC):
             self._track.drop(old)
 
     def _pass(self, decided: Decided) -> None:
-        """Count the states that were decided and are in no pair."""
+        """Count the decided states without a pair."""
         bracket = decided.bracket
         late = bracket.early & (decided.stamps <= self._forgotten_until)
         too_late = int(np.count_nonzero(late))
@@ -265,11 +264,11 @@ class Pairing(ABC):
             self._drop(reason, count - (too_late if reason.startswith("before_") else 0))
         self._drop("too_late", too_late)
 
-    def _leave(self, count: int) -> None:  # noqa: B027 - for those who measure what goes
-        """Be told that so many of the oldest interpolated states will be forgotten."""
+    def _leave(self, count: int) -> None:  # noqa: B027 - optional hook
+        """Called before the `count` oldest interpolated states are dropped."""
 
     def _interpolate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take states of the side that is interpolated."""
+        """Take states of the interpolated side."""
         intake = self._sides[0]
         stamps, rows = intake.take(stamps, rows)
         if not len(stamps):
@@ -278,7 +277,7 @@ class Pairing(ABC):
             self._track.append(stamps, rows)
             self._track_count += len(stamps)
             return
-        if self._forgotten_until > NEVER:  # up to the oldest that is held all is counted
+        if self._forgotten_until > NEVER:  # states older than the oldest stored one are too late
             old: Booleans = stamps < self._track.held[0][0]
             intake.drop("too_late", int(np.count_nonzero(old)))
             stamps, rows = stamps[~old], rows[~old]
@@ -288,7 +287,7 @@ class Pairing(ABC):
         self._track_count += len(stamps) - duplicates
 
     def _let_wait(self, stamps: Stamps, rows: Floats) -> None:
-        """Take states of the side that waits."""
+        """Take states of the waiting side."""
         intake = self._sides[1]
         stamps, rows = intake.take(stamps, rows)
         if not len(stamps):
@@ -297,7 +296,7 @@ class Pairing(ABC):
             self._waiting.append(stamps, rows)
             self._seen = np.concatenate([self._seen, stamps])
         else:
-            # A stamp that was there before is a duplicate, as it would be offline.
+            # A timestamp that was seen before is a duplicate, as offline.
             new, first = np.unique(stamps, return_index=True)
             unseen = ~np.isin(new, self._seen)
             self._waiting.merge(new[unseen], rows[first[unseen]])
@@ -311,15 +310,16 @@ class Pairing(ABC):
             self._drop("waited_too_long", excess)
 
     def _drop(self, reason: str, count: int) -> None:
+        """Count states without a pair."""
         count_up(self._unpaired, reason, count)
 
 
 def _behind_everything(count: int) -> Bracket:
-    """Return where N stamps lie if there is nothing to interpolate between."""
+    """Return the bracket of N stamps when the interpolated side has no states: all are late."""
     nowhere, never = np.zeros(count, np.int64), np.zeros(count, dtype=bool)
     return Bracket(nowhere, nowhere, np.zeros(count), never, ~never, never)
 
 
 def _continue(newest: int, stamps: Stamps) -> bool:
-    """Return whether the stamps (N,), N > 0, are in order, once each, and all newer."""
+    """Return whether stamps (N,), N > 0, are strictly increasing and newer than `newest`."""
     return bool(stamps[0] > newest and (stamps[1:] > stamps[:-1]).all())

@@ -1,4 +1,4 @@
-"""Relative errors as they come: a sub-trajectory is measured when its end has arrived."""
+"""Live relative errors: a sub-trajectory is measured when its end has arrived."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
 from trajeval_ros.online.state_rows import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 
-# Units of lengths whose ends can be told while a run goes on.
+# Units of lengths that are measured live.
 LIVE_UNITS = ("m", "s", "f")
-# A robot at rest ends no sub-trajectory; its pairs are not kept for ever.
+# A robot at rest completes no sub-trajectory; older starts are given up to bound the memory.
 MOST_OPEN_STARTS = 200_000
 
 
 class RelativeEnd(NamedTuple):
-    """A sub-trajectory that ended.
+    """The end of a sub-trajectory.
 
     Attributes:
-        length: As asked for, such as 8m.
-        stamp: Of its last state, nanoseconds.
+        length: The length as configured, such as 8m.
+        stamp: Timestamp of its last state, nanoseconds.
         position_m: Position error at its end.
         rotation_deg: Rotation error at its end.
-        drift_percent: Position error in percent of the length, the largest of all of this length
-            that ended with it; None where the length is a duration.
+        drift_percent: Position error in percent of the length, the largest among those of this
+            length that ended in the same update; None if the length is a duration.
     """
 
     length: str
@@ -46,13 +46,13 @@ class RelativeEnd(NamedTuple):
 
 @dataclass(frozen=True)
 class RunningErrors:
-    """Errors of the sub-trajectories of one length so far.
+    """Mean errors of the sub-trajectories of one length so far.
 
     Attributes:
         count: Number of sub-trajectories.
         position_m: Mean of their position errors.
         rotation_deg: Mean of their rotation errors.
-        given_up: Number of starts that were forgotten before their ends came.
+        given_up: Number of starts that were given up before their ends arrived.
     """
 
     count: int = 0
@@ -62,17 +62,17 @@ class RunningErrors:
 
 
 class RelativeTracker:
-    """Finds the ends of sub-trajectories of several lengths, each pair once."""
+    """Finds the ends of sub-trajectories of several lengths; every pair is used once."""
 
     def __init__(self, protocol: Protocol) -> None:
         """Create it for the protocol's lengths in metres, seconds and frames."""
         self._protocol = protocol
-        # An entry for each length, by their units.
+        # One entry per length, grouped by unit.
         chosen: list[Length] = []
         self._by_unit: dict[str, slice] = {}
         for unit in LIVE_UNITS:
             begin = len(chosen)
-            chosen += [each for each in dict.fromkeys(protocol.lengths) if each.unit == unit]
+            chosen += [length for length in dict.fromkeys(protocol.lengths) if length.unit == unit]
             self._by_unit[unit] = slice(begin, len(chosen))
         total = len(chosen)
         self._names = [str(length) for length in chosen]
@@ -90,7 +90,7 @@ class RelativeTracker:
         return {name: RunningErrors(*row) for name, row in zip(self._names, rows, strict=True)}
 
     def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
-        """Return a tracker of other lengths; new ones count from a pair, by number."""
+        """Return a tracker of other lengths; new ones start at the pair of number `begin`."""
         tracker = RelativeTracker(protocol)
         tracker._next[:] = begin
         for new, name in enumerate(tracker._names):
@@ -102,6 +102,7 @@ class RelativeTracker:
 
     @property
     def _columns(self) -> tuple[NDArray[Any], ...]:
+        """The arrays with one entry per length."""
         return (
             self._next,
             self._given_up,
@@ -115,12 +116,12 @@ class RelativeTracker:
 
         Args:
             store: All pairs from the oldest open start on.
-            scale: Of the present alignment.
+            scale: Scale of the present alignment.
         """
         return tuple(end for unit in LIVE_UNITS for end in self._measure(store, unit, scale))
 
     def oldest_needed(self, store: PairStore) -> int:
-        """Return the number of the oldest pair that may still begin a sub-trajectory."""
+        """Return the number of the oldest pair that can still start a sub-trajectory."""
         oldest = int(self._next.min(initial=store.end))
         limit = store.end - MOST_OPEN_STARTS
         if oldest < limit:
@@ -129,14 +130,14 @@ class RelativeTracker:
         return max(oldest, limit)
 
     def _measure(self, store: PairStore, unit: str, scale: float) -> Iterator[RelativeEnd]:
-        """Measure the sub-trajectories of the lengths in one unit; yield the newest of each."""
+        """Measure the sub-trajectories of the lengths in one unit; yield the newest per length."""
         group = self._by_unit[unit]
         names, values, begin = self._names[group], self._values[group], self._next[group]
         if not names:
             return
         first = int(begin.min())
         along = _along(store, first, unit)
-        # An end is decided when there is a pair at or beyond the length.
+        # An end is decided when a pair is at or beyond the length.
         decided = first + along.searchsorted(along[-1] - values, side="right")
         count = np.maximum(decided - begin, 0)
         if not count.any():
@@ -166,7 +167,7 @@ class RelativeTracker:
     def _errors(
         self, store: PairStore, starts: Indices, ends: Indices, scale: float
     ) -> list[Floats]:
-        """Return position and rotation errors (K,) at the ends."""
+        """Return position errors, m, and rotation errors, deg, (K,) each, at the ends."""
         truth, other = store.groundtruth(), store.estimate()
 
         def at_ends(s: Indices, e: Indices) -> tuple[Floats, Floats]:
@@ -184,11 +185,12 @@ class RelativeTracker:
 
 
 def _poses(rows: Floats) -> PoseArrays:
+    """Return the poses of state rows (..., 10)."""
     return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
 
 
 def _along(store: PairStore, first: int, unit: str) -> Floats:
-    """Return the path, time or number of states up to the pairs from a number on."""
+    """Return path (m), time (s) or number of states up to the pairs from `first` on, (N,)."""
     if unit == "m":
         return store.along(first)
     stamps = store.stamps(first)

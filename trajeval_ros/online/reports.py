@@ -1,4 +1,4 @@
-"""What a live evaluator tells: after every batch of messages, and when it is asked."""
+"""Results of a live evaluator: after every batch of messages, and on request."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """What new pairs brought.
+    """The results of new pairs.
 
     Attributes:
         pairs: Number of new pairs.
-        stamp: Of the newest pair, nanoseconds; None if there is no new one.
-        errors: Of the new pairs, block by block; none while there is no alignment.
+        stamp: Timestamp of the newest pair, nanoseconds; None without new pairs.
+        errors: Errors of the new pairs, block by block; empty without an alignment.
         ends: Sub-trajectories that ended.
     """
 
@@ -35,24 +35,24 @@ class Update:
 
     @property
     def position_m(self) -> float | None:
-        """Position error of the newest pair under the present alignment."""
+        """Position error of the newest pair, metres; None without new pairs or alignment."""
         return float(self.errors[-1].position_m[-1]) if self.errors else None
 
     @property
     def rotation_deg(self) -> float | None:
-        """Rotation error of the newest pair; None if it can't be had."""
+        """Rotation error of the newest pair, degrees; None if not available."""
         angles = self.errors[-1].rotation_deg if self.errors else None
         return None if angles is None else float(angles[-1])
 
 
 def united(updates: Sequence[Update]) -> Update:
-    """Return several updates, in order, as one."""
-    newest = next((each for each in reversed(updates) if each.stamp is not None), Update())
+    """Return consecutive updates as one."""
+    newest = next((update for update in reversed(updates) if update.stamp is not None), Update())
     return replace(
         newest,
-        pairs=sum(each.pairs for each in updates),
-        errors=tuple(block for each in updates for block in each.errors),
-        ends=tuple(end for each in updates for end in each.ends),
+        pairs=sum(update.pairs for update in updates),
+        errors=tuple(block for update in updates for block in update.errors),
+        ends=tuple(end for update in updates for end in update.ends),
     )
 
 
@@ -62,22 +62,21 @@ class Snapshot:
 
     Attributes:
         pairs: Number of pairs so far.
-        warming_up: Why there is no alignment yet; empty once there is.
-        alignment: The present one.
-        position_rmse_m: Position ATE of the whole run so far.
+        warming_up: Why there is no alignment yet; empty if there is one.
+        alignment: The present alignment.
+        position_rmse_m: Position ATE of the run so far.
         window_position_rmse_m: Position ATE of the window.
         ate: Statistics of the window's absolute errors by metric.
         window_pairs: Number of pairs in the window.
         relative: Errors of sub-trajectories so far, by length.
-        estimate_coverage: Share of estimated states that are in a pair, waiting ones left out.
-        coverage: How much of the groundtruth's time the pairs of the whole run cover; None while
-            there is no pair.
-        dropped: Estimated states in no pair, by reason.
-        waiting: Estimated states that wait for groundtruth.
-        consistency: Whether the covariances of the window's pairs, taken for a run of its own, fit
-            its errors; None if nobody asked, or if it can't be told.
-        why_not_consistency: Why it can't be told; empty if it can, or nobody asked.
-        integrity: Whether the window's errors keep to their protection levels; likewise None.
+        estimate_coverage: Share of estimated states in a pair, without waiting ones.
+        coverage: Share of the groundtruth's time that the pairs cover; None before the first pair.
+        dropped: Number of estimated states without a pair by reason.
+        waiting: Number of waiting states.
+        consistency: Consistency test of the window's pairs; None if not configured or not
+            possible.
+        why_not_consistency: Why the test is not possible; empty otherwise.
+        integrity: Errors of the window against protection levels; None likewise.
     """
 
     pairs: int
@@ -98,5 +97,5 @@ class Snapshot:
 
     @property
     def nees(self) -> PerPose | None:
-        """The window's NEES of single poses; None where it can't be had."""
+        """The window's NEES of single poses; None if not available."""
         return None if self.consistency is None else self.consistency.per_pose

@@ -1,4 +1,4 @@
-"""Pairs of a live run, or some of them, evaluated as offline."""
+"""Offline evaluation of pairs from a live run."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from trajeval_ros.online.state_rows import Pairs, trajectory
 def evaluate_rows(
     pairs: Pairs, protocol: Protocol, ups: tuple[UpAxis, UpAxis]
 ) -> Evaluation | None:
-    """Return the evaluation of pairs, whose coverage is not known here.
+    """Return the evaluation of pairs; its coverage is a placeholder.
 
     Args:
-        pairs: Between the frames' own axes.
+        pairs: Pairs between the frames' own axes.
         protocol: The settings.
         ups: The up axes of groundtruth and estimate.
 
     Returns:
-        None where the pairs can't be evaluated, such as too few of them.
+        None if the pairs cannot be evaluated, for example too few.
     """
     if not len(pairs.stamps):
         return None

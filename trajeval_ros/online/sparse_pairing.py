@@ -1,4 +1,4 @@
-"""Pairs at the stamps of fixes and points, between which the estimate is interpolated."""
+"""Pairs at the timestamps of fixes and points; the estimate is interpolated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
 class SparsePairing(Pairing):
     """Pairs groundtruth states with the interpolated estimate: association `groundtruth-stamps`.
 
-    A fix or a point waits for the estimate beyond it.
+    A fix or a point waits for estimated states beyond it.
     """
 
     interpolated: ClassVar[str] = "estimate"
@@ -34,13 +34,13 @@ class SparsePairing(Pairing):
 
     @classmethod
     def after(cls, before: Pairing) -> SparsePairing:
-        """Start with the estimated states that another pairing had before any groundtruth."""
-        begun = cls(before.max_gap_s, before.limits)
+        """Return a pairing with the estimated states that another one had before groundtruth."""
+        sparse = cls(before.max_gap_s, before.limits)
         stamps, rows = before._waiting.held
-        begun.add_estimate(stamps.copy(), rows.copy())
-        begun.estimate_intake = before.estimate_intake
-        begun.estimate_intake.dropped = add_counts(before.dropped)
-        return begun
+        sparse.add_estimate(stamps.copy(), rows.copy())
+        sparse.estimate_intake = before.estimate_intake
+        sparse.estimate_intake.dropped = add_counts(before.dropped)
+        return sparse
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
@@ -49,32 +49,29 @@ class SparsePairing(Pairing):
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
         """Take estimated states, (N,) and (N, 10) or (N, 46), in any order.
 
-        Their covariances are left out, as offline: a state between two has none.
+        Covariances are dropped, as offline: an interpolated state has none.
         """
         self._interpolate(stamps, rows[:, :WIDTH])
 
     def take_waypoints(self) -> StampedPoses:
-        """Return the groundtruth states that were decided since the last call and are missing.
-
-        That is, which are in no pair.
-        """
+        """Return the groundtruth states without a pair that were decided since the last call."""
         missing, self._missing = StampedPoses.joined(self._missing), []
         return missing
 
     @property
     def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the groundtruth states that wait."""
+        """Copies of the waiting groundtruth states."""
         stamps, rows = self._waiting.held
         return stamps.copy(), rows.copy()
 
     @property
     def groundtruth_count(self) -> int:
-        """Number of groundtruth states so far, without those that wait."""
+        """Number of groundtruth states so far, without waiting ones."""
         return self._passed
 
     @property
     def groundtruth_time(self) -> int:
-        """Time from the first to the newest groundtruth state, nanoseconds: no step is a gap."""
+        """Time from the first to the newest groundtruth state, nanoseconds; no step is a gap."""
         return self._newest_ns - self._first_ns
 
     @property
@@ -95,7 +92,7 @@ class SparsePairing(Pairing):
         return Pairs(stamps, waited, between)
 
     def _pass(self, decided: Decided) -> None:
-        """Count the groundtruth states that were decided, and keep those that are missing."""
+        """Count the decided groundtruth states, and keep those without a pair."""
         super()._pass(decided)
         stamps, rows = decided.stamps, decided.rows
         missing = ~decided.bracket.usable
@@ -104,7 +101,7 @@ class SparsePairing(Pairing):
         if not self._passed:
             self._first_ns = self._newest_ns = int(stamps[0])
         self._passed += len(stamps)
-        new = stamps >= self._newest_ns  # late ones add no path
+        new = stamps >= self._newest_ns  # late states do not extend the path
         if new.any():
             path = np.concatenate([self._newest, rows[new, POSITION]])
             self._path_m += float(travelled_distance(path)[-1])

@@ -1,4 +1,4 @@
-"""The states of a stream that are still needed, in order."""
+"""Buffer of the states of a stream that are still needed, in order of time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ NEVER = int(np.iinfo(np.int64).min)
 
 
 class StateBuffer:
-    """States sorted by stamp, each stamp once, as wide as the widest that has come."""
+    """States with distinct timestamps in order, in rows as wide as the widest so far."""
 
     def __init__(self) -> None:
         """Create it empty."""
@@ -20,32 +20,32 @@ class StateBuffer:
         self.begin = self.end = 0
 
     def __len__(self) -> int:
-        """Return the number of states held."""
+        """Return the number of stored states."""
         return self.end - self.begin
 
     @property
     def held(self) -> tuple[Stamps, Floats]:
-        """The states held: views of stamps (N,) and rows (N, 10) or (N, 46)."""
+        """The stored states: views of stamps (N,) and rows (N, 10) or (N, 46)."""
         return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
 
     @property
     def newest(self) -> int:
-        """The newest stamp, nanoseconds; the earliest of all times if there is none."""
+        """The newest timestamp, nanoseconds; `NEVER` if the buffer is empty."""
         return int(self.stamps[self.end - 1]) if self.end > self.begin else NEVER
 
     def append(self, stamps: Stamps, rows: Floats) -> None:
-        """Add states that are sorted and newer than all held."""
+        """Add states in order of time that are newer than all stored ones."""
         self._make_room(len(stamps), rows.shape[1])
         self.stamps[self.end : self.end + len(stamps)] = stamps
         self.rows[self.end : self.end + len(stamps)] = as_wide(rows, self.rows.shape[1])
         self.end += len(stamps)
 
     def merge(self, stamps: Stamps, rows: Floats) -> int:
-        """Add states in any order; returns how many stamps were there already, or twice."""
+        """Add states in any order; returns the number of repeated timestamps."""
         self._make_room(0, rows.shape[1])
         held_stamps, held_rows = self.held
         rows = as_wide(rows, held_rows.shape[1])
-        # Held states come first, so that of equal stamps the one that arrived first stays.
+        # Stored states come first, so that of equal timestamps the first that arrived is kept.
         all_stamps = np.concatenate([held_stamps, stamps])
         unique, first = np.unique(all_stamps, return_index=True)
         all_rows = np.concatenate([held_rows, rows])[first]
@@ -54,10 +54,11 @@ class StateBuffer:
         return len(all_stamps) - len(unique)
 
     def drop(self, count: int) -> None:
-        """Forget the oldest states."""
+        """Drop the oldest states."""
         self.begin += count
 
     def _make_room(self, count: int, width: int) -> None:
+        """Enlarge the arrays for `count` more states of `width` columns, if necessary."""
         if self.end + count <= len(self.stamps) and width <= self.rows.shape[1]:
             return
         stamps, rows = self.held

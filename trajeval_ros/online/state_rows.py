@@ -1,4 +1,4 @@
-"""States of a stream as rows of ten columns, or more with covariances."""
+"""States of a stream as rows of ten columns, or of 46 with covariances."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory, judge_poses
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
-# Columns of a state: position, quaternion xyzw, velocity; NaN where there is none.
+# Columns of a state: position, quaternion xyzw, velocity; NaN if not measured.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
 WIDTH = 10
-# Behind them, of an estimate whose messages have one: the covariance, row by row; zeros are no
-# answer.
+# Columns of the estimate's covariance, row by row; zeros if the message has none.
 COVARIANCE = slice(WIDTH, WIDTH + 36)
 WIDTH_WITH_COVARIANCE = COVARIANCE.stop
 
 
 class Pairs(NamedTuple):
-    """N pairs in order of their stamps.
+    """N pairs in order of time.
 
     Attributes:
         stamps: (N,) nanoseconds.
-        groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN where there is none.
+        groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN if not measured.
         estimate: (N, 10), or (N, 46) with covariances, in the estimate's own frame.
     """
 
@@ -35,17 +34,17 @@ class Pairs(NamedTuple):
     estimate: Floats
 
     def picked(self, rows: NDArray[Any] | slice) -> Pairs:
-        """Return some of the pairs: a mask, their places, or a slice."""
+        """Return the pairs of a mask, of indices or of a slice."""
         return Pairs(self.stamps[rows], self.groundtruth[rows], self.estimate[rows])
 
 
 def states(
     positions: Floats, quaternions: Floats | None = None, velocities: Floats | None = None
 ) -> Floats:
-    """Return rows (N, 10) of positions (N, 3), xyzw (N, 4) and velocities (N, 3).
+    """Return rows (N, 10) from positions (N, 3), xyzw (N, 4) and velocities (N, 3).
 
-    What is no pose for the readers is dropped by `Intake`: rows that aren't finite have no
-    position here (NaN), and infinity stands for quaternions of no length.
+    Invalid poses are marked for `Intake`, which drops them: NaN in the position if it is not
+    finite, infinity in the quaternion if it has no length.
     """
     finite, turned = judge_poses(positions, quaternions)
     rows = np.full((len(positions), WIDTH), np.nan)
@@ -60,7 +59,7 @@ def states(
 
 
 def upright_rows(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) or (N, 46) in a world with z up, as `geometry.upright` has them."""
+    """Return states (N, 10) or (N, 46) in a frame with z up; see `geometry.upright`."""
     if up.name == "z":
         return rows
     turned: Floats = rows.copy()
@@ -75,11 +74,11 @@ def upright_rows(rows: Floats, up: UpAxis) -> Floats:
 
 
 def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
-    """Return states with rotation covariances about the world's axes instead of the body's.
+    """Return states with rotation covariances converted from the body's axes to the world's.
 
     Args:
-        rows: (N, 46); states (N, 10) have no covariances, and stay as they are.
-        to_body: The other way round.
+        rows: (N, 46); states (N, 10) have no covariances and are returned unchanged.
+        to_body: Convert from the world's axes to the body's instead.
     """
     if rows.shape[1] == WIDTH:
         return rows
@@ -97,24 +96,24 @@ def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
 
 
 def without_orientations(rows: Floats) -> Floats:
-    """Return the positions of states (N, 10) alone."""
+    """Return states (N, 10) with positions only."""
     places: Floats = rows.copy()
     places[:, POSITION.stop :] = np.nan
     return places
 
 
 def as_wide(rows: Floats, width: int) -> Floats:
-    """Return states with so many columns: without covariances, or with unknown ones."""
+    """Return states with `width` columns: covariances are cut off, or set to zero (unknown)."""
     if rows.shape[1] >= width:
         return rows[:, :width]
     return np.pad(rows, ((0, 0), (0, width - rows.shape[1])))
 
 
 def on_plane(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) projected on the level plane, as the planar gauge compares them."""
+    """Return states (N, 10) projected on the horizontal plane, for gauge planar."""
     flat: Floats = rows.copy()
     heights = [POSITION.start + up.index, VELOCITY.start + up.index]
-    flat[:, heights] *= 0.0  # what is not finite stays so
+    flat[:, heights] *= 0.0  # NaN and infinity are kept
     turned = np.isfinite(rows[:, QUATERNION]).all(axis=1)
     headings = lie.heading(upright_rows(rows[turned], up)[:, QUATERNION])
     if up.name != "z":
@@ -124,7 +123,7 @@ def on_plane(rows: Floats, up: UpAxis) -> Floats:
 
 
 def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 10) or (N, 46) as a trajectory, without what is not measured."""
+    """Return rows (N, 10) or (N, 46) as a trajectory, without quantities that are not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     covariances = rows[:, COVARIANCE]
     measured = len(rows) and not np.isnan(quaternions[0, 0])

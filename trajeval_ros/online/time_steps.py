@@ -1,4 +1,4 @@
-"""Time that begins anew, as when a bag is played in a loop."""
+"""Steps back in time, as when a bag is played in a loop."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from trajeval_ros.geometry.stamp_trust import NEAR_NS
 
 
 class TimeSteps:
-    """Counts how often the time of a stream has stepped back by more than a second.
+    """Counts steps of a stream's time back by more than one second.
 
     Attributes:
-        count: How often so far.
-        back_ns: By how much the last time.
+        count: Number of steps back so far.
+        back_ns: Size of the last one, nanoseconds.
     """
 
     def __init__(self) -> None:
@@ -24,10 +24,10 @@ class TimeSteps:
         self._newest: int | None = None
 
     def parts(self, stamps: Stamps) -> Iterator[slice]:
-        """Yield the parts of the states (N,) between steps back; `count` is up to date for each.
+        """Yield the parts of states (N,) between steps back; `count` is valid for the part.
 
         Args:
-            stamps: That can be trusted, nanoseconds, in order of arrival.
+            stamps: Trusted timestamps, nanoseconds, in order of arrival.
         """
         if not len(stamps):
             return

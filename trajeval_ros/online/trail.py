@@ -1,4 +1,4 @@
-"""The whole run in few poses, to be drawn: the older it gets, the coarser."""
+"""A bounded number of poses of the whole run, for plots."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ MOST_POSES = 2000
 
 
 class Trail:
-    """Every k-th pair of a run; k doubles when there are too many.
+    """Every k-th pair of a run; k doubles when the memory is full.
 
-    The newest pair always is at the end, so that the trail reaches the robot.
+    The newest pair is always included, so that the plotted path reaches the robot.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Trail:
         self._newest: Pairs | None = None
 
     def __len__(self) -> int:
-        """Return the number of pairs held, the newest one apart."""
+        """Return the number of stored pairs, without the newest one."""
         return self._count
 
     def add(self, pairs: Pairs) -> None:
@@ -42,7 +42,7 @@ class Trail:
             kept = (self._count + 1) // 2
             self._stamps[:kept] = self._stamps[: self._count : 2]
             self._rows[:kept] = self._rows[: self._count : 2]
-            # What is new goes on where the old has its rhythm.
+            # New pairs continue the spacing of the stored ones.
             skip = self._count % 2
             stamps, rows = stamps[skip::2], rows[skip::2]
             self._count, self._every = kept, 2 * self._every
@@ -51,7 +51,7 @@ class Trail:
         self._count = end
 
     def columns(self) -> tuple[Stamps, Floats, Floats]:
-        """Return stamps (N,), groundtruth and estimate (N, 10), the newest pair at the end."""
+        """Return stamps (N,), groundtruth and estimate (N, 10), including the newest pair."""
         stamps, rows = self._stamps[: self._count], self._rows[: self._count]
         newest = self._newest
         if newest is not None and self._count and newest.stamps[0] > stamps[-1]:

@@ -1,4 +1,4 @@
-"""The groundtruth's waypoints as it passes: what coverage needs once states are forgotten."""
+"""Waypoints of the groundtruth, which coverage needs after states are dropped."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from trajeval_ros.metrics.pair_steps import POSE, StampedPoses, waypoints
 
 
 class WaypointStream:
-    """Picks the waypoints among states in order of their stamps, each once."""
+    """Selects the waypoints among states in order of time; every state is examined once."""
 
     def __init__(self, max_gap_ns: int) -> None:
         """Create it before the first state.
 
         Args:
-            max_gap_ns: A longer step of the groundtruth is a gap.
+            max_gap_ns: A longer step of the groundtruth is a gap, nanoseconds.
         """
         self._max_gap_ns = max_gap_ns
         self._newest: Stamps = np.empty(0, dtype=np.int64)
@@ -23,13 +23,13 @@ class WaypointStream:
 
     @property
     def newest(self) -> int:
-        """Stamp of the newest state that has passed; the earliest of all times before that."""
+        """Timestamp of the newest examined state; the least int64 before the first."""
         return int(self._newest[0]) if len(self._newest) else int(np.iinfo(np.int64).min)
 
     def pass_by(self, stamps: Stamps, rows: Floats, end: int) -> None:
-        """Take the states before row `end`, of those held (N,), (N, k), that haven't passed yet.
+        """Examine the states before row `end` of stamps (N,) and rows (N, k) that are new.
 
-        The newest one waits for the next, which tells whether it is needed.
+        The newest state waits for its successor, which determines whether it is a waypoint.
         """
         begin = int(stamps.searchsorted(self.newest, side="right"))
         end = min(end, len(stamps) - 1)
@@ -43,6 +43,6 @@ class WaypointStream:
         self._newest = stamps[end - 1 : end].copy()
 
     def take(self) -> StampedPoses:
-        """Return the waypoints that were picked since the last call."""
+        """Return the waypoints selected since the last call."""
         picked, self._picked = self._picked, []
         return StampedPoses.joined(picked)

@@ -1,4 +1,4 @@
-"""How much of the run the live numbers are about, and the pairs that they need."""
+"""The window of the live statistics, and the storage of its pairs."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from trajeval_ros.online.state_rows import (
     as_wide,
 )
 
-_LARGEST = 1e9  # s, m or pairs; in nanoseconds it still fits stamps
+_LARGEST = 1e9  # s, m or pairs; int64 nanoseconds hold it
 
 
 @dataclass(frozen=True)
 class Window:
-    """The newest part of a run: a time, a distance or a number of pairs; or all of it.
+    """The newest part of a run, by time, distance or number of pairs; or the whole run.
 
     Attributes:
-        size: How much; 0 is the whole run.
+        size: Its size in its unit; 0 is the whole run.
         unit: `s`, `m`, or `pairs`.
     """
 
@@ -36,10 +36,10 @@ class Window:
 
     @classmethod
     def parse(cls, text: str) -> Window:
-        """Read "0" (the whole run), "30s", "50m" or "500" (pairs).
+        """Parse "0" (the whole run), "30s", "50m" or "500" (pairs).
 
         Raises:
-            SettingsError: It is none of these, or longer than any run.
+            SettingsError: The text is not valid, or the window is too long.
         """
         match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(s|m)?\s*", text)
         if match is None:
@@ -55,21 +55,21 @@ class Window:
         return cls(size, match[2] or "pairs")
 
     def __str__(self) -> str:
-        """Write it as `parse` reads it."""
+        """Return the text that `parse` accepts."""
         return f"{self.size:.15g}{'' if self.unit == 'pairs' else self.unit}"
 
     @property
     def is_whole_run(self) -> bool:
-        """Whether nothing ever leaves it."""
+        """Whether it is the whole run."""
         return self.size == 0.0
 
 
 class PairStore:
-    """The newest pairs as columns, in order of arrival, each with the path up to it.
+    """The newest pairs as columns, with the groundtruth path up to every pair.
 
-    Pairs are numbered from the beginning of the run; `begin` is the oldest that is held. A pair
-    takes `BYTES_PER_PAIR`. Room for as many again is made when it runs out: allocated is up to
-    twice what the pairs take, resident what they take, and while they move the double of it.
+    Pairs are numbered from the start of the run; `begin` is the oldest stored one. A pair takes
+    `BYTES_PER_PAIR`. The arrays double when they are full. Allocated memory is up to twice that of
+    the pairs; resident memory is that of the pairs, and the double during a reallocation.
     """
 
     BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)  # and 288 with covariances
@@ -78,21 +78,21 @@ class PairStore:
         """Create it empty.
 
         Args:
-            covariances: Keep those of the estimate, too.
+            covariances: Store the estimate's covariances, too.
         """
         self.begin = self.end = 0
         self._offset = 0  # number of the pair in row 0
-        # Groundtruth, estimate, and the path behind them.
+        # Columns: groundtruth, estimate, path.
         self._own_width = WIDTH_WITH_COVARIANCE if covariances else WIDTH
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, WIDTH + self._own_width + 1))
 
     def __len__(self) -> int:
-        """Return the number of pairs held."""
+        """Return the number of stored pairs."""
         return self.end - self.begin
 
     def append(self, pairs: Pairs) -> None:
-        """Add pairs; the path goes on from the last groundtruth position."""
+        """Add pairs; the path continues from the last groundtruth position."""
         count = len(pairs.stamps)
         self._make_room(count)
         first = self.end - self._offset
@@ -108,27 +108,28 @@ class PairStore:
         self.end += count
 
     def drop_before(self, number: int) -> None:
-        """Forget the pairs before this one."""
+        """Drop the pairs before a number."""
         self.begin = min(max(self.begin, number), self.end)
 
     def _view(self, begin: int | None) -> slice:
+        """Return the rows of the pairs from a number on; all stored ones for None."""
         first = self.begin if begin is None else max(begin, self.begin)
         return slice(first - self._offset, self.end - self._offset)
 
     def stamps(self, begin: int | None = None) -> Stamps:
-        """Stamps of the pairs from a number on, (N,), nanoseconds."""
+        """Return timestamps of the pairs from number `begin` on, (N,), nanoseconds."""
         return self._stamps[self._view(begin)]
 
     def groundtruth(self, begin: int | None = None) -> Floats:
-        """Groundtruth states of the pairs from a number on, (N, 10)."""
+        """Return groundtruth states of the pairs from number `begin` on, (N, 10)."""
         return self._rows[self._view(begin), :WIDTH]
 
     def estimate(self, begin: int | None = None) -> Floats:
-        """Estimated states of the pairs from a number on, (N, 10), or (N, 46) with covariances."""
+        """Return estimated states of the pairs from `begin` on, (N, 10) or (N, 46)."""
         return self._rows[self._view(begin), WIDTH:-1]
 
     def along(self, begin: int | None = None) -> Floats:
-        """Groundtruth path up to the pairs from a number on, (N,), metres."""
+        """Return the groundtruth path up to the pairs from `begin` on, (N,), metres."""
         return self._rows[self._view(begin), -1]
 
     def window_begin(self, window: Window) -> int:
@@ -145,9 +146,10 @@ class PairStore:
         return self.begin + int(stamps.searchsorted(oldest))
 
     def _make_room(self, count: int) -> None:
+        """Enlarge the arrays for `count` more pairs, if necessary."""
         if self.end - self._offset + count <= len(self._stamps):
             return
-        # The pair before the oldest stays: the path goes on from it.
+        # The pair before the oldest is kept, because the path continues from it.
         keep = max(self.begin - 1, self._offset) - self._offset
         stamps, rows = self._stamps[keep : self.end - self._offset], self._rows[keep:]
         rows = rows[: len(stamps)]

@@ -1,1 +1,1 @@
-"""What is shown of an evaluation: figures for a paper, tables for a terminal."""
+"""Presentation of evaluations: figures, tables, and HTML pages."""

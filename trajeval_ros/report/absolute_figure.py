@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 _PANEL_IN = 1.6
 _BELOW_IN = 0.5
 _DISTANCE = "distance travelled [m]"
-_YAW_PLACE, _TILT_PLACE = 4, 2  # whose colours yaw and tilt have
+_YAW_PLACE, _TILT_PLACE = 4, 2  # positions of their colours in the colour cycle
 
 
 def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw position and rotation error of each estimate, with its rmse.
+    """Draw position and rotation errors of the estimates, with their RMSE.
 
-    Of fixes and points, which have no orientation, level and vertical errors as well.
+    For fixes and points, which have no orientation, horizontal and vertical errors are drawn, too.
     """
-    withheld = all(each.absolute.rotation_deg is None for each in evaluations)
+    withheld = all(e.absolute.rotation_deg is None for e in evaluations)
     parts = _parts_apart(evaluations) if withheld else []
     if canvas.is_crowded(len(evaluations)):
         return _row_each(evaluations, names, parts)
@@ -63,17 +63,17 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
 
 
 def _parts_apart(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the parts of position errors to draw: fixes and points aren't of one quality."""
-    if all(each.groundtruth.kind == "poses" for each in evaluations):
+    """Return the components of position errors to draw; those of fixes differ in accuracy."""
+    if all(e.groundtruth.kind == "poses" for e in evaluations):
         return []
     parts = ("horizontal", "vertical")
-    return [part for part in parts if any(each.ate[f"{part}_m"] for each in evaluations)]
+    return [part for part in parts if any(e.ate[f"{part}_m"] for e in evaluations)]
 
 
 def _row_each(
     evaluations: Sequence[Evaluation], names: Sequence[str], parts: Sequence[str]
 ) -> Figure:
-    """Draw a row for each estimate: position and rotation, or the parts of the position."""
+    """Draw one row per estimate: position and rotation, or the components of the position."""
     metrics = [f"{part}_m" for part in parts] or ["position_m", "rotation_deg"]
     rows = []
     for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
@@ -91,6 +91,7 @@ def _row_each(
 
 
 def _rmse(evaluation: Evaluation, metric: str) -> str:
+    """Return the RMSE of a metric as a text with its unit."""
     statistics, unit = evaluation.ate[metric], metric.rpartition("_")[2]
     return "withheld" if statistics is None else f"RMSE {statistics.rmse:.3g} {unit}"
 
@@ -104,7 +105,7 @@ def _longest(evaluations: Sequence[Evaluation]) -> float:
 
 
 def _draw_rotation(axes: Axes, evaluations: Sequence[Evaluation], names: Sequence[str]) -> int:
-    """Draw the angle, of a single estimate also yaw and tilt; return the legend's rows."""
+    """Draw angles, for one estimate also yaw and tilt; return the number of legend rows."""
     for place, (evaluation, name) in enumerate(zip(evaluations, names, strict=True)):
         if evaluation.absolute.rotation_deg is None:
             colour, dashes = canvas.line_style(place)
@@ -130,7 +131,7 @@ def _draw(
     *,
     is_part: bool = False,
 ) -> None:
-    """Draw one metric, lightly where it is a part of another one, and its rmse across."""
+    """Draw one metric (thin if it is a component of another one), and its RMSE as a line."""
     statistics, line = evaluation.ate[metric], _line(evaluation, metric)
     if statistics is None or line is None:
         return
@@ -148,7 +149,7 @@ def _draw(
 
 
 def _line(evaluation: Evaluation, metric: str) -> Floats | None:
-    """Return the metric over the distance, (M, 2), thinned; None where it is withheld."""
+    """Return the metric over the distance, (M, 2), thinned; None if withheld."""
     errors: Floats | None = getattr(evaluation.absolute, metric)
     if errors is None:
         return None

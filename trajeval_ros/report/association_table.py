@@ -1,4 +1,4 @@
-"""Associations of one estimate side by side, for a terminal or a pipe."""
+"""Table of several associations of one estimate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def association_table(comparison: AssociationComparison) -> Table:
-    """Return a row for the truth and one for each association."""
+    """Return a row for the accurate groundtruth and one per association."""
     true = comparison.true_ate_m
     table = new_table(
         f"{comparison.name}: position ATE by association",
@@ -22,13 +22,13 @@ def association_table(comparison: AssociationComparison) -> Table:
         ["ATE [m]", "by the accurate groundtruth", "of poses", "approx. 95 % [m]"],
     )
     rows = [["all groundtruth (accurate)", four_digits(true), "1", "", ""]]
-    for each in comparison.reported:
+    for reported in comparison.reported:
         ratio = interval = NOTHING
-        if each.ate_m is not None and true > 0.0:
-            ratio = four_digits(each.ate_m / true)
-        if each.interval_m is not None:
-            interval = " to ".join(map(four_digits, each.interval_m))
-        ate = NOTHING if each.ate_m is None else four_digits(each.ate_m)
-        rows.append([each.association, ate, ratio, whole_percent(each.share), interval])
+        if reported.ate_m is not None and true > 0.0:
+            ratio = four_digits(reported.ate_m / true)
+        if reported.interval_m is not None:
+            interval = " to ".join(map(four_digits, reported.interval_m))
+        ate = NOTHING if reported.ate_m is None else four_digits(reported.ate_m)
+        rows.append([reported.association, ate, ratio, whole_percent(reported.share), interval])
     add_rows(table, rows)
     return table

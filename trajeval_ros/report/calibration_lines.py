@@ -1,4 +1,4 @@
-"""What was calibrated, in lines for a terminal."""
+"""The calibration of an estimate as lines of text."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from trajeval_ros.calibration.significance import Parameter
 
 _STATUSES = {"insignificant": "not significant", "weak": "inconclusive"}
-# By how much the position ATE must grow before its cause is said: it is printed to four digits.
+# Least relative increase of the position ATE that is explained; it is printed to four digits.
 _GROWN = 1.001
 
 
 def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
-    """Return what was found and applied, why or why not, and the errors before and after."""
+    """Return the parameters, whether they were applied and why, and the ATE before and after."""
     calibration, wanted = calibrated.calibration, calibrated.wanted
     lines = ["", f"{name}: calibration" + _source(name, calibrated)]
     if calibration is not None and wanted.offset:
@@ -41,39 +41,42 @@ def calibration_lines(name: str, calibrated: Calibrated) -> list[str]:
         text = _quantity(lever, 1.0, "m", "{:.3f}")
         lines.append(_line("lever arm", text, lever, calibrated.lever_applied))
     if wanted.known is not None:
-        arm = " ".join(f"{each:.4g}" for each in wanted.known.lever_m)
+        arm = " ".join(f"{component:.4g}" for component in wanted.known.lever_m)
         lines.append(f"  hand-eye       lever arm {arm} m, from {wanted.source}: applied")
     lines.append("  " + _ate(calibrated))
     return lines + _growth(calibrated)
 
 
 def _source(name: str, calibrated: Calibrated) -> str:
+    """Return a remark if the calibration is from another estimate."""
     if calibrated.calibration is None or calibrated.estimated_from == name:
         return ""
     return f" from {calibrated.estimated_from}, applied to all estimates"
 
 
-def _line(label: str, text: str, found: Parameter, applied: bool) -> str:
+def _line(label: str, text: str, parameter: Parameter, applied: bool) -> str:
     verdict = "applied" if applied else "not applied"
-    if found.value is None:
-        return f"  {label:<14} {verdict}: {found.reason}"
-    status = _STATUSES.get(found.status, found.status)
-    return f"  {label:<14} {text}: {status}, {verdict}; {found.reason}"
+    if parameter.value is None:
+        return f"  {label:<14} {verdict}: {parameter.reason}"
+    status = _STATUSES.get(parameter.status, parameter.status)
+    return f"  {label:<14} {text}: {status}, {verdict}; {parameter.reason}"
 
 
 def _quantity(found: Parameter, factor: float, unit: str, form: str) -> str:
+    """Return value and 95 % interval of a parameter in a unit, `factor` times its own."""
     if found.value is None or found.half_width_95 is None:
         return "unknown"
-    value = " ".join(form.format(factor * each) for each in found.value)
+    value = " ".join(form.format(factor * component) for component in found.value)
     widths = factor * found.half_width_95
     if np.isnan(widths).any():
-        width = " ".join("?" if np.isnan(each) else f"{each:.2g}" for each in widths)
+        width = " ".join("?" if np.isnan(width) else f"{width:.2g}" for width in widths)
     else:
         width = f"{widths.max():.2g}"
     return f"{value} {unit} +- {width} (95 %)"
 
 
 def _ate(calibrated: Calibrated) -> str:
+    """Return the ATE with and without the calibration, and the number of applied parameters."""
     before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
     of_whom = "marker" if calibrated.of_marker else "body"
     text = f"ATE of the {of_whom}: {_both(after)}"
@@ -95,7 +98,7 @@ def _ate(calibrated: Calibrated) -> str:
 
 
 def _growth(calibrated: Calibrated) -> list[str]:
-    """Return why the position ATE is larger than before, if it is and something was estimated."""
+    """Return an explanation if the calibration has increased the position ATE."""
     before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
     if calibrated.calibration is None or before is None:
         return []
@@ -114,5 +117,6 @@ def _growth(calibrated: Calibrated) -> list[str]:
 
 
 def _both(ate: Ate) -> str:
+    """Return position and rotation ATE as a text."""
     turned = "" if ate.rotation_deg is None else f" {ate.rotation_deg:.4g} deg"
     return f"{ate.position_m:.4g} m{turned}"

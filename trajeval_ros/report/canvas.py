@@ -1,4 +1,4 @@
-"""What all figures are made with: paper, titles, legends, lines, boxes, and files."""
+"""Common parts of figures: sizes, colours, titles, legends, labels and boxes."""
 
 from __future__ import annotations
 
@@ -28,29 +28,30 @@ Dashes = Literal["-", "--", "-.", ":"]
 
 _LINE_STYLES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
 _LONGEST_NAME = 48
-# Mean widths of a letter of 8 and of 9 points, and of a legend's handle and space in letters.
+# Mean widths of a character of 8 and of 9 points. Width of a legend's handle and gap, in
+# characters.
 _LETTER_IN, _TITLE_LETTER_IN = 0.06, 0.068
 _HANDLE_LETTERS = 7
-_ROW_IN = 0.165  # of text
-_LABELS_IN = 0.65  # beside axes: their label and its ticks'
-# More lines than these in one panel can't be told apart; more panels than these are too small.
+_ROW_IN = 0.165  # height of a line of text
+_LABELS_IN = 0.65  # width of an axis label and its tick labels
+# More lines in one panel cannot be distinguished; more panels are too small.
 _MOST_LINES, _MOST_PANELS = 3, 12
-_INSIDE = 0.35  # share of its edge's colour in a box
+_INSIDE = 0.35  # share of the edge's colour in the fill of a box
 
 
 def width_in() -> float:
-    """Return the width that figures are to be printed at, inches."""
+    """Return the printed width of figures, inches."""
     import matplotlib
 
     return float(matplotlib.rcParams["figure.figsize"][0])
 
 
 def new_figure(height_in: float, title: str = "") -> Figure:
-    """Return an empty figure of the style's width, which no pyplot knows of.
+    """Return an empty figure of the style's width, independent of pyplot.
 
     Args:
-        height_in: Inches, without a title and a legend.
-        title: Of some lines.
+        height_in: Height without title and legend, inches.
+        title: Title of one or several lines.
     """
     from matplotlib.figure import Figure
 
@@ -61,7 +62,7 @@ def new_figure(height_in: float, title: str = "") -> Figure:
 
 
 def add_title(figure: Figure, title: str) -> None:
-    """Give a figure a title, and the room for it."""
+    """Add a title to a figure, and enlarge the figure by its height."""
     letters = int(width_in() / _TITLE_LETTER_IN)
     lines = [part for line in title.splitlines() for part in textwrap.wrap(line, letters)]
     figure.suptitle("\n".join(lines))
@@ -69,48 +70,48 @@ def add_title(figure: Figure, title: str) -> None:
 
 
 def titled(draw: Drawing, title: str) -> Figure:
-    """Draw a figure and give it a title."""
+    """Draw a figure and add a title."""
     figure = draw()
     add_title(figure, title)
     return figure
 
 
 def grow(figure: Figure, rows: int) -> None:
-    """Make room in a figure for so many more lines of text, as of legends."""
+    """Enlarge a figure by the height of `rows` lines of text."""
     figure.set_figheight(figure.get_figheight() + _ROW_IN * rows)
 
 
 def is_crowded(count: int) -> bool:
-    """Return whether so many lines need a panel each to be told apart."""
+    """Return whether `count` lines need one panel per line."""
     return _MOST_LINES < count <= _MOST_PANELS
 
 
 def columns_of_panels(count: int, narrowest_in: float) -> int:
-    """Return how many of so many panels stand beside each other, each at least so wide.
+    """Return the number of columns for `count` panels of at least the width `narrowest_in`.
 
-    Rows are filled evenly: five panels are three and two, not four and one.
+    Rows are filled evenly: five panels make rows of three and two, not of four and one.
     """
     return _evenly(count, max(1, int(width_in() / narrowest_in)))
 
 
 def _evenly(count: int, most: int) -> int:
-    """Return the fewest columns, `most` at most, that take no more rows than `most` columns."""
+    """Return the fewest columns, at most `most`, that need no more rows than `most` columns."""
     rows = -(-count // most)
     return -(-count // rows)
 
 
 def line_style(place: int) -> tuple[str, Dashes]:
-    """Return the colour and the dashes of the estimate at that place in the list."""
+    """Return colour and dashes of the estimate at a position in the list."""
     from matplotlib.colors import to_hex
 
-    colours = [to_hex(each) for each in _setting("axes.prop_cycle").by_key()["color"]]
+    colours = [to_hex(colour) for colour in _setting("axes.prop_cycle").by_key()["color"]]
     dashes = _LINE_STYLES[place // len(colours) % len(_LINE_STYLES)]
     return colours[place % len(colours)], dashes
 
 
 def is_too_wide(labels: Sequence[str]) -> bool:
-    """Return whether tick labels side by side would run into each other."""
-    return _LETTER_IN * sum(len(each) + 2 for each in labels) > width_in() - _LABELS_IN
+    """Return whether tick labels would overlap."""
+    return _LETTER_IN * sum(len(label) + 2 for label in labels) > width_in() - _LABELS_IN
 
 
 def truth_colour() -> Any:
@@ -119,12 +120,12 @@ def truth_colour() -> Any:
 
 
 def ink() -> Any:
-    """Return the colour of what is written and marked."""
+    """Return the colour of text and marks."""
     return _setting("text.color")
 
 
 def soft_ink() -> Any:
-    """Return the colour of remarks, and of what is behind."""
+    """Return the colour of remarks and of background lines."""
     return _setting("axes.edgecolor")
 
 
@@ -134,12 +135,12 @@ def grid_colour() -> Any:
 
 
 def paper() -> Any:
-    """Return the colour of the ground."""
+    """Return the background colour."""
     return _setting("figure.facecolor")
 
 
 def tint(colour: str) -> Any:
-    """Return the colour as light as a box's inside should be, opaque if the paper is."""
+    """Return the fill colour of a box; opaque if the background is."""
     from matplotlib.colors import to_hex, to_rgb, to_rgba
 
     if to_rgba(paper())[3] == 0.0:
@@ -149,13 +150,14 @@ def tint(colour: str) -> Any:
 
 
 def _setting(name: Any) -> Any:
+    """Return one of matplotlib's settings."""
     import matplotlib
 
     return matplotlib.rcParams[name]
 
 
 def mark_ends(axes: Axes, path: Floats, *, with_labels: bool = True) -> None:
-    """Mark where a path (N, 2 or 3) starts, by a circle, and where it ends, by a square."""
+    """Mark the start of a path (N, 2) or (N, 3) by a circle and its end by a square."""
     for row, marker, label in ((0, "o", "start"), (-1, "s", "end")):
         axes.plot(
             *path[row][:, None],
@@ -170,7 +172,7 @@ def mark_ends(axes: Axes, path: Floats, *, with_labels: bool = True) -> None:
 
 
 def label_coordinates(axis: Axis, name: str) -> None:
-    """Name an axis of metres; what all its large coordinates have in common is subtracted."""
+    """Label an axis in metres; a common offset of large coordinates is subtracted."""
     from matplotlib.ticker import FuncFormatter
 
     offset = common_offset(*sorted(axis.get_view_interval()))
@@ -190,12 +192,12 @@ def draw_boxes(
     """Draw distributions as boxes with whiskers.
 
     Args:
-        axes: Where.
-        boxes: Of each its place on the x axis, and five numbers: where the lower whisker ends,
-            first quartile, median, third quartile, and where the upper whisker ends.
-        width: Of a box.
-        colour: Of its lines.
-        dashes: Of its edge; whiskers are never dashed.
+        axes: The axes.
+        boxes: For every box its x coordinate and five numbers: end of the lower whisker, first
+            quartile, median, third quartile, end of the upper whisker.
+        width: Width of a box.
+        colour: Colour of the lines.
+        dashes: Dashes of the edges; whiskers are solid.
     """
     line = {"color": colour, "linewidth": 0.8}
     names = ("whislo", "q1", "med", "q3", "whishi")
@@ -219,19 +221,19 @@ def draw_boxes(
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Return names that fit in a legend: the end of a long one says more than its beginning."""
+    """Return names that fit into a legend; long names are cut at the start."""
     short = []
     for place, name in enumerate(names):
         text = one_line(name) or f"estimate {place + 1}"
         if len(text) > _LONGEST_NAME:
             text = f"…{text[1 - _LONGEST_NAME :]}"
-        # matplotlib leaves labels that start with an underscore out of legends.
+        # matplotlib omits labels that start with an underscore from legends.
         short.append(f" {text}" if text.startswith("_") else text)
     return short
 
 
 def legend_above(axes: Axes) -> int:
-    """Put the legend of axes as wide as the figure above them, never over data.
+    """Put the legend above axes of the figure's width.
 
     Returns:
         The number of the legend's rows.
@@ -247,7 +249,7 @@ def legend_above(axes: Axes) -> int:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend for all axes below them, and make room for it."""
+    """Put one legend for all axes below them, and enlarge the figure by its height."""
     labels = [wrapped(label, width_in()) for label in labels]
     columns = legend_columns(labels, width_in())
     figure.legend(handles, labels, loc="outside lower center", ncols=columns)
@@ -255,7 +257,7 @@ def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) 
 
 
 def legend_columns(labels: Sequence[str], room_in: float) -> int:
-    """Return in how many columns a legend of that width can be laid out."""
+    """Return the number of columns of a legend that is at most `room_in` wide."""
     most = range(len(labels), 1, -1)
     fitting = next((columns for columns in most if _fits(labels, columns, room_in)), 1)
     even = _evenly(len(labels), fitting)
@@ -263,7 +265,7 @@ def legend_columns(labels: Sequence[str], room_in: float) -> int:
 
 
 def _fits(labels: Sequence[str], columns: int, room_in: float) -> bool:
-    """Whether a legend of so many columns, which fill one after the other, is narrow enough."""
+    """Return whether a legend of some columns, filled column by column, is narrow enough."""
     widest = [
         max(len(line) for label in column for line in str(label).splitlines() or [""])
         for column in np.array_split(np.array(labels), columns)
@@ -272,20 +274,20 @@ def _fits(labels: Sequence[str], columns: int, room_in: float) -> bool:
 
 
 def _legend_rows(labels: Sequence[str], columns: int) -> int:
-    """Return how many lines of text are above each other in the highest column."""
+    """Return the number of text lines in the highest column of a legend."""
     lines = [label.count("\n") + 1 for label in labels]
     return max(int(sum(column)) for column in np.array_split(np.array(lines), columns))
 
 
 def wrapped(label: str, room_in: float) -> str:
-    """Return a label in lines that fit into so many inches, a legend's handle beside them."""
+    """Return a label wrapped to a width in inches, with space for a legend's handle."""
     letters = int(room_in / _LETTER_IN) - _HANDLE_LETTERS
-    # Spaces at the start keep a name in the legend.
+    # Leading spaces are kept: they keep names with an underscore in the legend.
     return label if len(label) <= letters else textwrap.fill(label, letters, drop_whitespace=False)
 
 
 def say_instead(axes: Axes, sentence: str) -> None:
-    """Write in the place of a plot why there is none."""
+    """Write a sentence in place of a plot."""
     axes.grid(visible=False)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -300,15 +302,15 @@ def say_instead(axes: Axes, sentence: str) -> None:
 
 
 def save(figure: Figure, path: Path, file_format: str) -> Path:
-    """Write a figure; the same figure gives the same bytes.
+    """Write a figure; equal figures give equal bytes.
 
     Args:
-        figure: What to write.
+        figure: The figure.
         path: The file.
         file_format: `png`, `pdf`, `svg` or `pgf`.
 
     Raises:
-        InputError: LaTeX is needed for it, and can't do it.
+        InputError: The format needs LaTeX, and LaTeX fails.
     """
     import matplotlib
 
@@ -338,18 +340,18 @@ def save(figure: Figure, path: Path, file_format: str) -> Path:
 
 
 def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -> list[Path]:
-    """Draw figures in a style, one after the other, and write each in all of its formats.
+    """Draw figures in a style, one after the other, and write them in all of its formats.
 
     Args:
-        figures: What draws each, by the name of its file without a suffix.
-        folder: Existing; files of the same names are replaced.
-        style: How.
+        figures: The functions that draw, by file name without a suffix.
+        folder: Existing folder; files of the same names are replaced.
+        style: The style and its formats.
 
     Returns:
         The files.
 
     Raises:
-        InputError: They can't be written, or matplotlib is not installed.
+        InputError: The files cannot be written, or matplotlib is not installed.
     """
     written = []
     with (
@@ -358,19 +360,20 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
         temporary_folder("figures", folder) as made,
     ):
         for name, draw in figures.items():
-            for each in style.formats:
+            for file_format in style.formats:
                 figure = draw()
                 if not style.has_titles:
                     _hide_title(figure)
-                save(figure, made / f"{name}.{each}", each)
-                written.append(folder / f"{name}.{each}")
-        # Beside PGF are the images in it.
+                save(figure, made / f"{name}.{file_format}", file_format)
+                written.append(folder / f"{name}.{file_format}")
+        # PGF files can have additional image files.
         for file in sorted(made.iterdir()):
             file.replace(folder / file.name)
     return written
 
 
 def _hide_title(figure: Figure) -> None:
+    """Hide the title of a figure and reduce its height; the metadata keep the title."""
     for text in figure.texts:
         if text.get_text() == figure.get_suptitle():
             grow(figure, -1 - text.get_text().count("\n"))
@@ -379,12 +382,12 @@ def _hide_title(figure: Figure) -> None:
 
 
 def _prepare_for_latex(figure: Figure) -> None:
-    """Make all text what LaTeX prints as it is."""
+    """Escape all text of a figure, so that LaTeX prints it unchanged."""
     import matplotlib
     from matplotlib.text import Text
     from matplotlib.ticker import FuncFormatter
 
-    systems = [each for each in TEX_SYSTEMS if shutil.which(each)]
+    systems = [system for system in TEX_SYSTEMS if shutil.which(system)]
     chosen = matplotlib.rcParams["pgf.texsystem"]
     if systems and shutil.which(chosen) is None:
         matplotlib.rcParams["pgf.texsystem"] = systems[0]
@@ -399,6 +402,7 @@ def _prepare_for_latex(figure: Figure) -> None:
 
 
 def _escaped(named: Any) -> Any:
+    """Return a formatter whose tick labels are escaped for LaTeX."""
     from matplotlib.ticker import FuncFormatter
 
     return FuncFormatter(lambda value, place: latex_text(named(value, place)))

@@ -1,4 +1,4 @@
-"""Figures of a comparison as files: boxes by sequence and length, paths, errors over time."""
+"""Figures of a comparison as files: box plots, paths, and errors over time."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
 _BOXES_IN, _PANEL_IN, _REST_IN = 2.2, 1.4, 0.75
 _TIME = "time [s]"
-_DOT, _LONE_DOT = 3.0, 4.5  # points; of trials, and where all algorithms have but one
+_DOT, _LONE_DOT = 3.0, 4.5  # marker sizes, points: of trials, and if there is one trial each
 
 
 def figure_of(plot: BoxPlot | PathsPlot | ErrorsPlot) -> Figure:
-    """Draw what a figure shows."""
+    """Draw the figure of a plot."""
     if isinstance(plot, BoxPlot):
         return box_plot(plot)
     return overlay(plot) if isinstance(plot, PathsPlot) else errors_over_time(plot)
 
 
 def box_plot(plot: BoxPlot) -> Figure:
-    """Draw a box for each algorithm in each group."""
+    """Draw one box per algorithm and group."""
     from matplotlib.patches import Patch
 
     figure = canvas.new_figure(_BOXES_IN)
@@ -46,7 +46,7 @@ def box_plot(plot: BoxPlot) -> Figure:
         shift = width * (place - (len(plot.series) - 1) / 2.0)
         _draw_boxes(axes, boxes, shift, 0.85 * width, place, marker)
         handles.append(Patch(facecolor=canvas.tint(colour), edgecolor=colour, linestyle=dashes))
-    named = [one_line(each) for each in plot.groups]
+    named = [one_line(group) for group in plot.groups]
     slanted = canvas.is_too_wide(named)
     axes.set_xticks(
         range(len(plot.groups)),
@@ -76,6 +76,7 @@ def _draw_boxes(
     place: int,
     marker: float,
 ) -> None:
+    """Draw the boxes of one algorithm, with a dot per trial."""
     colour, dashes = canvas.line_style(place)
     known = [(group, box) for group, box in enumerate(boxes) if box is not None]
     canvas.draw_boxes(
@@ -89,7 +90,7 @@ def _draw_boxes(
         colour=colour,
         dashes=dashes,
     )
-    # Side by side, so that equal trials are seen as several.
+    # Next to one another, so that equal trials are visible.
     places = [group + shift + width * _beside(len(box.points)) for group, box in known]
     points = [box.points for _, box in known]
     if any(points):
@@ -105,7 +106,7 @@ def _draw_boxes(
 
 
 def _beside(count: int) -> Floats:
-    """Return places (count,) within a box as wide as 1, the middle if there is but one."""
+    """Return x coordinates (count,) within a box of width 1; the centre for one."""
     return np.linspace(-0.25, 0.25, count) if count != 1 else np.zeros(1)
 
 
@@ -120,12 +121,12 @@ def overlay(plot: PathsPlot) -> Figure:
     )
     for place, (_, path) in paths.items():
         panels.draw_path(place, path[:, :2])
-    across, onward = ("xyz"[each] for each in plot.up.level)
+    across, onward = ("xyz"[axis] for axis in plot.up.level)
     return panels.finish(truth[:, :2], truth[:, :2], (across, onward))
 
 
 def errors_over_time(plot: ErrorsPlot) -> Figure:
-    """Draw the errors of each algorithm over time."""
+    """Draw the errors of the algorithms over time."""
     series = plot.series
     legend = canvas.short_names([name for name, _ in series.values()])
     lines = {place: (_line(each, 1), _line(each, 2)) for place, (_, each) in series.items()}
@@ -152,5 +153,6 @@ def errors_over_time(plot: ErrorsPlot) -> Figure:
 
 
 def _line(errors: Floats, column: int) -> Floats | None:
+    """Return time and one error (M, 2); None if all are NaN."""
     known = np.isfinite(errors[:, column]).any()
     return errors[:, [0, column]] if known else None

@@ -1,4 +1,4 @@
-"""A comparison as HTML pages: one, and more of them where runs are many."""
+"""HTML pages of a comparison: an overview, and pages of details if there are many runs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.report.matrix import Matrix
 
-# Of a table on a page; more of it takes browsers long and people longer.
+# Largest table on a page; larger ones are slow to display and hard to read.
 _MOST_ROWS, _MOST_COLUMNS, _MOST_CELLS = 500, 100, 5000
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with what it shows.
+    """A figure with its description.
 
     Attributes:
-        title: In few words.
-        caption: How to read it.
-        svg: The figure itself.
+        title: A short title.
+        caption: How to read the figure.
+        svg: The figure.
     """
 
     title: str
@@ -34,20 +34,20 @@ class Plot:
 
 @dataclass(frozen=True)
 class RunPage:
-    """What the page says of one run.
+    """The content of one run on a page.
 
     Attributes:
-        algorithm, sequence, trial: Which.
+        algorithm, sequence, trial: The run.
         status: `ok`, `failed` or `missing`.
-        reason: Why there are no numbers.
-        position_m: rmse of the absolute error; None without numbers.
-        rotation_deg: Likewise; None also where withheld.
-        coverage: Of the groundtruth's time.
-        facts: Name and text of what else is known.
-        headings: Of the statistics.
-        statistics: Error and its statistics, row by row.
-        warnings: What a reader of the numbers must know.
-        svgs: Its figures.
+        reason: Why there are no numbers; empty otherwise.
+        position_m: RMSE of the position; None without numbers.
+        rotation_deg: RMSE of the rotation; None without numbers, or if withheld.
+        coverage: Share of the groundtruth's time.
+        facts: Names and texts of further results.
+        headings: Headings of the statistics.
+        statistics: Names of errors and their statistics, row by row.
+        warnings: Warnings about the validity of the numbers.
+        svgs: Figures of the run.
     """
 
     algorithm: str
@@ -65,20 +65,20 @@ class RunPage:
     svgs: tuple[str, ...] = ()
 
     def brief(self) -> RunPage:
-        """Return what a list of runs shows of it."""
+        """Return the part that a list of runs shows."""
         return dataclasses.replace(self, facts=(), statistics=(), warnings=(), svgs=())
 
 
 class ReportPages:
-    """The pages of one report: they share their look, and need nothing else, online or off."""
+    """The pages of one report. They share a style and need no network."""
 
     def __init__(self, title: str, version: str, state: str) -> None:
-        """Prepare to write pages.
+        """Load the templates.
 
         Args:
-            title: Of the comparison.
-            version: Of this program.
-            state: Hash of what the tables were made from, to know the report of other tables by.
+            title: Title of the comparison.
+            version: Version of this program.
+            state: Hash of the tables' inputs, which identifies the report.
 
         Raises:
             InputError: Jinja2 is not installed.
@@ -107,7 +107,7 @@ class ReportPages:
         )
 
     def details(self, number: int, run: RunPage) -> str:
-        """Return what is said of one run, to be unfolded; `#runNUMBER` leads there."""
+        """Return the collapsed details of one run, with the anchor `#runNUMBER`."""
         return self._templates.get_template("run.html.j2").render(number=number, run=run)
 
     def overview(
@@ -124,31 +124,31 @@ class ReportPages:
         """Return the first page.
 
         Args:
-            definition: What all numbers depend on.
-            findings: What it says, a sentence each.
-            matrices: The tables; of large ones the start is shown.
+            definition: The definition of the numbers.
+            findings: Sentences about the result.
+            matrices: The tables; large ones are cut.
             plots: The figures.
-            runs: Those that are listed, the failed ones included.
-            links: To the details of each of them.
-            details: Those that stand on this page.
-            runs_title: What the list of runs is called.
+            runs: The runs in the list, failed ones included.
+            links: Links to the details of these runs.
+            details: Details on this page.
+            runs_title: Heading of the list of runs.
         """
-        beginnings = [_beginning(each) for each in matrices]
+        beginnings = [_beginning(matrix) for matrix in matrices]
         cut = {
-            each.name: (
-                f"Shown are the first {len(begun.rows)} of {len(each.rows)} rows and "
-                f"{len(begun.columns)} of {len(each.columns)} columns; all are in "
-                f"{each.name}.csv."
+            matrix.name: (
+                f"Shown are the first {len(begun.rows)} of {len(matrix.rows)} rows and "
+                f"{len(begun.columns)} of {len(matrix.columns)} columns; all are in "
+                f"{matrix.name}.csv."
             )
-            for each, begun in zip(matrices, beginnings, strict=True)
-            if begun is not each
+            for matrix, begun in zip(matrices, beginnings, strict=True)
+            if begun is not matrix
         }
         return self._templates.get_template("comparison.html.j2").render(
             definition=definition,
             findings=findings,
             matrices=beginnings,
             cut=cut,
-            all_ranks={each.name: each.ranks() for each in matrices},
+            all_ranks={matrix.name: matrix.ranks() for matrix in matrices},
             plots=plots,
             runs=runs,
             links=links,
@@ -160,10 +160,10 @@ class ReportPages:
         """Return a page of details.
 
         Args:
-            name: Of its file.
-            others: Names of all such pages' files, this one included.
-            report: Name of the first page's file, in the folder above.
-            details: Of its runs.
+            name: Name of its file.
+            others: File names of all pages of details, this one included.
+            report: File name of the first page, in the parent folder.
+            details: Details of its runs.
         """
         return self._templates.get_template("runs.html.j2").render(
             name=name, others=others, report=report, details=details
@@ -171,7 +171,7 @@ class ReportPages:
 
 
 def _beginning(matrix: Matrix) -> Matrix:
-    """Return as much of a table as a page can hold."""
+    """Return the rows and columns of a table that fit on a page."""
     rows = min(len(matrix.rows), _MOST_ROWS)
     columns = min(len(matrix.columns), _MOST_COLUMNS, max(1, _MOST_CELLS // max(rows, 1)))
     if (rows, columns) == (len(matrix.rows), len(matrix.columns)):
@@ -184,5 +184,5 @@ def _beginning(matrix: Matrix) -> Matrix:
 
 
 def _shown(value: object) -> object:
-    """Return what the page shows of a value; markup, such as a figure, stays as it is."""
+    """Return a value as it is displayed: text on one line, markup such as figures unchanged."""
     return one_line(value) if type(value) is str else value

@@ -1,4 +1,4 @@
-"""What the figures of a comparison show, whether they are drawn for a page or as files."""
+"""The data of a comparison's figures, for pages and for files."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 
-_MOST_POINTS = 20  # beside a box; more of them hide it
+_MOST_POINTS = 20  # dots at a box; more hide it
 
 
 @dataclass(frozen=True)
 class Box:
-    """A distribution: whiskers, quartiles and median, and the points themselves if few.
+    """A distribution: whiskers, quartiles and median, and the values if they are few.
 
-    A single point is drawn as one, without a box.
+    A single value is drawn as a dot without a box.
     """
 
     low: float
@@ -29,7 +29,7 @@ class Box:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Box:
-        """Return the box of values, with whiskers at the least and the largest."""
+        """Return the box of values, with whiskers at the extremes."""
         low, first, median, third, high = np.percentile(values, [0, 25, 50, 75, 100]).tolist()
         points = tuple(values) if len(values) <= _MOST_POINTS else ()
         return cls(low, first, median, third, high, points)
@@ -37,13 +37,13 @@ class Box:
 
 @dataclass(frozen=True)
 class BoxPlot:
-    """A box for each algorithm in each group.
+    """Boxes by algorithm and group.
 
     Attributes:
-        groups: What stands below the boxes: sequences or lengths.
-        series: Name and boxes, group by group, of each algorithm.
-        axis: What the groups are; "" if their names say it.
-        label: What is measured, with its unit.
+        groups: Labels below the boxes: sequences or lengths.
+        series: Name and boxes (one per group, or None) of every algorithm.
+        axis: Label of the groups; "" if it is evident.
+        label: The quantity with its unit.
     """
 
     groups: Sequence[str]
@@ -54,12 +54,12 @@ class BoxPlot:
 
 @dataclass(frozen=True, eq=False)
 class PathsPlot:
-    """Aligned paths over the groundtruth, from above.
+    """Aligned paths and groundtruth, seen from above.
 
     Attributes:
-        up: Which axis of the groundtruth's frame points up.
-        truth: (M, 3), with height last.
-        paths: Name and positions (M, 3) by place of the algorithm, which decides the colour.
+        up: Up axis of the groundtruth's frame.
+        truth: (M, 3), metres, height last.
+        paths: Name and positions (M, 3) by position of the algorithm, which determines the colour.
     """
 
     up: UpAxis
@@ -69,11 +69,11 @@ class PathsPlot:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsPlot:
-    """Errors of each algorithm over time.
+    """Errors of algorithms over time.
 
     Attributes:
-        series: Name and errors (M, 3) by place of the algorithm: time (s), position (m), rotation
-            (deg, NaN where withheld).
+        series: Name and errors (M, 3) by position of the algorithm: time (s), position (m),
+            rotation (deg, NaN if withheld).
     """
 
     series: Mapping[int, tuple[str, Floats]]

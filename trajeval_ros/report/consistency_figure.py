@@ -1,4 +1,4 @@
-"""Errors within their own uncertainty: over time, and as ellipses from above."""
+"""Errors and their uncertainty: over time, and as ellipses seen from above."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _ELLIPSES = 24
 _SIGMAS = 3.0
-# Ellipses are enlarged so that the largest is this share of the flight.
+# Ellipses are enlarged until the largest is this share of the trajectory's extent.
 _LARGEST_ELLIPSE = 0.06
 _LABELS = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
 
@@ -36,15 +36,15 @@ def write_consistency(
     suffix: str = "",
     style: FigureStyle = PLAIN,
 ) -> list[Path]:
-    """Write `consistency` and `uncertainty_top`, where poses have covariances.
+    """Write `consistency` and `uncertainty_top`; nothing without covariances.
 
     Args:
-        evaluation: Of the estimate.
-        consistency: Of the same.
+        evaluation: The evaluation of the estimate.
+        consistency: The consistency test of the same estimate.
         folder: Existing folder; figures of the same names are replaced.
-        name: What the figures call the estimate.
-        suffix: Added to the files' names, to tell several estimates apart.
-        style: Formats and look.
+        name: Name of the estimate in the figures.
+        suffix: Suffix of the file names, to distinguish estimates.
+        style: Formats and style.
 
     Returns:
         The files that were written.
@@ -64,7 +64,7 @@ def write_consistency(
 
 
 def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
-    """Draw the errors of each axis with +-3 sigma, and the NEES of each pose."""
+    """Draw the errors along every axis with +-3 sigma, and the NEES of every pose."""
     truth = evaluation.association.groundtruth
     max_gap_s = evaluation.protocol.association.max_gap_s
     units = np.repeat([1.0, 180.0 / np.pi], 3)
@@ -94,6 +94,7 @@ def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str)
 
 
 def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -> None:
+    """Draw the NEES of poses, positions and orientations over time."""
     truth = evaluation.association.groundtruth
     nees, per_pose = consistency.pose_nees, consistency.per_pose
     assert nees is not None
@@ -108,7 +109,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
         columns = np.stack([truth.seconds - truth.seconds[0], values], axis=1)
         across = thinned(columns, truth.stamps, gap_s).T
         lowest.plot(*across, color=colour, label=label, linewidth=0.9)
-    highest = float(max(np.nanmax(each) for each in (nees.pose, nees.position, nees.rotation)))
+    highest = float(max(map(np.nanmax, (nees.pose, nees.position, nees.rotation))))
     limit = per_pose.limit_95
     lowest.set_ylim(0.0, 1.25 * max(limit or 0.0, highest))
     lowest.set_ylabel("NEES / dof")
@@ -121,7 +122,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
 
 
 def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
-    """Draw the uncertainty of positions along the aligned estimate, enlarged and said so."""
+    """Draw position uncertainties along the aligned estimate; the title has the enlargement."""
     from matplotlib.collections import EllipseCollection
 
     assert consistency.covariances is not None

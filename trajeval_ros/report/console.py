@@ -1,4 +1,4 @@
-"""The terminal, or a pipe in its place: lines and tables; foreign text never controls it."""
+"""Output to a terminal or a pipe: lines and tables, with control characters made visible."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from rich.text import Text
 from trajeval_ros.formatting.escaping import one_line, visible
 from trajeval_ros.formatting.text_tables import MarkedText, TextRow
 
-_UNWRAPPED = 10_000  # letters
+_UNWRAPPED = 10_000  # characters
 
 
 class VisibleConsole(Console):
-    """A console that shows control characters in whatever text is printed."""
+    """A console that shows control characters in printed text instead of executing them."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as it is printed; what tables and lines consist of passes here."""
+        """Return a text as it is printed; all text of tables and lines passes this method."""
         return super().render_str(visible(text), **options)
 
 
 def console(stream: IO[str] | None = None) -> VisibleConsole:
-    """Return a console: styled and as wide as the terminal, or plain and unwrapped in a pipe."""
+    """Return a console: styled and as wide as the terminal; plain and unwrapped in a pipe."""
     output = sys.stdout if stream is None else stream
     terminal = VisibleConsole(file=output, highlight=False, markup=False, emoji=False)
     if terminal.is_terminal:
@@ -37,12 +37,12 @@ def console(stream: IO[str] | None = None) -> VisibleConsole:
 
 
 def new_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> Table:
-    """Return a table without rows: framed in a terminal, bare in a pipe.
+    """Return a table without rows: with a frame in a terminal, plain in a pipe.
 
     Args:
-        title: What stands above it, if anything.
-        words: Headings of columns of text, which is never wrapped; none is shown if all are empty.
-        numbers: Headings of columns of numbers behind them.
+        title: Title above the table; empty for none.
+        words: Headings of text columns, which are not wrapped; hidden if all are empty.
+        numbers: Headings of the columns of numbers after them.
     """
     table = Table(
         title=one_line(title) or None,
@@ -66,12 +66,12 @@ def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
 
 
 def show(terminal: Console, table: Table) -> None:
-    """Print a table without cutting a word or a number, if need be wider than the terminal."""
+    """Print a table without cutting words or numbers, wider than the terminal if necessary."""
     width = terminal.width
     terminal.width = max(width, width_of(table))
     if terminal.is_terminal:
         terminal.print(table)
-    else:  # who reads the table by program wants no blanks at the ends of lines
+    else:  # programs that read the table need no trailing blanks
         with terminal.capture() as captured:
             terminal.print(table)
         lines = captured.get().splitlines()
@@ -80,15 +80,16 @@ def show(terminal: Console, table: Table) -> None:
 
 
 def width_of(table: Table) -> int:
-    """Return the number of letters that a table needs in a line; only its numbers may wrap."""
+    """Return the width of a table in characters; only columns of numbers can wrap."""
     for column in table.columns:
-        if column.no_wrap:  # which rich would rather cut, as if its words could wrap
+        if column.no_wrap:  # rich cuts these columns unless they have a minimum width
             cells = (column.header, *column.cells)
-            column.min_width = max(Text(str(each)).cell_len for each in cells)
+            column.min_width = max(Text(str(cell)).cell_len for cell in cells)
     return Console(width=_UNWRAPPED, markup=False).measure(table).minimum
 
 
 def _cell(cell: str | MarkedText) -> Text:
+    """Return a cell as text for rich."""
     if isinstance(cell, str):
         return Text(one_line(cell))
     return Text.assemble((one_line(cell.text), cell.mark), one_line(cell.rest))

@@ -1,4 +1,4 @@
-"""Definitions in words, for the titles of figures: a number without them is not a result."""
+"""Definitions of the numbers as text, for titles of figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 
 
 def alignment_of(evaluations: Sequence[Evaluation]) -> str:
-    """State what alignment may change, and which states decide it."""
+    """Return the gauge of the alignment and the states that it uses."""
     protocol = evaluations[0].protocol
     if protocol.gauge is Gauge.NONE:
         return protocol.gauge.description
@@ -31,14 +31,14 @@ def alignment_of(evaluations: Sequence[Evaluation]) -> str:
 
 
 def absolute_form_of(evaluations: Sequence[Evaluation]) -> str:
-    """State which form of the absolute error it is."""
+    """Return the form of the absolute error."""
     if evaluations[0].protocol.ate_form == "tutorial":
         return "Absolute error, eq. (23) of the tutorial"
     return "Absolute error, position difference"
 
 
 def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
-    """State how sub-trajectories are aligned at their first states."""
+    """Return how sub-trajectories are aligned at their first states."""
     protocol = evaluations[0].protocol
     if protocol.re_form == "fitted":
         return "aligned by yaw and position over all states of a sub-trajectory"
@@ -53,12 +53,12 @@ def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
 
 
 def why_no_rotation(evaluation: Evaluation) -> str:
-    """State why rotation errors are withheld."""
+    """Return why rotation errors are withheld."""
     return evaluation.withheld or positions_only(evaluation)
 
 
 def positions_only(evaluation: Evaluation) -> str:
-    """State which side has no rotations."""
+    """Return which side has no orientations."""
     pairs = evaluation.association
     sides = [
         who

@@ -1,4 +1,4 @@
-"""What was diagnosed and mended, in lines that stand under the headline number."""
+"""Diagnosis and corrections as lines below the result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def diagnosis_lines(run: RunOutcome) -> list[str]:
-    """Return a line for what was mended, and one for each mistake that the recording shows."""
+    """Return a line for the correction that was applied, and one per detected mistake."""
     lines = []
     if run.mended is not None:
         finding, before, after = run.mended.finding, run.mended.before, run.mended.after
@@ -21,16 +21,16 @@ def diagnosis_lines(run: RunOutcome) -> list[str]:
             f"  corrected with {finding.option} (--fix): ATE {_ate(before)} before, "
             f"{_ate(after)} after; {finding.sentence}"
         )
-    return lines + [f"  diagnosis: {each.text}" for each in run.diagnosis.findings]
+    return lines + [f"  diagnosis: {finding.text}" for finding in run.diagnosis.findings]
 
 
 def explanation(diagnosis: Diagnosis) -> list[str]:
-    """Return a line for each test: its statistics, and what it accepts or why it says nothing."""
+    """Return a line per test: its statistics, and the mistakes found or why it is not possible."""
     lines = []
-    for each in diagnosis.examined:
-        scores = ", ".join(f"{name} {value:.4g}" for name, value in each.scores.items())
-        said = ", ".join(seen.cause for seen in each.seen) or each.why_not or "nothing"
-        lines.append(f"{each.test}: {said}" + (f" ({scores})" if scores else ""))
+    for test in diagnosis.examined:
+        scores = ", ".join(f"{name} {value:.4g}" for name, value in test.scores.items())
+        said = ", ".join(seen.cause for seen in test.seen) or test.why_not or "nothing"
+        lines.append(f"{test.test}: {said}" + (f" ({scores})" if scores else ""))
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Errors of many estimates: a row each, by the same scales, with the others behind it."""
+"""Errors of many estimates in one row per estimate, with equal scales and the others in grey."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ POSITION, ROTATION = "position [m]", "rotation [deg]"
 
 @dataclass(frozen=True, eq=False)
 class ErrorRow:
-    """An estimate's errors.
+    """The errors of one estimate.
 
     Attributes:
-        place: Of the estimate, which decides its colour.
-        titles: Lines above each of its K kinds of error.
-        errors: Of each kind, over time or distance, (M, 2); None where there are none.
+        place: Position of the estimate, which determines its colour.
+        titles: Title lines above every one of its K errors.
+        errors: The K errors over time or distance, (M, 2); None if not available.
     """
 
     place: int
@@ -39,13 +39,13 @@ def error_rows(
     across: str,
     labels: Sequence[str] = (POSITION, ROTATION),
 ) -> Figure:
-    """Draw them.
+    """Draw the errors of several estimates.
 
     Args:
-        rows: One for each estimate.
-        title: Of the figure.
-        across: What the errors are over.
-        labels: Of the K kinds of error.
+        rows: One row per estimate.
+        title: Title of the figure.
+        across: Label of the x axis.
+        labels: Labels of the K errors.
     """
     figure = canvas.new_figure(_ROW_IN * len(rows) + _REST_IN, title)
     grid = figure.subplots(len(rows), len(labels), sharex=True, sharey="col", squeeze=False)
@@ -68,8 +68,8 @@ def error_rows(
             axes.set_title(heading, color=colour, loc="left")
             axes.set_ylabel(label)
             axes.set_ylim(bottom=0.0)
-    known = [each for row in rows for each in row.errors if each is not None]
-    grid[0, 0].set_xlim(0.0, max(1e-9, *(float(np.nanmax(each[:, 0])) for each in known)))
+    known = [errors for row in rows for errors in row.errors if errors is not None]
+    grid[0, 0].set_xlim(0.0, max(1e-9, *(float(np.nanmax(errors[:, 0])) for errors in known)))
     for axes in grid[-1]:
         axes.set_xlabel(across)
     canvas.grow(figure, lines * len(rows))

@@ -1,7 +1,7 @@
-"""How figures look and what they are saved as: our style, under what the user asks for.
+"""Style and file formats of figures: the default style, overridden by the user's settings.
 
-Everything that matplotlib has a setting for is one of its settings here, colours and width
-included: so a user's own matplotlibrc and style sheets work as they do elsewhere.
+All properties are matplotlib's settings, including colours and width. Therefore a user's
+matplotlibrc and style sheets work as usual.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from trajeval_ros.formatting import palette
 from trajeval_ros.formatting.install_command import extra_command
 
 FORMATS = ("png", "pdf", "svg", "pgf")
-# Inches. A slide of 16:9 is 13.3 wide: enlarged to it, type of 8 points is as large as 19.
+# Inches. Enlarged to a 16:9 slide of 13.3 inches, 8 points become 19.
 WIDTHS_IN = {"ieee-column": 3.5, "ieee-page": 7.16, "slides": 5.5}
 _NARROWEST_IN, _WIDEST_IN = 2.0, 40.0
 TEX_SYSTEMS = ("xelatex", "lualatex", "pdflatex")
-RAMP = "trajeval"  # its name among matplotlib's colour maps
+RAMP = "trajeval"  # name of the colour map
 
-# Fonts with Chinese, Japanese and Korean letters, on Linux, macOS and Windows.
+# Fonts with Chinese, Japanese and Korean characters on Linux, macOS and Windows.
 _MORE_LETTERS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Micro Hei", "Droid Sans Fallback",
     "PingFang SC", "Hiragino Sans", "Microsoft YaHei", "Malgun Gothic",
 )  # fmt: skip
 
-# Sizes are points on paper. `lines.color`, which matplotlib has no use for, is the groundtruth's,
-# and `axes.edgecolor` that of remarks.
+# Sizes are points on paper. `lines.color`, which matplotlib does not use, is the colour of the
+# groundtruth, and `axes.edgecolor` that of remarks.
 _STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": "0.35",
@@ -74,13 +74,13 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """What the user wants of figures.
+    """The user's settings for figures.
 
     Attributes:
-        formats: Of `FORMATS`.
-        width_in: As they are printed, inches; None for the style's.
-        has_titles: Whether titles are drawn; a file has its title in its metadata nonetheless.
-        file: A matplotlib style sheet on top of ours; None for none.
+        formats: File formats, of `FORMATS`.
+        width_in: Printed width, inches; None for the style's.
+        has_titles: Whether titles are drawn; the metadata of files have them in any case.
+        file: A matplotlib style sheet that overrides the default style; None for none.
     """
 
     formats: tuple[str, ...] = ("png",)
@@ -92,25 +92,25 @@ class FigureStyle:
     def parse(
         cls, formats: str | None, width: str | None, file: Path | None, *, has_titles: bool
     ) -> FigureStyle:
-        """Read "pdf,svg" and "3.5", or one of `WIDTHS_IN`.
+        """Parse formats such as "pdf,svg" and a width such as "3.5", or one of `WIDTHS_IN`.
 
         Raises:
-            SettingsError: They mean nothing.
+            SettingsError: A text is not valid.
         """
         listed = tuple(dict.fromkeys((formats or "png").split(",")))
-        for each in listed:
-            require_one_of(each, FORMATS, "figure format")
+        for file_format in listed:
+            require_one_of(file_format, FORMATS, "figure format")
         return cls(listed, None if width is None else _width_in(width), has_titles, file)
 
     def check(self) -> None:
-        """Refuse what can't be done, before anything is computed.
+        """Refuse what is not possible, before the evaluation.
 
         Raises:
-            InputError: matplotlib is asked for something and not installed, the style sheet can't
-                be read, or there is no LaTeX for PGF.
+            InputError: matplotlib is not installed but needed, the style sheet cannot be read, or
+                LaTeX for PGF is missing.
         """
         if self == PLAIN:
-            return  # figures by default are left out where there is no matplotlib
+            return  # default figures are omitted without matplotlib
         with house_style(self):
             if "pgf" in self.formats and not any(map(shutil.which, TEX_SYSTEMS)):
                 raise InputError(
@@ -123,6 +123,7 @@ PLAIN = FigureStyle()
 
 
 def _width_in(text: str) -> float:
+    """Return a width in inches from a number or a name."""
     if text in WIDTHS_IN:
         return WIDTHS_IN[text]
     try:
@@ -139,10 +140,10 @@ def _width_in(text: str) -> float:
 
 @contextmanager
 def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
-    """Draw in our style; what the user has set in matplotlib, or says now, goes before it.
+    """Apply the default style, overridden by the user's matplotlib settings and by `style`.
 
     Raises:
-        InputError: matplotlib is not installed, or the style sheet can't be read.
+        InputError: matplotlib is not installed, or the style sheet cannot be read.
     """
     try:
         import matplotlib
@@ -152,7 +153,7 @@ def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
             f"figures need matplotlib; install it: {extra_command('plot')}"
         ) from error
     with matplotlib.rc_context(), warnings.catch_warnings():
-        # A name in letters that no font here has is drawn as boxes; nobody can mend that now.
+        # Characters that no installed font has are drawn as boxes; a warning would not help.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         users = _set_by_user()
         _register_ramp()
@@ -170,12 +171,12 @@ def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
 
 
 def _set_by_user() -> dict[Any, Any]:
-    """Return settings that differ from matplotlib's own: of a matplotlibrc, or set in Python."""
+    """Return settings that differ from matplotlib's defaults."""
     import matplotlib
 
-    # Not item by item: reading the backend would choose one.
+    # All at once: reading the backend alone would select one.
     now, own = (
-        dict(dict.items(each)) for each in (matplotlib.rcParams, matplotlib.rcParamsDefault)
+        dict(dict.items(params)) for params in (matplotlib.rcParams, matplotlib.rcParamsDefault)
     )
     return {
         name: value for name, value in now.items() if name != "backend" and value != own.get(name)
@@ -183,6 +184,7 @@ def _set_by_user() -> dict[Any, Any]:
 
 
 def _read_style(path: Path) -> dict[Any, Any]:
+    """Return the settings of a style sheet; matplotlib's warnings about it are errors here."""
     import matplotlib
 
     complaints: list[str] = []
@@ -198,7 +200,7 @@ def _read_style(path: Path) -> dict[Any, Any]:
                 f"the style sheet {path} does not exist; give a matplotlib style sheet"
             )
         read = matplotlib.rc_params_from_file(path, use_default_template=False)
-        found = dict(dict.items(read))
+        settings = dict(dict.items(read))
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"the style sheet {path} can't be read: {error}") from error
     finally:
@@ -207,13 +209,13 @@ def _read_style(path: Path) -> dict[Any, Any]:
     if complaints:
         said = complaints[0].strip().split("\n", 1)[0]
         raise InputError(f"the style sheet {path} is not valid: {said}")
-    found.pop("backend", None)
-    return found
+    settings.pop("backend", None)
+    return settings
 
 
 @functools.lru_cache(maxsize=1)
 def _register_ramp() -> None:
-    """Make our ramp one of matplotlib's colour maps."""
+    """Register the default colour map in matplotlib."""
     import matplotlib
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -223,7 +225,7 @@ def _register_ramp() -> None:
 
 @functools.lru_cache(maxsize=1)
 def _fonts() -> list[str]:
-    """Return matplotlib's own font, and those that have more letters where they are installed."""
+    """Return matplotlib's own font, and installed fonts with more characters."""
     from matplotlib import font_manager
 
     installed = set(font_manager.get_font_names())

@@ -1,4 +1,4 @@
-"""The figures of an evaluation, as in the tutorial's section VI (Fig. 6 to 8)."""
+"""The figures of an evaluation (tutorial, section VI, Fig. 6 to 8)."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def draw(
     kind: str = "top",
     path: str | Path | None = None,
 ) -> Figure:
-    """Draw one figure of estimates that were evaluated against one groundtruth.
+    """Draw one figure of estimates that were evaluated against the same groundtruth.
 
     Args:
         evaluations: One, or several with the same groundtruth and protocol.
         kind: `top` or `side`: aligned estimates and groundtruth from above or from the side;
             `absolute`: errors over the distance travelled; `relative`: errors by length.
-        path: Where to write it, too, as PNG, PDF, SVG or PGF by its suffix; None to write nothing.
+        path: File to write in addition, as PNG, PDF, SVG or PGF by its suffix; None for none.
 
     Returns:
-        The figure, which no pyplot knows of.
+        The figure, independent of pyplot.
 
     Raises:
-        SettingsError: There is no such kind.
-        InputError: matplotlib is not installed, or the file can't be written.
+        SettingsError: The kind is unknown.
+        InputError: matplotlib is not installed, or the file cannot be written.
 
     Example:
         >>> from trajeval_ros import draw, evaluate, simulate
@@ -58,18 +58,18 @@ def draw(
     require_one_of(kind, _DRAWINGS, "figure")
     given = [evaluations] if isinstance(evaluations, Evaluation) else list(evaluations)
     with house_style():
-        figure = _DRAWINGS[kind](given, canvas.short_names([each.estimate.name for each in given]))
+        figure = _DRAWINGS[kind](given, canvas.short_names([e.estimate.name for e in given]))
         if path is not None:
             write_figure(figure, Path(path))
     return figure
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write one figure that was drawn in the house style, in the format that its name ends with.
+    """Write a figure of the default style in the format of the file's suffix.
 
     Raises:
-        SettingsError: There is no such format.
-        InputError: It can't be written.
+        SettingsError: The format is unknown.
+        InputError: The file cannot be written.
     """
     suffix = path.suffix.removeprefix(".")
     require_one_of(suffix, FORMATS, "figure format")
@@ -79,16 +79,16 @@ def write_figure(figure: Figure, path: Path) -> None:
 def write_figures(
     evaluations: Sequence[Evaluation], folder: Path, style: FigureStyle = PLAIN
 ) -> list[Path]:
-    """Write figures of estimates that were evaluated against one groundtruth.
+    """Write the figures of estimates that were evaluated against the same groundtruth.
 
-    `trajectory_top` and, but for planar evaluations, `trajectory_side`: aligned estimates,
+    `trajectory_top` and, except for gauge planar, `trajectory_side`: aligned estimates,
     groundtruth and correspondences. `absolute_error`: over the distance travelled.
-    `relative_error`: by length, unless the protocol has no lengths.
+    `relative_error`: by length, if the protocol has lengths.
 
     Args:
         evaluations: One per estimate, with the same groundtruth and protocol.
         folder: Existing folder; figures of the same names are replaced.
-        style: Formats and look.
+        style: Formats and style.
 
     Returns:
         The files that were written.
@@ -96,7 +96,7 @@ def write_figures(
     Raises:
         InputError: matplotlib is not installed, or a format needs LaTeX.
     """
-    legend = canvas.short_names([each.estimate.name for each in evaluations])
+    legend = canvas.short_names([e.estimate.name for e in evaluations])
     protocol = evaluations[0].protocol
     drawings: dict[str, canvas.Drawing] = {
         "trajectory_top": partial(top_view, evaluations, legend)

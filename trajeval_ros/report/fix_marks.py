@@ -1,4 +1,4 @@
-"""GNSS fixes in a plane: a dot each, coloured by status, with the ellipse that it claims."""
+"""GNSS fixes in a plane: dots coloured by status, with ellipses of their covariances."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _STATUS = {0: "GNSS alone", 1: "satellite-based", 2: "ground-based"}  # sensor_msgs/NavSatStatus
-_SIGMAS = 2.4477468306808166  # of two dimensions: 95 %
+_SIGMAS = 2.4477468306808166  # 95 % in two dimensions
 _MOST_ELLIPSES = 300
 _DOT_POINTS, _BELOW_TRUTH = 3.5, 1.7
 
 
 def draw_fixes(axes: Axes, truth: Trajectory, seen: Floats, plane: tuple[int, int]) -> None:
-    """Draw the fixes that a groundtruth is made of; nothing of another one.
+    """Draw the GNSS fixes of a groundtruth; nothing if it has none.
 
     Args:
-        axes: Of the plane.
+        axes: Axes of the plane.
         truth: N states, in a frame with z up.
-        seen: (N, 2), where they are in the plane.
-        plane: Two of the frame's axes.
+        seen: (N, 2), their coordinates in the plane.
+        plane: Indices of the plane's axes in the frame.
     """
     fixes = truth.fixes
     if fixes is None:
@@ -53,7 +53,7 @@ def draw_fixes(axes: Axes, truth: Trajectory, seen: Floats, plane: tuple[int, in
 
 
 def _draw_ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: object) -> None:
-    """Draw where a share of 95 % lies about centres (N, 2), by covariances (N, 2, 2)."""
+    """Draw 95 % ellipses about centres (N, 2) from covariances (N, 2, 2)."""
     from matplotlib.collections import EllipseCollection
 
     variances, axes_of = np.linalg.eigh(covariances)

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_FLOOR = 1e-7  # the paper's epsilon: what it draws as white
+_FLOOR = 1e-7  # the paper's epsilon; smaller values are white
 
 
 def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str) -> Figure:
-    """Draw errors, iterations and time over the prior's weight: Fig. 4 and 5."""
+    """Draw errors, iterations and time over the weight of the prior: Fig. 4 and 5."""
     panels = {
         "p [m]": [trials.position_m.mean() for trials in outcome],
         "φ [deg]": [trials.rotation_deg.mean() for trials in outcome],
@@ -37,7 +37,7 @@ def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str
         axes.plot(weights, values, color=colour, marker="o", markersize=3)
         axes.set_ylabel(label)
         axes.ticklabel_format(axis="y", useOffset=False)
-        # Errors differ in the last digits: a scale of their own would make hills of nothing.
+        # Errors differ in the last digits; automatic limits would magnify these.
         middle = float(np.median(values))
         if label not in ("iterations", "time [ms]"):
             low, high = min(values), max(values)
@@ -55,11 +55,11 @@ def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str
 
 
 def prior_paths(weights: Sequence[float], traces: Sequence[Trace], title: str) -> Figure:
-    """Draw reprojection error and the prior's error over the iterations: what Fig. 6 shows.
+    """Draw reprojection error and the prior's error over the iterations: the data of Fig. 6.
 
-    The paper draws one over the other: all but the first two iterations of a weak prior are then
-    one vertical line. Here each weight has a column of its own, by the same scales, with the
-    others behind it.
+    The paper draws one over the other, so that all iterations of a weak prior after the second are
+    on one vertical line. Here every weight has a column with equal scales, and the other weights
+    in grey.
     """
     panels = {
         "reprojection_px": "reprojection\nerror [px]",
@@ -95,20 +95,20 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
     places = np.arange(len(outcome))
     width = 0.26
     for shift, handling in enumerate(GaugeHandling):
-        trials = [each[handling] for each in outcome.values()]
-        fixed = [each[GaugeHandling.FIXATION] for each in outcome.values()]
+        trials = [result[handling] for result in outcome.values()]
+        fixed = [result[GaugeHandling.FIXATION] for result in outcome.values()]
         values = (
-            [each.iterations.mean() for each in trials],
-            [1e3 * np.median(each.seconds) for each in trials],
+            [result.iterations.mean() for result in trials],
+            [1e3 * np.median(result.seconds) for result in trials],
             [
-                each.seconds_per_iteration / of_fixed.seconds_per_iteration
-                for each, of_fixed in zip(trials, fixed, strict=True)
+                result.seconds_per_iteration / of_fixed.seconds_per_iteration
+                for result, of_fixed in zip(trials, fixed, strict=True)
             ],
         )
         colour, _ = canvas.line_style(shift)
         for axes, heights in zip(panels, values, strict=True):
-            # From small simulated scenes to measured ones, times grow tenfold: points on a
-            # logarithmic scale, where bars have no foot.
+            # Times of simulated and measured scenes differ by a factor of ten: points on a
+            # logarithmic scale, since bars need a zero.
             if axes is panels[1]:
                 axes.plot(
                     places + (shift - 1) * width,
@@ -134,7 +134,7 @@ def cost(outcome: Mapping[str, Mapping[GaugeHandling, Trials]], title: str) -> F
     ):
         axes.set_ylabel(label)
         axes.grid(visible=False, axis="x")
-    panels[-1].set_xticks(places, [one_line(each) for each in outcome], rotation=20, ha="right")
+    panels[-1].set_xticks(places, [one_line(name) for name in outcome], rotation=20, ha="right")
     canvas.legend_below(figure, *panels[0].get_legend_handles_labels())
     figure.align_ylabels()
     return figure
@@ -164,7 +164,7 @@ def covariance_matrices(covariances: Covariances, title: str) -> Figure:
 
 
 def _plainly(value: float, _: object = None) -> str:
-    """Return a tick's label: the house style does not set mathematics."""
+    """Return a tick label as plain text; the default style renders no mathematics."""
     return f"{value:g}"
 
 
@@ -176,6 +176,7 @@ def _by_kind(matrix: Floats) -> Floats:
 
 
 def _mark_kinds(axes: Axes, size: int) -> None:
+    """Label the blocks of positions, rotations and velocities in a matrix."""
     third = size / 3.0
     middles = [third * (place + 0.5) - 0.5 for place in range(3)]
     axes.set_xticks(middles, ["p", "φ", "v"])

@@ -1,4 +1,4 @@
-"""All that `trajeval gauge-study` writes: tables.md, study.json and figures."""
+"""The files of `trajeval gauge-study`: tables.md, study.json and figures."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ SWEPT = "sine plane"
 
 @dataclass(frozen=True, eq=False)
 class GaugeStudy:
-    """What was solved.
+    """The results of a study.
 
     Attributes:
-        profile: Of the simulated sensors.
-        trials: Solves for each configuration and gauge.
-        states: Truth of each configuration: keyframes and landmarks.
-        compared: Of each configuration.
-        sweeps: Trials by `SWEEP_WEIGHTS`, of some configurations.
-        paths: Iterations by `PATH_WEIGHTS` in one trial of the configuration `SWEPT`.
-        covariances: Of some configurations: as Ceres stops, and at the minimum.
-        measured: The configuration with measured sensors, if there is one.
-        examined: What its data and residuals say.
-        blas_threads: As the environment sets them, "" if it doesn't.
+        profile: Profile of the simulated sensors.
+        trials: Number of solves per configuration and gauge handling.
+        states: True keyframes and landmarks by configuration.
+        compared: Trials by configuration and gauge handling.
+        sweeps: Trials for every weight in `SWEEP_WEIGHTS`, of some configurations.
+        paths: Iterations for every weight in `PATH_WEIGHTS`, of one trial of `SWEPT`.
+        covariances: Covariances at the termination of Ceres and at the minimum, of some
+            configurations.
+        measured: Name of the configuration with measured sensors; "" if there is none.
+        examined: Examination of its data and residuals; None if there is none.
+        blas_threads: Value of OPENBLAS_NUM_THREADS, "" if not set.
     """
 
     profile: str
@@ -56,14 +57,14 @@ class GaugeStudy:
 
     @property
     def sensors(self) -> str:
-        """Which sensors are simulated, in a sentence."""
+        """A sentence about simulated and measured sensors."""
         if self.measured:
             return f"Sensors are simulated, except for {self.measured} (measured)."
         return "All sensors are simulated, including sensors on recorded motions."
 
     @property
     def timing(self) -> str:
-        """On what times were taken, in a sentence."""
+        """A sentence about the measurement of times."""
         if self.blas_threads == "1":
             return (
                 "Times are measured with one linear algebra thread, alternating between methods."
@@ -74,11 +75,11 @@ class GaugeStudy:
         )
 
     def lines(self) -> list[str]:
-        """Return what is said of measured data; nothing if there is none."""
+        """Return the lines about measured data; empty if there are none."""
         return [] if self.examined is None else measured_lines(self.measured, self.examined)
 
     def numbers(self) -> dict[str, Any]:
-        """Return study.json's content."""
+        """Return the content of study.json."""
         return {
             "profile": self.profile,
             "trials": self.trials,
@@ -88,13 +89,13 @@ class GaugeStudy:
                 for name in self.compared
             },
             "configurations": {
-                name: {handling.value: _listed(each) for handling, each in of_gauge.items()}
+                name: {handling.value: _listed(trials) for handling, trials in of_gauge.items()}
                 for name, of_gauge in self.compared.items()
             },
             "prior_weight_sweep": {
                 "weights": list(SWEEP_WEIGHTS),
                 "trials": {
-                    name: [_listed(each) for each in trials]
+                    name: [_listed(weighted) for weighted in trials]
                     for name, trials in self.sweeps.items()
                 },
             },
@@ -106,7 +107,7 @@ class GaugeStudy:
         }
 
     def tables(self) -> str:
-        """Return tables.md's content."""
+        """Return the content of tables.md."""
         parts = [
             "Root mean square errors after alignment by the first keyframe (yaw and "
             f"translation), means over {self.trials} trials: p [m] / φ [deg] / v [m/s]; "
@@ -121,7 +122,7 @@ class GaugeStudy:
             *markdown_table(
                 ["configuration", "at termination of Ceres", "converged"],
                 [
-                    [name, *(f"{100 * each.difference:.2g} %" for each in pair)]
+                    [name, *(f"{100 * result.difference:.2g} %" for result in pair)]
                     for name, pair in self.covariances.items()
                 ],
             ),
@@ -140,7 +141,7 @@ class GaugeStudy:
         return "\n".join([*parts, ""])
 
     def figures(self) -> dict[str, canvas.Drawing]:
-        """Return what draws each figure by the names of their files, without a suffix."""
+        """Return the functions that draw the figures, by file name without a suffix."""
         what = f"profile {self.profile}, {self.trials} trials"
         figures: dict[str, canvas.Drawing] = {
             "scenes": partial(gauge_scenes.scenes, self.states),
@@ -168,9 +169,11 @@ class GaugeStudy:
 
 
 def _listed(trials: Trials) -> dict[str, Any]:
+    """Return the columns of trials as lists."""
     return {name: column.tolist() for name, column in vars(trials).items()}
 
 
 def _file_name(configuration: str) -> str:
+    """Return a configuration's name as part of a file name."""
     plain = configuration.removeprefix("motion of ").removeprefix("tracks of ")
     return plain.replace(" ", "_").replace("/", "_")

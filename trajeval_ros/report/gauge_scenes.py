@@ -1,4 +1,4 @@
-"""Figures 1 and 3 of the gauge paper: one estimate in two gauges, and the scenes, from above."""
+"""Figures 1 and 3 of the gauge paper: an estimate in two gauges, and the scenes, from above."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PANEL_IN, _NARROWEST_IN = 2.4, 1.7
-_LARGEST_SHARE = 0.25  # of the path's extent, that the largest ellipse is drawn as
+_LARGEST_SHARE = 0.25  # drawn size of the largest ellipse relative to the path's extent
 _FACTORS = (1, 2, 3, 5, 8)
-_FARTHEST_PERCENTILE = 98.0  # of landmarks: a few far ones would shrink all others
+_FARTHEST_PERCENTILE = 98.0  # of landmarks; farther ones are omitted to keep the scale
 
 
 def gauges(covariances: Covariances, state: State, title: str) -> Figure:
-    """Draw the positions' ellipses of the free gauge and of fixation: Fig. 1.
+    """Draw the ellipses of positions with a free gauge and with gauge fixation: Fig. 1.
 
     Args:
-        covariances: Of the motion.
-        state: The keyframes that they are drawn at.
-        title: Of the figure.
+        covariances: Covariances of the motion.
+        state: The keyframes.
+        title: Title of the figure.
     """
     ellipses = {
         "free gauge": _ellipses(covariances.free),
         "gauge fixation": _ellipses(covariances.fixed),
     }
     extent_m = float(np.ptp(state.positions[:, :2], axis=0).max())
-    largest_m = max(float(np.abs(each).max()) for each in ellipses.values())
+    largest_m = max(float(np.abs(outline).max()) for outline in ellipses.values())
     factor = _readable(_LARGEST_SHARE * extent_m / largest_m)
     shape = float(np.ptp(state.positions[:, 1])) / max(extent_m, 1e-9)
     figure = canvas.new_figure(
@@ -51,13 +51,13 @@ def gauges(covariances: Covariances, state: State, title: str) -> Figure:
             axes.plot(*(centre[:, None] + factor * outline), color=colour, alpha=0.6)
         axes.plot(*state.positions[0, :2], color=mark, marker="s", markersize=5)
         axes.set_title(name)
-        # One scale for both: ellipses are there to be compared.
+        # Equal scales, because the ellipses are compared.
         _from_above(axes, "box")
     return figure
 
 
 def scenes(states: Mapping[str, State]) -> Figure:
-    """Draw keyframes and landmarks of each configuration: Fig. 3."""
+    """Draw keyframes and landmarks of the configurations: Fig. 3."""
     columns = canvas.columns_of_panels(min(3, len(states)), _NARROWEST_IN)
     rows = -(-len(states) // columns)
     figure = canvas.new_figure(rows * _PANEL_IN)
@@ -79,16 +79,17 @@ def scenes(states: Mapping[str, State]) -> Figure:
 
 
 def _from_above(axes: Axes, adjustable: Literal["box", "datalim"]) -> None:
+    """Set equal scales and label the axes x and y."""
     axes.set_aspect("equal", adjustable=adjustable)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
 
 
 def _ellipses(covariance: Floats) -> Floats:
-    """Return the outlines (N, 2, points) of one standard deviation in x and y."""
+    """Return the outlines (N, 2, points) of one standard deviation in x and y, metres."""
     count = len(covariance) // 9
-    each = np.arange(count)
-    blocks = covariance.reshape(count, 9, count, 9)[each, :2, each, :2]
+    keyframes = np.arange(count)
+    blocks = covariance.reshape(count, 9, count, 9)[keyframes, :2, keyframes, :2]
     variances, axes = np.linalg.eigh(blocks)
     roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
     angles = np.linspace(0.0, 2.0 * np.pi, 65)
@@ -97,6 +98,6 @@ def _ellipses(covariance: Floats) -> Floats:
 
 
 def _readable(factor: float) -> float:
-    """Return the largest 1, 2, 3, 5 or 8 times a power of ten that is not above a factor."""
+    """Return the largest 1, 2, 3, 5 or 8 times a power of ten that is at most `factor`."""
     power = 10.0 ** np.floor(np.log10(factor))
-    return float(max(each for each in _FACTORS if each * power <= factor) * power)
+    return float(max(step for step in _FACTORS if step * power <= factor) * power)

@@ -1,4 +1,4 @@
-"""Tables II and III of the gauge paper, with the paper's own values beside ours."""
+"""Tables II and III of the gauge paper, with the paper's values for comparison."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 METRICS = {"position_m": "p [m]", "rotation_deg": "φ [deg]", "velocity_mps": "v [m/s]"}
 
-# RMSE of gauge fixation and of the free gauge: p (m), phi (deg), v (m/s).
+# RMSE with gauge fixation and with a free gauge: p (m), phi (deg), v (m/s).
 PAPER = {
     "sine plane": ((0.04141, 0.1084, 0.02182), (0.04141, 0.1084, 0.02183)),
     "arc plane": ((0.02328, 0.6987, 0.01303), (0.02329, 0.6987, 0.01303)),
@@ -38,7 +38,7 @@ SWEEP_HEADINGS = ("weight", *METRICS.values(), "iterations")
 
 
 def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list[list[str]]:
-    """Return a row for each configuration: means over its trials, then the paper's values."""
+    """Return a row per configuration: means over its trials, then the paper's values."""
     return [
         [
             name,
@@ -57,7 +57,7 @@ def accuracy_rows(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> list
 
 
 def sweep_rows(weights: Sequence[float], sweep: Sequence[Trials]) -> list[list[str]]:
-    """Return a row for each weight of the prior: means over its trials."""
+    """Return a row per weight of the prior: means over its trials."""
     return [
         [
             f"{weight:g}",
@@ -69,6 +69,7 @@ def sweep_rows(weights: Sequence[float], sweep: Sequence[Trials]) -> list[list[s
 
 
 def _paper(name: str) -> list[str]:
+    """Return the paper's values for a configuration, if it has any."""
     known = next((values for key, values in PAPER.items() if key.lower() in name.lower()), None)
     if known is None:
         return [NOTHING, NOTHING]
@@ -76,7 +77,7 @@ def _paper(name: str) -> list[str]:
 
 
 def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Table:
-    """Return the table for a terminal: a line for each configuration and handling."""
+    """Return the table for a terminal: a row per configuration and gauge handling."""
     table = new_table(
         "RMSE after alignment by the first keyframe, means over trials",
         ["configuration", "gauge"],
@@ -85,12 +86,12 @@ def accuracy_table(outcome: Mapping[str, Mapping[GaugeHandling, Trials]]) -> Tab
     for name, trials in outcome.items():
         paper = dict(zip(_PAPER_HANDLINGS, _paper(name), strict=True))
         for place, handling in enumerate(GaugeHandling):
-            each = trials[handling]
-            rmse = [f"{getattr(each, metric).mean():.5f}" for metric in METRICS]
+            result = trials[handling]
+            rmse = [f"{getattr(result, metric).mean():.5f}" for metric in METRICS]
             beside = [
                 paper.get(handling, ""),
-                f"{each.iterations.mean():.2f}",
-                f"{1e3 * each.seconds_per_iteration:.2f}",
+                f"{result.iterations.mean():.2f}",
+                f"{1e3 * result.seconds_per_iteration:.2f}",
             ]
             add_rows(table, [["" if place else name, handling.value, *rmse, *beside]])
         table.add_section()

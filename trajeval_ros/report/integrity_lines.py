@@ -1,4 +1,4 @@
-"""Integrity in sentences."""
+"""Integrity as table rows and lines of text."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ INTEGRITY_NUMBERS = (
 
 
 def integrity_rows(name: str, integrity: Integrity) -> list[tuple[str, ...]]:
-    """Return a row for each part of the pose."""
+    """Return a row per part of the pose."""
     rows: list[tuple[str, ...]] = []
     for part in integrity.parts:
         low, high = part.hazardous_95
         median = part.time_to_alert.median
         episodes = part.time_to_alert.missed + len(part.time_to_alert.seconds)
-        level, error = (float(np.median(each)) for each in (part.levels, part.errors))
+        level, error = (float(np.median(values)) for values in (part.levels, part.errors))
         rows.append(
             (
                 name,
@@ -44,7 +44,7 @@ def integrity_rows(name: str, integrity: Integrity) -> list[tuple[str, ...]]:
 
 
 def integrity_lines(name: str, integrity: Integrity) -> list[str]:
-    """Return what the numbers are of, and what they can't say."""
+    """Return the definition of the numbers and their limitations."""
     effective = min(part.effective for part in integrity.parts)
     lines = [
         f"{name}: protection levels from the largest axis of the covariance, at risk "

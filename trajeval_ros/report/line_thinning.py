@@ -1,4 +1,4 @@
-"""Columns thinned for drawing as lines, with nothing lost to the eye."""
+"""Thinning of lines for plots without a visible difference."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ MOST_POINTS = 20_000
 def thinned(
     columns: Floats, stamps: NDArray[np.int64], max_gap_s: float, most: int = MOST_POINTS
 ) -> Floats:
-    """Return rows (M, K) to draw as a line instead of N rows: few, with nothing lost to the eye.
+    """Return rows (M, K) that look the same as the N rows when drawn as lines.
 
-    Of each of many equal runs of rows, those with the least and largest value of each column are
-    kept, so that no peak is lost. A row of NaN breaks the line where time jumps by more than
-    the gap and more than five usual steps (keyframes are far apart without being a gap).
+    The rows are divided into intervals of equal size. The rows with the least and the largest
+    value of a column in an interval are kept. A row of NaN interrupts the line where a time step
+    exceeds the gap and five median steps (steps between keyframes are long without being gaps).
 
     Args:
         columns: (N, K).
         stamps: (N,), nanoseconds, in order.
-        max_gap_s: Seconds.
-        most: About how many rows are few.
+        max_gap_s: Longest step that is no gap, seconds.
+        most: Approximate number of rows above which they are thinned.
     """
     count, width = columns.shape
     rows = np.arange(count)

@@ -1,4 +1,4 @@
-"""Tables of a comparison, algorithms by columns: terminal, Markdown, LaTeX and CSV."""
+"""Tables of a comparison as text for terminals, Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from trajeval_ros.report.console import add_rows, new_table
 if TYPE_CHECKING:
     from rich.table import Table
 
-_MOST_NARROW = 6  # columns of numbers in one column of a page
+_MOST_NARROW = 6  # columns of numbers that fit into one column of a two-column page
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What a table says of an algorithm in one column.
+    """One number of a table.
 
     Attributes:
-        value: The number, infinite where too many runs failed; None where there is nothing.
-        note: What stands behind it: "8/10", "†".
-        is_ranked: Whether it may be the best: not what leaves out runs that failed, or more of the
-            way than others.
-        spread: Of the trials, "(0.05–0.32)".
+        value: The number, infinite if too many runs failed; None if there is none.
+        note: A remark such as "8/10" or "†".
+        is_ranked: Whether it can be the best. It cannot if failed runs are left out, or if its
+            coverage is lower than that of others.
+        spread: Range over the trials, such as "(0.05–0.32)".
     """
 
     value: float | None
@@ -45,24 +45,24 @@ class Cell:
 
     @property
     def text(self) -> str:
-        """The number as read by people."""
+        """The number as text."""
         return three_decimals(self.value)
 
 
 @dataclass(frozen=True)
 class Matrix:
-    """A table of algorithms by sequences or lengths; smaller is better.
+    """A table of algorithms by sequences or lengths; smaller numbers are better.
 
     Attributes:
-        name: For a file.
-        title: What is measured, with its unit.
-        caption: The definition: a number without it is not a result.
-        columns: Headings of the cells.
-        rows: Name and cells of each algorithm.
-        runs: Of each algorithm, "29/30": evaluated, and how many there should be.
-        coverage: Of each algorithm, mean share of the groundtruth's time, failed runs as zeros.
-        brief: Its caption in LaTeX, of one sentence; by default the title.
-        has_average: Whether a mean over the columns means something.
+        name: Name of its file.
+        title: The quantity with its unit.
+        caption: The definition of the numbers.
+        columns: Headings of the columns.
+        rows: Name and cells of every algorithm.
+        runs: Evaluated and planned runs of every algorithm, such as "29/30".
+        coverage: Mean coverage of every algorithm; failed runs count as zero.
+        brief: Caption in LaTeX, one sentence; by default the title.
+        has_average: Whether the mean over the columns is meaningful.
     """
 
     name: str
@@ -76,36 +76,37 @@ class Matrix:
     has_average: bool = False
 
     def ranks(self) -> list[list[int]]:
-        """Return for each cell 1 if it is the best of its column, 2 the second, else 0."""
+        """Return the ranks of cells in their columns: 1 for the best, 2 for the second, else 0."""
         by_column = [
             ranked([cells[column] for _, cells in self.rows])
             for column in range(len(self.columns))
         ]
-        return [list(each) for each in zip(*by_column, strict=True)]
+        return [list(row) for row in zip(*by_column, strict=True)]
 
     def averages(self) -> list[Cell]:
-        """Return the mean over each algorithm's columns, none where a column is empty."""
+        """Return the mean over the columns of every algorithm, empty if a column is."""
         return [_average(cells) for _, cells in self.rows]
 
 
 def ranked(cells: Sequence[Cell]) -> list[int]:
-    """Return for each of cells that compete 1 if it is the best, 2 the second, else 0."""
-    if sum(each.value is not None for each in cells) < 2:
+    """Return the ranks of competing cells: 1 for the best, 2 for the second, else 0."""
+    if sum(cell.value is not None for cell in cells) < 2:
         return [0] * len(cells)
-    values = [each.value if each.is_ranked else None for each in cells]
-    best = sorted({each for each in values if each is not None and each < math.inf})[:2]
-    return [0 if each is None or each not in best else 1 + best.index(each) for each in values]
+    values = [cell.value if cell.is_ranked else None for cell in cells]
+    best = sorted({value for value in values if value is not None and value < math.inf})[:2]
+    return [0 if v is None or v not in best else 1 + best.index(v) for v in values]
 
 
 def _average(cells: Sequence[Cell]) -> Cell:
-    values = [each.value for each in cells if each.value is not None]
+    """Return the mean of cells, empty if one is empty."""
+    values = [cell.value for cell in cells if cell.value is not None]
     if len(values) < len(cells):
         return Cell(None)
-    return Cell(sum(values) / len(values), is_ranked=all(each.is_ranked for each in cells))
+    return Cell(sum(values) / len(values), is_ranked=all(cell.is_ranked for cell in cells))
 
 
 def to_terminal(matrix: Matrix) -> Table:
-    """Return the table with the best in bold and the second underlined, without its caption."""
+    """Return the table, the best in bold and the second underlined, without the caption."""
     name, *numbers = _headings(matrix)
     table = new_table(matrix.title, [name], numbers)
     add_rows(table, _body(matrix))
@@ -113,16 +114,16 @@ def to_terminal(matrix: Matrix) -> Table:
 
 
 def to_markdown(matrix: Matrix) -> str:
-    """Return the table, likewise, with its caption."""
+    """Return the table as Markdown, with the caption."""
     table = markdown_table(_headings(matrix), _body(matrix))
     title, caption = markdown_text(matrix.title), markdown_text(matrix.caption)
     return "\n".join([f"### {title}", "", *table, "", caption, ""])
 
 
 def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
-    """Return the table, likewise, for the booktabs package, with a caption of one sentence.
+    """Return the table as LaTeX for the booktabs package, with a caption of one sentence.
 
-    A table of many columns takes both columns of a page, and says nothing of the trials' spread.
+    A table with many columns spans both columns of a page and omits the spread of the trials.
 
     Args:
         matrix: The table.
@@ -140,8 +141,8 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
         [
             heading,
             *(
-                _marked(*each, with_spread=not is_wide)
-                for each in zip(cells, ranked(cells), strict=True)
+                _marked(*ranked_cell, with_spread=not is_wide)
+                for ranked_cell in zip(cells, ranked(cells), strict=True)
             ),
         ]
         for heading, cells in zip(headings, columns, strict=True)
@@ -150,7 +151,7 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
     by_column.append(["coverage", *map(whole_percent, matrix.coverage)])
     corner = "" if transpose else "algorithm"
     table: list[list[TextCell]] = [[corner, *names], *by_column]
-    rows = table if transpose else [list(each) for each in zip(*table, strict=True)]
+    rows = table if transpose else [list(row) for row in zip(*table, strict=True)]
     return "\n".join(
         latex_table(
             matrix.name,
@@ -164,7 +165,7 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
 
 
 def to_csv(matrix: Matrix) -> str:
-    """Return the numbers with all their digits; empty where there is none."""
+    """Return the numbers with all digits as CSV; empty cells if there is none."""
     rows = (
         [name, *(cell.value for cell in cells), runs, coverage]
         for (name, cells), runs, coverage in zip(
@@ -179,14 +180,15 @@ def _headings(matrix: Matrix) -> list[str]:
 
 
 def _body(matrix: Matrix) -> list[list[TextCell]]:
-    """Return the rows as texts, marked by rank."""
+    """Return the rows as text cells with marks for the ranks."""
     rows: list[list[TextCell]] = []
     for place, ((name, cells), ranks) in enumerate(zip(matrix.rows, matrix.ranks(), strict=True)):
-        texts = [_marked(*each) for each in zip(cells, ranks, strict=True)]
+        texts = [_marked(*ranked_cell) for ranked_cell in zip(cells, ranks, strict=True)]
         rows.append([name, *texts, matrix.runs[place], whole_percent(matrix.coverage[place])])
     return rows
 
 
 def _marked(cell: Cell, rank: int, *, with_spread: bool = True) -> MarkedText:
+    """Return a cell as text with the mark of its rank."""
     rest = " ".join(filter(None, (cell.spread if with_spread else "", cell.note)))
     return MarkedText(cell.text, ("", BOLD, UNDERLINE)[rank], f" {rest}" if rest else "")

@@ -1,4 +1,4 @@
-"""What an examination of measured keyframes says, in sentences and as numbers."""
+"""The examination of measured keyframes as lines of text and as numbers."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from trajeval_ros.visual_inertial.examination import (
     tilt_of,
 )
 
-_WHITE = 0.3  # correlation at the first lag, up to which errors are said to be white
+_WHITE = 0.3  # correlation at the first lag up to which errors are called white
 _GOOD_GROUNDTRUTH_DEG = 0.1
 
 
 def measured_lines(name: str, examined: Examination) -> list[str]:
-    """Return the sentences: data, rejection, residuals, covariance."""
+    """Return lines about data, rejection of outliers, residuals and covariance."""
     rejection, problem = examined.rejection, examined.scene.problem
     (before, landmarks), *_, (after, left) = rejection.rounds
     groups = ", ".join(
@@ -68,6 +68,7 @@ def measured_lines(name: str, examined: Examination) -> list[str]:
 
 
 def _with_sigmas(examined: Examination, axes: slice) -> str:
+    """Return the biases of the last keyframe with their standard deviations."""
     values = examined.rejection.state.biases[-1, axes]
     return ", ".join(
         f"{value:.2g} +- {sigma:.1g}"
@@ -76,7 +77,7 @@ def _with_sigmas(examined: Examination, axes: slice) -> str:
 
 
 def measured_numbers(examined: Examination) -> dict[str, Any]:
-    """Return the same for study.json."""
+    """Return the numbers for study.json."""
     rejection = examined.rejection
     return {
         "keyframes": examined.scene.problem.keyframes,

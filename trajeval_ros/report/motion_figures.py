@@ -1,4 +1,4 @@
-"""Figures of trajectories as they are: paths, positions, angles and speeds over time."""
+"""Figures of trajectories: paths, and positions, angles and speeds over time."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ PLOTS = (*PLANES, "3d", *TIMES)
 COLOURS_BY = {"error": "position error [m]", "speed": "speed [m/s]"}
 _GAP_S = 0.5
 _PANEL_IN, _REST_IN = 1.25, 0.5
-_3D_IN = 0.85  # height, in widths
-_MOST_COLOURED = 4000  # pieces of a path
-_REFERENCE = -1  # the place of its line
+_3D_IN = 0.85  # height relative to the width
+_MOST_COLOURED = 4000  # line segments of a coloured path
+_REFERENCE = -1  # position of the reference in the list of lines
 
 
 def motion_drawings(
@@ -41,28 +41,28 @@ def motion_drawings(
     colour_by: str | None = None,
     ground: GroundImage | None = None,
 ) -> dict[str, canvas.Drawing]:
-    """Return what draws each figure, by the name of its file.
+    """Return the functions that draw the figures, by file name.
 
     Args:
         kinds: Of `PLOTS`.
-        trajectories: Each with a name.
-        reference: Another one, drawn behind them; None for none.
-        colour_by: One of `COLOURS_BY`, for paths in a plane; None for a colour each.
-        ground: What lies below the path in xy.
+        trajectories: Trajectories with names.
+        reference: Trajectory in the background; None for none.
+        colour_by: One of `COLOURS_BY`, for paths in a plane; None for one colour per trajectory.
+        ground: Image below the path in xy; None for none.
 
     Raises:
-        SettingsError: There is no such kind.
-        InputError: A trajectory hasn't what a figure needs.
+        SettingsError: A kind is unknown.
+        InputError: A trajectory lacks timestamps or orientations that a figure needs.
     """
     for kind in kinds:
         require_one_of(kind, PLOTS, "plot")
     everything = [*trajectories, *([] if reference is None else [reference])]
     needs_stamps = set(kinds) & set(TIMES) or colour_by == "speed"
-    for each in everything:
-        if needs_stamps and not each.stamped:
-            raise InputError(f"{each.name} has no timestamps, which figures over time need")
-        if "rpy" in kinds and each.quaternions is None:
-            raise InputError(f"{each.name} has no orientations; remove rpy")
+    for trajectory in everything:
+        if needs_stamps and not trajectory.stamped:
+            raise InputError(f"{trajectory.name} has no timestamps, which figures over time need")
+        if "rpy" in kinds and trajectory.quaternions is None:
+            raise InputError(f"{trajectory.name} has no orientations; remove rpy")
     drawings: dict[str, canvas.Drawing] = {}
     for kind in kinds:
         if kind in PLANES:
@@ -84,9 +84,10 @@ def _plane(
     colour_by: str | None,
     ground: GroundImage | None,
 ) -> Figure:
+    """Draw paths in a plane, in one colour per trajectory or coloured by a quantity."""
     across, up = ("xyz".index(axis) for axis in plane)
-    names = canvas.short_names([each.name for each in trajectories])
-    paths = [each.positions[:, (across, up)] for each in trajectories]
+    names = canvas.short_names([trajectory.name for trajectory in trajectories])
+    paths = [trajectory.positions[:, (across, up)] for trajectory in trajectories]
     truth = None if reference is None else reference.positions[:, (across, up)]
     panels = PlanePanels(
         [*paths, *([] if truth is None else [truth])],
@@ -98,10 +99,10 @@ def _plane(
         for axes in panels.panels:
             _draw_ground(axes, ground)
     if colour_by is None:
-        for place, (each, path) in enumerate(zip(trajectories, paths, strict=True)):
-            panels.draw_path(place, thinned(path, each.stamps, _GAP_S))
+        for place, (trajectory, path) in enumerate(zip(trajectories, paths, strict=True)):
+            panels.draw_path(place, thinned(path, trajectory.stamps, _GAP_S))
     else:
-        known = [_values(each, reference, colour_by) for each in trajectories]
+        known = [_values(trajectory, reference, colour_by) for trajectory in trajectories]
         largest = max(float(values.max()) for _, _, values in known)
         for place, (positions, stamps, values) in enumerate(known):
             panels.draw_coloured(
@@ -116,7 +117,7 @@ def _plane(
 def _values(
     trajectory: Trajectory, reference: Trajectory | None, colour_by: str
 ) -> tuple[Floats, Stamps, Floats]:
-    """Return positions (N, 3), stamps and what their colours are."""
+    """Return positions (N, 3), stamps (N,) and the values (N,) that determine the colours."""
     if colour_by == "speed":
         linear, _ = speeds(trajectory)
         return trajectory.positions[1:], trajectory.stamps[1:], linear
@@ -128,7 +129,7 @@ def _values(
 
 
 def _pieces(path: Floats, stamps: Stamps, values: Floats) -> tuple[Floats, Floats]:
-    """Return lines (M, 2, 2) between states, few, and the largest value along each."""
+    """Return at most `_MOST_COLOURED` segments (M, 2, 2) and the largest value along each (M,)."""
     every = max(1, -(-len(path) // _MOST_COLOURED))
     rows = np.unique([*range(0, len(path), every), len(path) - 1])
     if len(rows) < 2:
@@ -143,6 +144,7 @@ def _pieces(path: Floats, stamps: Stamps, values: Floats) -> tuple[Floats, Float
 
 
 def _draw_ground(axes: object, ground: GroundImage) -> None:
+    """Draw an image of the ground in the background, without a change of the limits."""
     from matplotlib.axes import Axes
     from matplotlib.transforms import Affine2D
 
@@ -165,14 +167,15 @@ def _draw_ground(axes: object, ground: GroundImage) -> None:
 
 
 def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> Figure:
+    """Draw paths in three dimensions."""
     figure = canvas.new_figure(_3D_IN * canvas.width_in())
     axes = figure.add_subplot(projection="3d")
-    for place, name, each in _lines(trajectories, reference):
-        rows = thinned(each.positions, each.stamps, _GAP_S)
+    for place, name, trajectory in _lines(trajectories, reference):
+        rows = thinned(trajectory.positions, trajectory.stamps, _GAP_S)
         axes.plot(*rows.T, **_look(place), label=name)
-    # Equal axes, with room for the labels around.
+    # Equal scales, with space for the labels.
     axes.autoscale_view(tight=True)
-    spans = [np.ptp(each) for each in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
+    spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
     axes.set_box_aspect(np.maximum(spans, 1e-3 * max(spans)), zoom=0.85)
     for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), spans, strict=True):
         axis.get_major_locator().set_params(nbins=6 if span > 0.3 * max(spans) else 2)
@@ -188,19 +191,20 @@ def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> 
 def _over_time(
     trajectories: Sequence[Trajectory], reference: Trajectory | None, kind: str
 ) -> Figure:
+    """Draw positions, angles or speeds over time."""
     lines = _lines(trajectories, reference)
-    origin = min(int(each.stamps.min()) for _, _, each in lines)
+    origin = min(int(trajectory.stamps.min()) for _, _, trajectory in lines)
     labels = {
         "xyz": ("x [m]", "y [m]", "z [m]"),
         "rpy": ("roll [deg]", "pitch [deg]", "yaw [deg]"),
         "speed": ("speed [m/s]", "turn rate [deg/s]"),
     }[kind]
-    if kind == "speed" and all(each.quaternions is None for _, _, each in lines):
+    if kind == "speed" and all(trajectory.quaternions is None for _, _, trajectory in lines):
         labels = labels[:1]
     figure = canvas.new_figure(_PANEL_IN * len(labels) + _REST_IN)
     panels = figure.subplots(len(labels), 1, sharex=True, squeeze=False).ravel()
-    for place, name, each in lines:
-        stamps, columns = _columns(each, kind)
+    for place, name, trajectory in lines:
+        stamps, columns = _columns(trajectory, kind)
         seconds = (stamps - origin) / NANOSECONDS
         rows = thinned(np.column_stack([seconds, columns]), stamps, _GAP_S)
         for axes, column in zip(panels, rows.T[1:], strict=False):
@@ -219,7 +223,7 @@ def _over_time(
 
 
 def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
-    """Return stamps (M,) and what is drawn at them (M, K)."""
+    """Return stamps (M,) and the values to draw (M, K)."""
     if kind == "xyz":
         return trajectory.stamps, trajectory.positions
     if kind == "speed":
@@ -228,20 +232,21 @@ def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
         return trajectory.stamps[1:], np.column_stack(columns)
     assert trajectory.quaternions is not None
     angles = euler_angles(trajectory.quaternions)[:, ::-1]
-    # No jump from 180 to -180 degrees.
+    # Unwrapped: no jump from 180 to -180 degrees.
     return trajectory.stamps, np.degrees(np.unwrap(angles, axis=0))
 
 
 def _lines(
     trajectories: Sequence[Trajectory], reference: Trajectory | None
 ) -> list[tuple[int, str, Trajectory]]:
-    """Return place, name and states of each line, the reference first."""
-    names = canvas.short_names([each.name for each in trajectories])
+    """Return position, name and states of every line, the reference first."""
+    names = canvas.short_names([trajectory.name for trajectory in trajectories])
     lines = list(zip(range(len(trajectories)), names, trajectories, strict=True))
     return lines if reference is None else [(_REFERENCE, "reference", reference), *lines]
 
 
 def _look(place: int) -> Mapping[str, object]:
+    """Return the line style of the trajectory at a position in the list."""
     if place == _REFERENCE:
         return {"color": canvas.truth_colour(), "linewidth": 1.6}
     colour, dashes = canvas.line_style(place)

@@ -1,4 +1,4 @@
-"""Figures of a comparison as SVG for a page, whose colours they take, light or dark."""
+"""Figures of a comparison as SVG, with the colours of the page, light or dark."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from trajeval_ros.report.comparison_plots import Box, BoxPlot, PathsPlot
 from trajeval_ros.report.svg_panel import LINE_PX, SvgPanel, shown, svg_of, text_width
 from trajeval_ros.report.ticks import common_offset, coordinate_label
 
-_DASHES = 4  # kinds of lines, which tell estimates of one colour apart
+_DASHES = 4  # line styles, for estimates of the same colour
 _WIDE, _NARROW = 480.0, 240.0
 _LEFT, _RIGHT, _TOP, _BELOW = 58.0, 6.0, 8.0, 38.0
 _BOXES_HIGH, _ERRORS_HIGH = 190.0, 130.0
 _BETWEEN = 14.0
-_FLATTEST, _TALLEST = 0.3, 0.9  # height of a path's panel, in widths
+_FLATTEST, _TALLEST = 0.3, 0.9  # height of a path's panel relative to its width
 _MARGIN = 0.04
-_MOST_LINES = 3  # in one panel, which can be told apart
+_MOST_LINES = 3  # in one panel
 _MOST_BOXES = 60  # in a row
 _SLANT = -30.0
-_LONGEST_NAME = 22  # below boxes
+_LONGEST_NAME = 22  # characters, below boxes
 _HEADROOM = 1.05
 
 
 def colour_of(place: int) -> str:
-    """Return the class of the colour of the estimate at that place in the list."""
+    """Return the CSS class of the colour of the estimate at a position in the list."""
     return f"s{place % len(palette.ESTIMATES)}"
 
 
 def kind_of(place: int) -> str:
-    """Return the classes of its lines where others are beside them: colour and dashes."""
+    """Return the CSS classes of its lines: colour and dashes."""
     dashes = place // len(palette.ESTIMATES) % _DASHES
     return colour_of(place) + (f" d{dashes}" if dashes else "")
 
 
 def box_svg(plot: BoxPlot) -> str:
-    """Draw a box for each algorithm in each group, in as many rows as it needs."""
-    boxes = [box for _, each in plot.series for box in each if box is not None]
+    """Draw one box per algorithm and group, in several rows if necessary."""
+    boxes = [box for _, in_groups in plot.series for box in in_groups if box is not None]
     tops = [box.high for box in boxes] + [max(box.points) for box in boxes if box.points]
-    highest = _HEADROOM * max([each for each in tops if np.isfinite(each)], default=0.0) or 1.0
+    highest = _HEADROOM * max([top for top in tops if np.isfinite(top)], default=0.0) or 1.0
     needed = -(-len(plot.groups) * len(plot.series) // _MOST_BOXES)
     in_row = -(-len(plot.groups) // needed)
     rows = range(0, len(plot.groups), in_row)
@@ -54,11 +54,11 @@ def box_svg(plot: BoxPlot) -> str:
 
 
 def _boxes(plot: BoxPlot, groups: range, in_row: int, highest: float) -> str:
-    """Draw some groups of boxes; rows of one figure have boxes as wide as each other's."""
+    """Draw one row of groups; boxes of all rows have equal widths."""
     wide = _WIDE - _LEFT - _RIGHT
     several_rows = len(plot.groups) > in_row
     count = in_row if several_rows else len(groups)
-    names = [_shortened(plot.groups[each]) for each in groups]
+    names = [_shortened(plot.groups[group]) for group in groups]
     slanted = max(map(text_width, names)) + 8.0 > wide / count
     below = 8.0 + LINE_PX
     if slanted:
@@ -87,16 +87,17 @@ def _boxes(plot: BoxPlot, groups: range, in_row: int, highest: float) -> str:
 
 
 def _draw_box(panel: SvgPanel, x: float, width: float, box: Box, kind: str) -> None:
+    """Draw a box and its dots; only a dot for a single value."""
     single = len(box.points) == 1
     if not single:
         panel.box(x, width, (box.low, box.first, box.median, box.third, box.high), kind)
-    # Side by side, so that equal trials are seen as several.
+    # Next to one another, so that equal trials are visible.
     beside = np.zeros(1) if single else np.linspace(-0.25, 0.25, len(box.points))
     panel.dots(x + width * beside, np.array(box.points), 3.0 if single else 1.7, kind)
 
 
 def paths_svg(plot: PathsPlot) -> str:
-    """Draw aligned paths over the groundtruth: in one panel, or in one each if they are many."""
+    """Draw aligned paths and groundtruth: in one panel, or in one panel per path if many."""
     names = dict(
         zip(plot.paths, canvas.short_names([name for name, _ in plot.paths.values()]), strict=True)
     )
@@ -117,15 +118,16 @@ def run_path_svg(place: int, up: UpAxis, truth: Floats, path: Floats) -> str:
     """Draw the path of one run over the groundtruth, from above.
 
     Args:
-        place: Of its algorithm.
-        up: Which axis of the groundtruth's frame points up.
-        truth: (M, 3), with height last.
+        place: Position of its algorithm, which determines the colour.
+        up: Up axis of the groundtruth's frame.
+        truth: (M, 3), metres, height last.
         path: (M, 3), aligned, likewise.
     """
     return _map(up, truth, {kind_of(place): path[:, :2]}, _WIDE)
 
 
 def _map(up: UpAxis, truth: Floats, paths: dict[str, Floats], figure_wide: float) -> str:
+    """Draw paths (M, 2) by CSS class and the groundtruth in a panel with equal scales."""
     everything = np.concatenate([truth[:, :2], *paths.values()])
     low, high = np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)
     extent = np.maximum(high - low, 1e-3)
@@ -154,7 +156,7 @@ def run_errors_svg(place: int, errors: Floats) -> str:
     """Draw the errors of one run over time.
 
     Args:
-        place: Of its algorithm.
+        place: Position of its algorithm, which determines the colour.
         errors: (M, 3): time (s), position (m), rotation (deg, NaN where withheld).
     """
     rows = [(1, "position [m]"), (2, "rotation [deg]")]
@@ -178,10 +180,12 @@ def run_errors_svg(place: int, errors: Floats) -> str:
 
 
 def _legend(names: Iterable[tuple[int, str]], *, with_truth: bool = False) -> str:
+    """Return the legend of estimates by position as HTML."""
     keys = ['<span class="key truth">groundtruth</span>'] if with_truth else []
     keys += [f'<span class="key {kind_of(place)}">{shown(name)}</span>' for place, name in names]
     return f'<p class="legend">{" ".join(keys)}</p>'
 
 
 def _shortened(name: str) -> str:
+    """Return a name that fits below a box; long names are cut at the start."""
     return name if len(name) <= _LONGEST_NAME else f"…{name[1 - _LONGEST_NAME :]}"

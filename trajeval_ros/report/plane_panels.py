@@ -1,4 +1,4 @@
-"""Paths in a plane with equal axes: all in one panel, or a panel each where they are many."""
+"""Paths in a plane with equal scales: in one panel, or in one panel per path if many."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 _MARGIN = 0.04
 _NARROWEST_IN = 1.7
-_FLATTEST, _TALLEST = 0.22, 1.2  # height of a panel, in widths
+_FLATTEST, _TALLEST = 0.22, 1.2  # height of a panel relative to its width
 _BESIDE_IN, _BELOW_IN, _NAME_IN = 0.6, 0.45, 0.25
 
 
 class PlanePanels:
-    """A figure of paths, whose panels have the shape of what is in them."""
+    """A figure of paths; the shape of its panels follows from the extent of the data."""
 
     def __init__(
         self,
@@ -31,19 +31,18 @@ class PlanePanels:
         *,
         is_split: bool | None = None,
     ) -> None:
-        """Make the paper.
+        """Create the figure and its panels.
 
         Args:
-            everything: All that is to be in sight, each (N, 2), metres.
-            names: Of the paths by their places, which decide their colours; each has a panel of
-                its own where they are many.
-            title: Of the figure.
-            is_split: Whether each has a panel of its own; None to decide it by their number.
+            everything: All points (N, 2) that the panels must show, metres.
+            names: Names of the paths by position in the list, which determines their colours.
+            title: Title of the figure.
+            is_split: Whether every path has its own panel; None to decide by their number.
         """
         self._names = names
         self._split = canvas.is_crowded(len(names)) if is_split is None else is_split
-        low = np.min([np.nanmin(each, axis=0) for each in everything], axis=0)
-        high = np.max([np.nanmax(each, axis=0) for each in everything], axis=0)
+        low = np.min([np.nanmin(points, axis=0) for points in everything], axis=0)
+        high = np.max([np.nanmax(points, axis=0) for points in everything], axis=0)
         extent = np.maximum(high - low, 1e-3)
         self._columns = columns = (
             canvas.columns_of_panels(len(names), _NARROWEST_IN) if self._split else 1
@@ -52,7 +51,7 @@ class PlanePanels:
         self._wide_in = wide_in = (canvas.width_in() - _BESIDE_IN) / columns
         shape = float(np.clip(extent[1] / extent[0], _FLATTEST, _TALLEST))
         high_in = wide_in * shape + (_NAME_IN if self._split else 0.0)
-        # The row above a last one that isn't full is labelled, too.
+        # If the last row is not full, the row above it has labels, too.
         labelled = 1 if not self._split or len(names) % columns == 0 else 2
         self.figure: Figure = canvas.new_figure(rows * high_in + labelled * _BELOW_IN, title)
         self.figure.set_layout_engine("compressed")
@@ -62,7 +61,7 @@ class PlanePanels:
         for axes in self._all[len(self._shown) :]:
             axes.set_visible(False)
         centre = (low + high) / 2.0
-        # Of the panels' shape, so that equal axes leave no empty paper.
+        # In the panels' shape, so that equal scales leave no empty space.
         size = np.array([1.0, shape])
         half = (0.5 + _MARGIN) * float((extent / size).max()) * size
         for axes in self._shown:
@@ -71,16 +70,16 @@ class PlanePanels:
             axes.set_aspect("equal")
 
     def of(self, place: int) -> Axes:
-        """Return the panel of the path at that place."""
+        """Return the panel of the path at a position in the list."""
         return self._shown[list(self._names).index(place) if self._split else 0]
 
     @property
     def panels(self) -> list[Axes]:
-        """All panels that are seen."""
+        """All visible panels."""
         return self._shown
 
     def draw_path(self, place: int, path: Floats) -> None:
-        """Draw a path (N, 2) in the style of its place."""
+        """Draw a path (N, 2) in the style of its position."""
         axes, name = self.of(place), self._names[place]
         colour, dashes = canvas.line_style(place)
         if self._split:
@@ -92,12 +91,12 @@ class PlanePanels:
         axes.plot(*path[-1:].T, color=colour, linestyle="none", marker="s", markersize=3)
 
     def draw_coloured(self, place: int, pieces: tuple[Floats, Floats], largest: float) -> None:
-        """Draw lines (M, 2, 2) coloured by values (M,) on the ramp from 0 to the largest."""
+        """Draw segments (M, 2, 2) coloured by values (M,) from 0 to `largest`."""
         from matplotlib.collections import LineCollection
 
         axes, (lines, values) = self.of(place), pieces
         axes.set_title(canvas.wrapped(self._names[place], self._wide_in))
-        # Its bright end can't be seen on white without an outline.
+        # The outline makes bright colours visible on white.
         outline = LineCollection(
             list(lines), linewidths=2.8, colors=canvas.soft_ink(), capstyle="round", zorder=2.4
         )
@@ -108,7 +107,7 @@ class PlanePanels:
         axes.add_collection(coloured, autolim=False)
 
     def add_ramp(self, label: str) -> None:
-        """State what the colours of paths mean."""
+        """Add the colour bar of coloured paths."""
         coloured = self._shown[0].collections[-1]
         self.figure.colorbar(coloured, ax=self._all, label=label, aspect=30, pad=0.02)
 
@@ -119,13 +118,13 @@ class PlanePanels:
         axis_names: tuple[str, str],
         truth_name: str = "groundtruth",
     ) -> Figure:
-        """Draw what all panels share, name the axes, and return the figure.
+        """Draw groundtruth and marks in all panels, label the axes, and return the figure.
 
         Args:
-            truth: The groundtruth (N, 2); None where there is none.
-            between: (M, 2) of which the first and the last row are marked; None for no mark.
-            axis_names: Of the plane.
-            truth_name: What the groundtruth is called.
+            truth: The groundtruth (N, 2); None for none.
+            between: (M, 2), whose first and last row are marked; None for no marks.
+            axis_names: Names of the plane's axes.
+            truth_name: Name of the groundtruth in the legend.
         """
         for place, axes in enumerate(self._shown):
             if truth is not None:
@@ -139,13 +138,13 @@ class PlanePanels:
                 canvas.label_coordinates(axis, name)
             across = axes.get_xlabel()
             axes.label_outer()
-            if place + self._columns >= len(self._shown):  # nothing stands below it
+            if place + self._columns >= len(self._shown):  # the lowest panel of its column
                 axes.tick_params(labelbottom=True)
                 axes.set_xlabel(across)
         handles, labels = self._shown[0].get_legend_handles_labels()
-        # Who stands for the groundtruth comes first.
-        order = sorted(range(len(labels)), key=lambda each: labels[each] != truth_name)
+        # The groundtruth comes first.
+        order = sorted(range(len(labels)), key=lambda row: labels[row] != truth_name)
         canvas.legend_below(
-            self.figure, [handles[each] for each in order], [labels[each] for each in order]
+            self.figure, [handles[row] for row in order], [labels[row] for row in order]
         )
         return self.figure

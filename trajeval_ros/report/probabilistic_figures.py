@@ -1,4 +1,4 @@
-"""Groundtruth between its samples, and likelihood along the way: Fig. 3 of the paper."""
+"""Uncertainty of the groundtruth between samples, and likelihoods over time: Fig. 3."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _SIGMAS = 2.0
-# Bands show around the longest gap; over minutes they would be lines.
+# Time around the longest gap; over minutes the bands are too narrow to see.
 _SHOWN_S = 20.0
 _QUERIES = 2000
 _LABELS = ("x [m]", "y [m]", "z [m]")
@@ -37,10 +37,10 @@ def write_probabilistic(
     """Write `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`.
 
     Args:
-        assessments: One for each estimate, against the same groundtruth.
+        assessments: One per estimate, against the same groundtruth.
         folder: Existing folder; figures of the same names are replaced.
-        names: What legends call the estimates.
-        style: Formats and look.
+        names: Names of the estimates in legends.
+        style: Formats and style.
 
     Returns:
         The files that were written.
@@ -50,13 +50,13 @@ def write_probabilistic(
         "groundtruth_uncertainty": partial(groundtruth_between_samples, assessments[0]),
         "mahalanobis": partial(mahalanobis_over_time, assessments, legend),
     }
-    if any(each.edges is not None for each in assessments):
+    if any(assessment.edges is not None for assessment in assessments):
         drawings["likelihood_by_edge"] = partial(likelihood_by_edge, assessments, legend)
     return canvas.save_all(drawings, folder, style)
 
 
 def groundtruth_between_samples(assessment: Assessment) -> Figure:
-    """Draw positions with +-2 sigma about the longest gap between samples."""
+    """Draw positions with +-2 sigma around the longest gap between samples."""
     continuous = assessment.continuous
     samples = continuous.samples
     longest = int(np.argmax(np.diff(samples.times)))
@@ -94,16 +94,16 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
 
 
 def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
-    """Draw the squared Mahalanobis distance of each aligned pose, by its degrees of freedom."""
+    """Draw the squared Mahalanobis distance of every aligned pose per degree of freedom."""
     figure = canvas.new_figure(2.7, "1: error as expected from the groundtruth's uncertainty")
     axes = figure.subplots()
     origin = assessments[0].continuous.samples.origin
-    for place, (each, name) in enumerate(zip(assessments, names, strict=True)):
-        values = each.error.mahalanobis2 / each.error.residuals.axes
+    for place, (assessment, name) in enumerate(zip(assessments, names, strict=True)):
+        values = assessment.error.mahalanobis2 / assessment.error.residuals.axes
         colour, dashes = canvas.line_style(place)
-        label = f"{name}, chi2/dof {each.error.chi2_per_dof:.3g}"
-        columns = np.stack([(each.stamps - origin) / NANOSECONDS, values], axis=1)
-        rows = thinned(columns, each.stamps, np.inf)
+        label = f"{name}, chi2/dof {assessment.error.chi2_per_dof:.3g}"
+        columns = np.stack([(assessment.stamps - origin) / NANOSECONDS, values], axis=1)
+        rows = thinned(columns, assessment.stamps, np.inf)
         axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
     axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
     axes.set_yscale("log")
@@ -115,17 +115,17 @@ def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str
 
 
 def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
-    """Draw where along the way likelihood is lost: minus the log density of each edge."""
+    """Draw minus the log density of every edge, given the previous edges, over time."""
     figure = canvas.new_figure(2.7, "Likelihood by edge, given all previous edges")
     axes = figure.subplots()
     origin = assessments[0].continuous.samples.origin
-    for place, (each, name) in enumerate(zip(assessments, names, strict=True)):
-        if each.edges is None:
+    for place, (assessment, name) in enumerate(zip(assessments, names, strict=True)):
+        if assessment.edges is None:
             continue
         colour, dashes = canvas.line_style(place)
-        times = (each.stamps[1:] - origin) / NANOSECONDS
-        columns = np.stack([times, -each.edges.edges], axis=1)
-        rows = thinned(columns, each.stamps[1:], np.inf)
+        times = (assessment.stamps[1:] - origin) / NANOSECONDS
+        columns = np.stack([times, -assessment.edges.edges], axis=1)
+        rows = thinned(columns, assessment.stamps[1:], np.inf)
         axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=name)
     axes.set_yscale("symlog", linthresh=10.0)
     axes.yaxis.set_major_formatter("{x:g}")

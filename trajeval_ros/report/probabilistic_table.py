@@ -1,4 +1,4 @@
-"""Likelihoods and the ATE against uncertain groundtruth, for a terminal or a pipe."""
+"""Tables of likelihoods and of the ATE against uncertain groundtruth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NUMBERS = (
 
 
 def probabilistic_table(assessments: Mapping[str, Assessment]) -> Table:
-    """Return a row for each estimate, by name."""
+    """Return a row per estimate."""
     first = next(iter(assessments.values()))
     noise = first.continuous.samples.noise
     rivals = ["log Bayes factor, best competitor"] if len(assessments) > 1 else []
@@ -37,29 +37,30 @@ def probabilistic_table(assessments: Mapping[str, Assessment]) -> Table:
         ["estimate"],
         [*_NUMBERS, *rivals],
     )
-    for name, each in assessments.items():
-        against = [_against_rivals(each)] if rivals else []
-        add_rows(table, [[name, *_cells(each), *against]])
+    for name, assessment in assessments.items():
+        against = [_against_rivals(assessment)] if rivals else []
+        add_rows(table, [[name, *_cells(assessment), *against]])
     return table
 
 
 def probabilistic_lines(assessments: Mapping[str, Assessment]) -> list[str]:
-    """Return what a reader must know: what all estimates share once, the rest by name."""
-    told = [dict.fromkeys(each.statements) for each in assessments.values()]
-    shared = [line for line in told[0] if all(line in each for each in told)]
+    """Return the remarks that all estimates share once, then the others with names."""
+    remarks = [dict.fromkeys(assessment.statements) for assessment in assessments.values()]
+    shared = [line for line in remarks[0] if all(line in own for own in remarks)]
     lines = [f"  {line}" for line in shared]
-    for name, statements in zip(assessments, told, strict=True):
-        lines += [f"  {name}: {line}" for line in statements if line not in shared]
+    for name, own in zip(assessments, remarks, strict=True):
+        lines += [f"  {name}: {line}" for line in own if line not in shared]
     return lines
 
 
 def _cells(assessment: Assessment) -> list[str]:
+    """Return the numbers of an estimate as texts."""
     ate, scores = assessment.ate, assessment.gauge_scores
     interval = NOTHING
     if ate.interval_m is not None:
         interval = " to ".join(map(four_digits, ate.interval_m))
     scale = tilt = NOTHING
-    # What the sensors don't observe is no error: frames may be tilted, and a camera has no scale.
+    # Unobservable quantities are no errors: frames can be tilted, and a camera has no scale.
     gauge = assessment.error.residuals.gauge
     if scores is not None and scores.scale is not None and gauge is not Gauge.SIM3:
         scale = f"{scores.scale.z[0]:+.1f}"
@@ -78,6 +79,7 @@ def _cells(assessment: Assessment) -> list[str]:
 
 
 def _against_rivals(assessment: Assessment) -> str:
+    """Return the log Bayes factor against the best competitor."""
     if not assessment.log_bayes:
         return NOTHING
     return f"{min(assessment.log_bayes.values()):+.1f}"

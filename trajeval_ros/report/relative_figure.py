@@ -1,4 +1,4 @@
-"""The relative error by length of sub-trajectory, as box plots: Fig. 8 of the tutorial."""
+"""Relative errors by length of the sub-trajectories, as box plots: Fig. 8 of the tutorial."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _METRICS = {
 
 
 def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw the distribution of position and rotation error over each length."""
+    """Draw the distributions of position and rotation errors for every length."""
     lengths = evaluations[0].protocol.lengths
     in_metres = all(length.in_metres for length in lengths)
     metrics = [metric for metric in _METRICS if in_metres or metric != "position_percent"]
     title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
-    everything = [segments for each in evaluations for segments in each.segments or ()]
+    everything = [segments for e in evaluations for segments in e.segments or ()]
     if not any(segments.count for segments in everything):
         figure = canvas.new_figure(0.9, title)
         canvas.say_instead(figure.subplots(), _why_nothing(evaluations))
@@ -70,6 +70,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
 def _draw_boxes(
     axes: Axes, all_segments: Sequence[SubTrajectoryErrors], metric: str, place: int, of: int
 ) -> None:
+    """Draw the boxes of one estimate, the `place`-th of `of` estimates."""
     colour, dashes = canvas.line_style(place)
     width = 0.8 / of
     shift = width * (place - (of - 1) / 2.0)
@@ -89,9 +90,9 @@ def _draw_boxes(
 
 
 def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
-    """Write below each length how many sub-trajectories there are; of many estimates the range."""
+    """Write the number of sub-trajectories below every length; of many estimates its range."""
     for group in range(len(evaluations[0].protocol.lengths)):
-        counts = [each.segments[group].count if each.segments else 0 for each in evaluations]
+        counts = [e.segments[group].count if e.segments else 0 for e in evaluations]
         colours = [canvas.line_style(place)[0] for place in range(len(counts))]
         texts = [str(count) for count in counts]
         if len(set(counts)) == 1 or len(counts) > _MOST_COUNT_ROWS:
@@ -113,6 +114,7 @@ def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
 
 
 def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats | None:
+    """Return the errors (K,) of a metric; None if not available."""
     if metric == "position_percent":
         assert segments.length_m is not None
         return position_percent(segments.errors.position_m, segments.length_m)
@@ -121,6 +123,7 @@ def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats | None:
 
 
 def _label_lengths(axes: Axes, lengths: Sequence[Length], count_rows: int) -> None:
+    """Label the x axis with the lengths, below the counts."""
     units = {length.unit for length in lengths}
     same = len(units) == 1
     axes.set_xticks(
@@ -136,6 +139,7 @@ def _label_lengths(axes: Axes, lengths: Sequence[Length], count_rows: int) -> No
 
 
 def _add_legend(figure: Figure, names: Sequence[str]) -> None:
+    """Add a legend with the box style of every estimate."""
     from matplotlib.patches import Patch
 
     patches = []
@@ -146,9 +150,10 @@ def _add_legend(figure: Figure, names: Sequence[str]) -> None:
 
 
 def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
-    if all(each.segments is None for each in evaluations):
-        reasons = dict.fromkeys(positions_only(each) for each in evaluations)
+    """Return why there are no relative errors."""
+    if all(e.segments is None for e in evaluations):
+        reasons = dict.fromkeys(map(positions_only, evaluations))
         return f"Withheld: {'; '.join(reasons)}."
-    longest = max(each.association.groundtruth.path_length_m for each in evaluations)
+    longest = max(e.association.groundtruth.path_length_m for e in evaluations)
     lengths = ", ".join(str(length) for length in evaluations[0].protocol.lengths)
     return f"No sub-trajectories of {lengths}: the paired path is {longest:.1f} m long."

@@ -26,18 +26,18 @@ def write_stanford(
     """Write `stanford` to an existing folder.
 
     Args:
-        integrity: Of an estimate.
-        folder: Where.
-        name: What the figure calls the estimate.
-        suffix: Added to the file's name, to tell several estimates apart.
-        style: Formats and look.
+        integrity: Integrity of an estimate.
+        folder: The folder.
+        name: Name of the estimate in the figure.
+        suffix: Suffix of the file name, to distinguish estimates.
+        style: Formats and style.
     """
     (short,) = canvas.short_names([name])
     canvas.save_all({f"stanford{suffix}": lambda: stanford(integrity, short)}, folder, style)
 
 
 def stanford(integrity: Integrity, name: str) -> Figure:
-    """Draw a panel for each part of the pose."""
+    """Draw one panel per part of the pose."""
     count = len(integrity.parts)
     exact = "upper bounds" if integrity.exactness == "bound" else integrity.exactness
     title = f"{name}: integrity at risk {integrity.risk:g}, levels {exact}"
@@ -50,7 +50,8 @@ def stanford(integrity: Integrity, name: str) -> Figure:
 
 
 def _draw(axes: Axes, part: PartIntegrity) -> None:
-    # So that every area has room for its share, beside whatever the errors need.
+    """Draw the density of errors and levels, the alert limit, and the shares of the areas."""
+    # The limits leave space for the text of every area.
     limit = part.alert_limit
     positive = np.concatenate([part.errors, part.levels])
     positive = positive[positive > 0.0]

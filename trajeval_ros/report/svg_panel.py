@@ -1,7 +1,7 @@
-"""A plot's axes as SVG: numbers, lines, boxes and dots, in the classes of a page's style sheet.
+"""Axes of plots as SVG: numbers, lines, boxes and dots with the CSS classes of a page.
 
-A comparison has hundreds of plots: this takes a hundredth of the time that matplotlib does, and
-a tenth of its bytes. `report/templates/style.css.j2` has the classes.
+A comparison can have hundreds of plots. SVG takes a hundredth of matplotlib's time and a tenth of
+the size. The classes are in `report/templates/style.css.j2`.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report.ticks import tick_labels, tick_places
 
-LETTER_PX, LINE_PX = 6.4, 15.0  # of text as the style sheet has it
+LETTER_PX, LINE_PX = 6.4, 15.0  # size of text in the style sheet
 _TICK_PX, _NAME_PX = 16.0, 15.0
-_PER_TICK_PX = (46.0, 30.0)  # at least, across and up
-_CELL_PX = 1.0  # steps of a line within it are not drawn
-_COLUMN_PX = 2.0  # of a line over time, its extremes are drawn
-_TENTHS = 10.0  # lines are in tenths of pixels, as integers
+_PER_TICK_PX = (46.0, 30.0)  # least distance of ticks in x and y
+_CELL_PX = 1.0  # motion of a line within a cell of this size is not drawn
+_COLUMN_PX = 2.0  # width of a column in which a line over time is drawn by its extremes
+_TENTHS = 10.0  # coordinates of lines are integers in tenths of pixels
 
 
 class SvgPanel:
-    """Axes at a place in a figure; sizes are pixels, y grows downwards."""
+    """Axes in a figure; sizes are in pixels, y increases downwards."""
 
     def __init__(
         self,
@@ -35,13 +35,13 @@ class SvgPanel:
         x_limits: tuple[float, float],
         y_limits: tuple[float, float],
     ) -> None:
-        """Make axes without anything in them.
+        """Create empty axes.
 
         Args:
-            corner: The upper left one.
+            corner: The upper left corner.
             size: Width and height.
-            x_limits: The values at the left and the right edge, which differ.
-            y_limits: Likewise of the lower and the upper edge.
+            x_limits: Values at the left and the right edge, which differ.
+            y_limits: Values at the lower and the upper edge, which differ.
         """
         self.left, self.top = corner
         self.wide, self.high = size
@@ -49,18 +49,18 @@ class SvgPanel:
         self.parts: list[str] = []
 
     def x(self, values: Floats | float) -> Floats:
-        """Return where values are, across."""
+        """Return the x coordinates of values."""
         low, high = self._x_limits
         return self.left + (np.asarray(values) - low) * (self.wide / (high - low))
 
     def y(self, values: Floats | float) -> Floats:
-        """Return where values are, from above."""
+        """Return the y coordinates of values."""
         low, high = self._y_limits
         return self.top + self.high - (np.asarray(values) - low) * (self.high / (high - low))
 
     def number_x(self, label: str, offset: float = 0.0, *, has_numbers: bool = True) -> None:
-        """Draw the grid of the x axis, its numbers less an offset, and its name."""
-        low, high = (each - offset for each in self._x_limits)
+        """Draw grid and numbers of the x axis, with an offset subtracted, and its label."""
+        low, high = (limit - offset for limit in self._x_limits)
         ticks = tick_places(low, high, max(3, int(self.wide / _PER_TICK_PX[0])))
         places = self.x(np.array(ticks) + offset).tolist()
         self._grid(f"M{place:.1f} {self.top:.1f}v{self.high:.1f}" for place in places)
@@ -72,12 +72,12 @@ class SvgPanel:
             self.name_x(label, _TICK_PX + _NAME_PX)
 
     def name_x(self, label: str, below: float) -> None:
-        """Name the x axis, so far below the panel."""
+        """Label the x axis at a distance below the panel."""
         self.write(label, self.left + self.wide / 2.0, self.top + self.high + below, "m")
 
     def number_y(self, label: str, offset: float = 0.0) -> None:
-        """Draw the same of the y axis."""
-        low, high = (each - offset for each in self._y_limits)
+        """Draw grid, numbers and label of the y axis, as `number_x`."""
+        low, high = (limit - offset for limit in self._y_limits)
         ticks = tick_places(low, high, max(3, int(self.high / _PER_TICK_PX[1])))
         places = self.y(np.array(ticks) + offset).tolist()
         self._grid(f"M{self.left:.1f} {place:.1f}h{self.wide:.1f}" for place in places)
@@ -90,7 +90,7 @@ class SvgPanel:
         )
 
     def write(self, text: str, x: float, y: float, kind: str, slant: float = 0.0) -> None:
-        """Write a text: `kind` is m for its middle, e for its end at the place."""
+        """Write a text; `kind` is m to centre it at the place, e to end it there."""
         if slant:
             place = f'transform="translate({x:.1f} {y:.1f}) rotate({slant:g})"'
         else:
@@ -98,23 +98,23 @@ class SvgPanel:
         self.parts.append(f'<text class="{kind}" {place}>{shown(text)}</text>')
 
     def line(self, points: Floats, kind: str, *, over_time: bool = False) -> None:
-        """Draw a line (N, 2), interrupted by rows of NaN, as thin as can be seen.
+        """Draw a line (N, 2), interrupted by rows of NaN, without invisible details.
 
         Args:
             points: Values.
-            kind: Classes of the style sheet.
-            over_time: Whether x never decreases, so that the extremes of y of each column say all.
+            kind: CSS classes.
+            over_time: Whether x never decreases; then only the extremes of every column are drawn.
         """
         at = np.column_stack([self.x(points[:, 0]), self.y(points[:, 1])])
         breaks = np.flatnonzero(~np.isfinite(at).all(axis=1))
-        pieces = [each[np.isfinite(each).all(axis=1)] for each in np.split(at, breaks)]
+        pieces = [piece[np.isfinite(piece).all(axis=1)] for piece in np.split(at, breaks)]
         thin = _extremes if over_time else _moving
         path = "".join(_path(piece[thin(piece)]) for piece in pieces if len(piece))
         if path:
             self.parts.append(f'<path class="c {kind}" transform="scale(.1)" d="{path}"/>')
 
     def box(self, x: float, width: float, five: Sequence[float], kind: str) -> None:
-        """Draw a box around a place, with whiskers and a line at the middle of five values."""
+        """Draw a box with whiskers from five values: low, quartiles and median, high."""
         low, first, middle, third, high = self.y(np.array(five)).tolist()
         left, at, right = self.x(np.array([x - width / 2.0, x, x + width / 2.0])).tolist()
         cap = (right - left) / 4.0
@@ -127,12 +127,12 @@ class SvgPanel:
         )
 
     def dots(self, xs: Floats, ys: Floats, radius: float, kind: str) -> None:
-        """Draw dots (N,)."""
+        """Draw dots (N,) of a radius in pixels."""
         for x, y in zip(self.x(xs).tolist(), self.y(ys).tolist(), strict=True):
             self.parts.append(f'<circle class="p {kind}" cx="{x:.1f}" cy="{y:.1f}" r="{radius}"/>')
 
     def mark_ends(self, path: Floats) -> None:
-        """Mark where a path (N, 2) starts, by a circle, and where it ends, by a square."""
+        """Mark the start of a path (N, 2) by a circle and its end by a square."""
         known = path[np.isfinite(path).all(axis=1)]
         (x0, x1), (y0, y1) = self.x(known[[0, -1], 0]).tolist(), self.y(known[[0, -1], 1]).tolist()
         self.parts.append(
@@ -141,16 +141,17 @@ class SvgPanel:
         )
 
     def _grid(self, lines: Iterable[str]) -> None:
+        """Draw grid lines."""
         self.parts.append(f'<path class="g" d="{"".join(lines)}"/>')
 
 
 def svg_of(panels: Sequence[SvgPanel], size: tuple[float, float], label: str) -> str:
-    """Return a figure as an element of a page.
+    """Return a figure as an HTML element.
 
     Args:
-        panels: All that is in it.
-        size: Its width and height, pixels.
-        label: What it shows, for who can't see it.
+        panels: The panels of the figure.
+        size: Width and height, pixels.
+        label: Description for screen readers.
     """
     wide, high = size
     inside = "".join(part for panel in panels for part in panel.parts)
@@ -161,34 +162,34 @@ def svg_of(panels: Sequence[SvgPanel], size: tuple[float, float], label: str) ->
 
 
 def shown(text: str) -> str:
-    """Return foreign text as a page shows it."""
+    """Return foreign text on one line, escaped for HTML."""
     return escape(one_line(text))
 
 
 def text_width(text: str) -> float:
-    """Return about how wide a text is, pixels."""
+    """Return the approximate width of a text, pixels."""
     return LETTER_PX * sum(2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
 
 
 def _moving(at: Floats) -> NDArray[np.intp]:
-    """Return the rows of a line (N, 2) at which it enters another cell."""
+    """Return the rows of a line (N, 2) at which it enters another cell, and the last row."""
     cells = np.floor(at / _CELL_PX)
     moves = (cells[1:] != cells[:-1]).any(axis=1)
     return np.flatnonzero(np.concatenate([[True], moves]) | (np.arange(len(at)) == len(at) - 1))
 
 
 def _extremes(at: Floats) -> NDArray[np.intp]:
-    """Return the rows of a line (N, 2) with the least and the largest y of each column."""
+    """Return the rows of a line (N, 2) with the extremes of y in every column, and the ends."""
     columns = np.floor(at[:, 0] / _COLUMN_PX)
     order = np.lexsort((at[:, 1], columns))
     first = np.flatnonzero(np.diff(columns, prepend=np.nan) != 0.0)
     last = np.append(first[1:], len(at)) - 1
-    # Columns are in order, so that the sorted rows of one are where its rows were.
+    # Columns increase along the line, so that a column's sorted rows are contiguous.
     return np.unique(np.concatenate([order[first], order[last], [0, len(at) - 1]]))
 
 
 def _path(at: Floats) -> str:
-    """Return the steps of a line (N, 2), relative ones, which are few bytes."""
+    """Return a line (N, 2) as SVG path with relative steps, which need few bytes."""
     points = np.rint(at * _TENTHS).astype(np.int64)
     steps = " ".join(map(str, np.diff(points, axis=0).ravel().tolist()))
     x, y = points[0].tolist()

@@ -1,4 +1,4 @@
-"""The verdict lines and the tables of an evaluation, as text."""
+"""The result lines and the tables of an evaluation, as text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
-# Terminals that are narrower do without some columns; the results on disk have them all.
+# In narrower terminals some columns are omitted; the files on disk have all.
 _WIDTH_FOR_MEDIANS = 140
 _WIDTH_FOR_ALL = 110
 _PARTS = ("horizontal_m", "vertical_m")
@@ -80,7 +80,7 @@ RE_FORMS = {
 
 
 def verdict(evaluation: Evaluation) -> list[str]:
-    """Return the verdict lines: errors, definitions and coverage."""
+    """Return the result lines: errors, definitions and coverage."""
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
@@ -110,7 +110,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
 
 
 def own_error_line(own: OwnError) -> str:
-    """Return what can be claimed of an estimate's own error by noisy fixes."""
+    """Return the line about an estimate's own error, without the noise of fixes."""
     worth = (
         f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {own.effective_fixes:.2g} "
         "independent fixes"
@@ -136,7 +136,7 @@ def own_error_line(own: OwnError) -> str:
 
 
 def _covered(evaluation: Evaluation) -> str:
-    """State over how much of both sides the errors are."""
+    """Return the coverage of both sides as text."""
     pairs = evaluation.association
     if pairs.estimate_coverage is None:
         return completeness_in_words(evaluation)
@@ -149,13 +149,14 @@ def _covered(evaluation: Evaluation) -> str:
 
 
 def _up(groundtruth: UpAxis, estimate: UpAxis) -> list[str]:
-    """State which axes are up, unless nobody says other than z."""
+    """Return a line about the up axes, unless both are assumed."""
     if {groundtruth.origin, estimate.origin} == {ASSUMED}:
         return []
     return [f"  vertical axes: groundtruth {groundtruth}, estimate {estimate}"]
 
 
 def _score(evaluation: Evaluation) -> list[str]:
+    """Return lines about recall and score, if the protocol has them."""
     score, recall = evaluation.score, evaluation.recall
     lines = []
     if recall is not None:
@@ -179,7 +180,7 @@ def _score(evaluation: Evaluation) -> list[str]:
 
 
 def _drift(evaluation: Evaluation) -> str:
-    """Return the drift over the longest sub-trajectories that there are, in words."""
+    """Return the drift over the longest sub-trajectories as text."""
     drift = evaluation.drift
     if drift is None:
         return ""
@@ -187,13 +188,14 @@ def _drift(evaluation: Evaluation) -> str:
 
 
 def _dropped(evaluation: Evaluation) -> str:
+    """Return the numbers of dropped states by reason as text."""
     dropped = evaluation.association.dropped
     return f"; dropped: {reasons(dropped)}" if dropped else ""
 
 
 def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
-    shown = [each for each in STATISTICS if _fits(each, width)]
+    shown = [statistic for statistic in STATISTICS if _fits(statistic, width)]
     form = evaluations[0].protocol.ate_form
     title = f"Absolute trajectory error, {form} form"
     table = new_table(title, ["estimate", "error"], [*shown, "pairs"])
@@ -202,19 +204,19 @@ def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
         for metric, label in ABSOLUTE.items():
             statistics = evaluation.ate.get(metric)
             if statistics is not None and (metric not in _PARTS or _are_apart(evaluation)):
-                numbers = [four_digits(getattr(statistics, each)) for each in shown]
+                numbers = [four_digits(getattr(statistics, column)) for column in shown]
                 add_rows(table, [[name, label, *numbers, str(statistics.count)]])
                 name = ""
     return table
 
 
 def _are_apart(evaluation: Evaluation) -> bool:
-    """Return whether level and vertical errors are worth a row: where they differ in quality."""
+    """Return whether horizontal and vertical errors have rows: for fixes and points."""
     return evaluation.groundtruth.kind != "poses"
 
 
 def states_table(runs: Sequence[RunOutcome]) -> Table | None:
-    """Return the rmse ATE by the number of aligned states; None unless it was asked for."""
+    """Return the RMSE by the number of aligned states; None if it is not configured."""
     if not any(run.by_states for run in runs):
         return None
     table = new_table(
@@ -225,7 +227,7 @@ def states_table(runs: Sequence[RunOutcome]) -> Table | None:
     for run in runs:
         name = run.estimate.name
         for row in run.by_states:
-            errors = [_rmse(each) for each in (row.position_m, row.rotation_deg)]
+            errors = [_rmse(statistics) for statistics in (row.position_m, row.rotation_deg)]
             used = NOTHING if row.states_used is None else str(row.states_used)
             add_rows(table, [[name, row.states, *errors, used]])
             name = ""
@@ -233,7 +235,7 @@ def states_table(runs: Sequence[RunOutcome]) -> Table | None:
 
 
 def states_remarks(runs: Sequence[RunOutcome]) -> list[str]:
-    """Return why rows of `states_table` lack numbers, a line each."""
+    """Return the reasons for missing numbers in `states_table`, one per line."""
     return [
         f"{run.estimate.name}: aligned by {row.states}: {row.reason}"
         for run in runs
@@ -243,20 +245,21 @@ def states_remarks(runs: Sequence[RunOutcome]) -> list[str]:
 
 
 def _rmse(statistics: Statistics | None) -> str:
+    """Return the RMSE as text."""
     return NOTHING if statistics is None else four_digits(statistics.rmse)
 
 
 def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    Means and, where the width allows it, medians beside them: a few bad sub-trajectories rule the
-    mean.
+    It has means and, if the width allows it, medians: a few bad sub-trajectories dominate the
+        mean.
     """
     metrics = [
         metric
         for metric in RELATIVE
         if _fits(metric, width)
-        and any(each.statistics.get(metric) for e in evaluations for each in e.segments or ())
+        and any(part.statistics.get(metric) for e in evaluations for part in e.segments or ())
     ]
     if not metrics:
         return None
@@ -280,17 +283,19 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
 
 
 def length_text(segment: SubTrajectoryErrors) -> str:
-    """Return a length with its unit, as measured: 8 m, 1 s, 8.06 m for a share of the path."""
+    """Return the measured length with its unit: 8 m, 1 s, 8.06 m for a percentage of the path."""
     if segment.length_m is None:
         return f"{segment.length.value:g} {segment.length.unit}"
     return f"{segment.length_m:.4g} m"
 
 
 def _fits(column: str, width: int) -> bool:
+    """Return whether a terminal of this width shows a column."""
     return width >= _WIDTH_FOR_ALL or column not in _WITHOUT_IF_NARROW
 
 
 def _mean(statistics: Statistics | None, with_median: bool) -> str:
+    """Return the mean, with the median in parentheses if wanted, as text."""
     if statistics is None:
         return NOTHING
     mean = four_digits(statistics.mean)
@@ -298,7 +303,7 @@ def _mean(statistics: Statistics | None, with_median: bool) -> str:
 
 
 def consistency_lines(name: str, consistency: Consistency) -> list[str]:
-    """Return what covariances and errors say together, and on what ground."""
+    """Return the result of a consistency test as lines."""
     lines = [
         "",
         f"{name}: {consistency.verdict}; covariances from {consistency.covariance_source}, gauge "
@@ -313,7 +318,7 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
             f"{low:.3f} to {high:.3f}; {joint.dof} dof)"
         )
     if per_pose is not None:
-        # Poses of one run err together: their mean has a band only where correlations are known.
+        # Errors of one run are correlated: the interval needs a known number of effective dof.
         band = ""
         if per_pose.band_95 is not None and per_pose.effective_dof is not None:
             low, high = per_pose.band_95

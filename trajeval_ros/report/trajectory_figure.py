@@ -1,4 +1,4 @@
-"""The aligned trajectories from above and from the side: Fig. 6 of the tutorial."""
+"""Aligned trajectories from above and from the side: Fig. 6 of the tutorial."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _CORRESPONDENCES = 100
 
 
 def top_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw estimates and groundtruth in the level plane, seen from above."""
+    """Draw estimates and groundtruth in the horizontal plane."""
     return _view(evaluations, names, (0, 1), "Top view")
 
 
 def side_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
-    """Draw estimates and groundtruth with height, over the longer of the level axes."""
+    """Draw estimates and groundtruth with height over the longer horizontal axis."""
     truth = evaluations[0].groundtruth
     extent = np.ptp(truth.up.turned(truth.positions), axis=0)
     return _view(evaluations, names, (1 if extent[1] > extent[0] else 0, 2), "Side view")
@@ -39,12 +39,12 @@ def side_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure
 def _view(
     evaluations: Sequence[Evaluation], names: Sequence[str], plane: tuple[int, int], title: str
 ) -> Figure:
-    """Draw two of the groundtruth's level axes and height, which is the third."""
+    """Draw estimates and groundtruth in a plane; axes 0 and 1 are horizontal, 2 is height."""
     first = evaluations[0]
     truth, upward = first.groundtruth, first.groundtruth.up
     max_gap_s = first.protocol.association.max_gap_s
     across, up = axis_names(upward, plane)
-    aligned = [_seen(each.aligned, upward, plane) for each in evaluations]
+    aligned = [_seen(e.aligned, upward, plane) for e in evaluations]
     whole = _seen(truth, upward, plane)
     panels = PlanePanels(
         [whole, *aligned],
@@ -64,18 +64,19 @@ def _view(
 
 
 def axis_names(upward: UpAxis, plane: tuple[int, int]) -> tuple[str, str]:
-    """Return the names of two of the level axes and height, as the frame has them."""
-    names = [*("xyz"[each] for each in upward.level), upward.name]
+    """Return the names of a plane's axes; axes 0 and 1 are horizontal, 2 is height."""
+    names = [*("xyz"[axis] for axis in upward.level), upward.name]
     return names[plane[0]], names[plane[1]]
 
 
 def _seen(trajectory: Trajectory, upward: UpAxis, plane: tuple[int, int]) -> Floats:
+    """Return positions in a plane, (N, 2), metres."""
     seen: Floats = upward.turned(trajectory.positions)[:, plane]
     return seen
 
 
 def _draw_correspondences(axes: Axes, truth: Floats, aligned: Floats, along: Floats) -> None:
-    """Join a hundred states, evenly along the path, with their groundtruth."""
+    """Connect a hundred states, evenly spaced along the path, with their groundtruth."""
     from matplotlib.collections import LineCollection
 
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _CORRESPONDENCES))

@@ -1,4 +1,4 @@
-"""Signals of a watchdog over time, as multiples of their limits, with the alarms."""
+"""Signals of a watchdog over time, relative to their limits, with the alarms."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _NARROWEST_ALARM_S = 0.1
 
 
 def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
-    """Draw signals over limit, one panel for each kind of source.
+    """Draw signals relative to their limits, one panel per kind of source.
 
     Args:
-        seen: What was seen.
-        book: The same, compared with limits.
-        name: What the figure calls the estimate.
+        seen: The signals.
+        book: The limits and alarms.
+        name: Name of the estimate in the figure.
     """
-    judged = [each for each in seen.signals if book.limits.limit(each, book.factor) is not None]
-    kinds = [each for each in _PANELS if any(SIGNAL_NAMED[one].needs == each for one in judged)]
+    judged = [name for name in seen.signals if book.limits.limit(name, book.factor) is not None]
+    kinds = [kind for kind in _PANELS if any(SIGNAL_NAMED[s].needs == kind for s in judged)]
     title = f"{name}, {counted(len(book.alarms), 'alarm')} in {3600 * seen.hours:.0f} s"
     figure = canvas.new_figure(_PANEL_IN * len(kinds) + _BELOW_IN, title)
     if not kinds:
@@ -44,7 +44,9 @@ def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
     rows = 0
     panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
     for axes, kind in zip(panels, kinds, strict=True):
-        _draw(axes, seen, book, [each for each in judged if SIGNAL_NAMED[each].needs == kind])
+        _draw(
+            axes, seen, book, [signal for signal in judged if SIGNAL_NAMED[signal].needs == kind]
+        )
         axes.set_ylabel(f"{_PANELS[kind]}\nvalue / limit")
         rows += canvas.legend_above(axes)
     panels[-1].set_xlim(0.0, seen.end_s)
@@ -54,19 +56,21 @@ def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
 
 
 def _draw(axes: Axes, seen: Watched, book: AlarmBook, names: Sequence[str]) -> None:
-    """Draw the signals that come nearest to their limits, and the alarms."""
+    """Draw the signals nearest to their limits, and the alarms."""
     ratios = {}
-    for each in names:
-        limit = book.limits.limit(each, book.factor)
-        if limit and len(seen.signals[each].values):
-            ratios[each] = seen.signals[each].values / limit
-    largest = sorted(ratios, key=lambda each: -float(ratios[each].max()))[:_MOST_CURVES]
-    for number, each in enumerate(one for one in ratios if one in largest):
-        seconds = seen.signals[each].seconds
+    for signal in names:
+        limit = book.limits.limit(signal, book.factor)
+        if limit and len(seen.signals[signal].values):
+            ratios[signal] = seen.signals[signal].values / limit
+    largest = sorted(ratios, key=lambda signal: -float(ratios[signal].max()))[:_MOST_CURVES]
+    for number, signal in enumerate(name for name in ratios if name in largest):
+        seconds = seen.signals[signal].seconds
         stamps = np.rint(seconds * NANOSECONDS).astype(np.int64)
-        columns = np.stack([seconds, np.maximum(ratios[each], _LEAST)], axis=1)
+        columns = np.stack([seconds, np.maximum(ratios[signal], _LEAST)], axis=1)
         colour, dashes = canvas.line_style(number)
-        axes.plot(*thinned(columns, stamps, _GAP_S).T, color=colour, linestyle=dashes, label=each)
+        axes.plot(
+            *thinned(columns, stamps, _GAP_S).T, color=colour, linestyle=dashes, label=signal
+        )
     for alarm in book.alarms:
         if alarm.signal in names:
             end_s = max(alarm.last_s, alarm.begin_s + _NARROWEST_ALARM_S)

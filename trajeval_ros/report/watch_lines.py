@@ -1,4 +1,4 @@
-"""What a watchdog saw, in a table and sentences."""
+"""The results of a watchdog as table rows and lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIGNAL_NUMBERS = ("largest", "at s", "healthy", "limit", "unit", "alarms")
 
 
 def alarm_rows(book: AlarmBook) -> list[tuple[str, ...]]:
-    """Return a row for each alarm."""
+    """Return a row per alarm."""
     return [
         (
             alarm.signal,
@@ -26,12 +26,12 @@ def alarm_rows(book: AlarmBook) -> list[tuple[str, ...]]:
             four_digits(alarm.limit),
             SIGNAL_NAMED[alarm.signal].unit,
         )
-        for alarm in sorted(book.alarms, key=lambda each: each.begin_s)
+        for alarm in sorted(book.alarms, key=lambda alarm: alarm.begin_s)
     ]
 
 
 def signal_rows(seen: Watched, book: AlarmBook) -> list[tuple[str, ...]]:
-    """Return a row for each signal that has values."""
+    """Return a row per signal that has values."""
     rows: list[tuple[str, ...]] = []
     for signal in SIGNALS:
         if signal.name not in seen.signals or not len(seen.signals[signal.name].values):
@@ -55,7 +55,7 @@ def signal_rows(seen: Watched, book: AlarmBook) -> list[tuple[str, ...]]:
 
 
 def evidence_line(limits: WatchLimits, factor: float) -> str:
-    """Return the sentence that must stand wherever an alarm does: what the limits are worth."""
+    """Return the sentence about the reliability of the limits, for all reports with alarms."""
     return (
         f"limits: {factor:g} times the largest values in {_hours(limits.hours)} of a run "
         f"({limits.checked or 'not checked'}); without alarms in that run, false alarms in "
@@ -65,7 +65,7 @@ def evidence_line(limits: WatchLimits, factor: float) -> str:
 
 
 def seen_line(seen: Watched, book: AlarmBook) -> str:
-    """Return how many alarms were seen, and in what time."""
+    """Return the number of alarms and the observed time."""
     count = len(book.alarms)
     said = f"{counted(count, 'alarm')} in {_hours(seen.hours)}"
     if not count:
@@ -74,4 +74,5 @@ def seen_line(seen: Watched, book: AlarmBook) -> str:
 
 
 def _hours(hours: float) -> str:
+    """Return a duration in hours, with seconds if it is short."""
     return f"{hours:.2f} h" if hours >= 1.0 else f"{hours:.3f} h ({3600.0 * hours:.0f} s)"

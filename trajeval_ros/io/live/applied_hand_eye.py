@@ -1,4 +1,4 @@
-"""The hand-eye transform that a live run has applied to messages before it paired them."""
+"""The hand-eye transform that a live run applied to its messages before the association."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from trajeval_ros.pipeline.request import Request
 
 @dataclass(frozen=True, eq=False)
 class AppliedHandEye:
-    """What a pair file says of it.
+    """The hand-eye transform recorded in a pair file.
 
     Attributes:
         hand_eye: The transform.
-        source: Where it was from.
-        of_marker: Whether the estimate was moved to the marker, instead of the groundtruth to the
-            body.
+        source: Its source.
+        of_marker: Whether the estimate was converted to the marker; otherwise the groundtruth was
+            converted to the body.
     """
 
     hand_eye: HandEye
@@ -31,26 +31,26 @@ class AppliedHandEye:
 
     @classmethod
     def in_state(cls, state: Mapping[str, Any], path: str) -> AppliedHandEye | None:
-        """Return what a state of a pair file holds; None for nothing.
+        """Return the transform in a pair file's state; None if it has none.
 
         Raises:
-            InputError: It is no transform.
+            InputError: The transform is not valid.
         """
-        found = state.get("hand_eye")
-        if found is None:
+        recorded = state.get("hand_eye")
+        if recorded is None:
             return None
-        hand_eye = hand_eye_of(found["T_body_marker"], path)
-        return cls(hand_eye, str(found["source"]), bool(found["of_marker"]))
+        hand_eye = hand_eye_of(recorded["T_body_marker"], path)
+        return cls(hand_eye, str(recorded["source"]), bool(recorded["of_marker"]))
 
     def require_no_other(self, request: Request, rotation_frame: str) -> None:
-        """Refuse a request for another one, which would come on top of it.
+        """Refuse a request for another transform, which would be applied in addition.
 
         Args:
-            request: What is asked for now.
-            rotation_frame: Axes of rotation covariances that it was applied by.
+            request: The request for the evaluation.
+            rotation_frame: Axes of rotation covariances in the live run.
 
         Raises:
-            SettingsError: It asks for another one, or for covariances about other axes.
+            SettingsError: The request has another transform, or other axes of covariances.
         """
         asked = request.covariances
         if self.of_marker and asked.source == "message" and asked.rotation_frame != rotation_frame:
@@ -68,14 +68,14 @@ class AppliedHandEye:
     def renamed(
         self, truth: Mapping[str, Any], estimate: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return what is known of both sides, of the same body now."""
+        """Return the descriptions of both sides with the names of the common body."""
         names = self.hand_eye.names(
             truth["child_frame"], estimate["child_frame"], of_marker=self.of_marker
         )
         return {**truth, "child_frame": names[0]}, {**estimate, "child_frame": names[1]}
 
     def told(self, run: RunOutcome) -> RunOutcome:
-        """Return a run that says what was applied."""
+        """Return a run whose outcome describes the applied transform."""
         from trajeval_ros.calibration.apply import moved_before
 
         calibrated = moved_before(

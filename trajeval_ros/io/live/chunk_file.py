@@ -1,8 +1,8 @@
-"""Chunks of rows that are appended to a file as they come: a killed process loses none.
+"""Files of chunks that are appended one by one; a killed process loses no complete chunk.
 
-Each chunk is a head, a JSON text and rows, all little-endian. The head holds a magic number, which
-tells what the rows are, their number, the length of the text and the CRC-32 of what follows. What
-a kill or a full disk left behind of a last chunk is passed over.
+A chunk is a header, a JSON text and rows, all little-endian. The header has a magic number, which
+determines the type of the rows, their number, the length of the text and the CRC-32 of text and
+rows. An incomplete last chunk, after a kill or on a full disk, is ignored.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from trajeval_ros.io.json_file import mapping_in
 Chunk = tuple[dict[str, Any], NDArray[Any]]
 
 _HEAD = struct.Struct("<4sIII")
-# What waits for a disk that takes no more; beyond it, chunks are lost to the file.
+# Memory for chunks while the disk accepts none; beyond it, chunks are lost.
 _MOST_WAITING = 64 * 1024 * 1024
 
 
 class ChunkWriter:
-    """Appends to a file; a disk that fails is tried again with the next chunk.
+    """Appends chunks to a file; after an error of the disk, the next chunk tries again.
 
     Attributes:
         path: The file.
@@ -36,10 +36,10 @@ class ChunkWriter:
     """
 
     def __init__(self, path: Path, magic: bytes, rows: NDArray[Any], text: bytes) -> None:
-        """Make the file, which must not exist, with its first chunk.
+        """Create the file, which must not exist, with its first chunk.
 
         Raises:
-            InputError: It can't be made.
+            InputError: The file cannot be created.
         """
         self.path, self.trouble = path, ""
         self._waiting = bytearray()
@@ -55,7 +55,7 @@ class ChunkWriter:
             raise InputError(f"{path} can't be written: {self.trouble}")
 
     def add(self, magic: bytes, rows: NDArray[Any], text: bytes = b"") -> bool:
-        """Let a chunk wait for the disk; returns whether there was room."""
+        """Queue a chunk for writing; returns whether there was memory for it."""
         body = text + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING:
             return False
@@ -63,10 +63,10 @@ class ChunkWriter:
         return True
 
     def close(self) -> None:
-        """Have everything on disk, and end.
+        """Write and synchronise everything, and close the file.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The disk accepts no more data.
         """
         self.write()
         try:
@@ -79,7 +79,7 @@ class ChunkWriter:
             raise InputError(f"{self.path} can't be written completely: {self.trouble}")
 
     def write(self) -> None:
-        """Write what waits, unbuffered: what the kernel has, a kill can't take."""
+        """Write queued chunks without buffering: written data survives a kill of the process."""
         try:
             written = os.write(self._file, self._waiting) if self._waiting else 0
             while written < len(self._waiting):
@@ -95,17 +95,17 @@ class ChunkWriter:
 
 
 def read_chunks(path: Path, kinds: Mapping[bytes, np.dtype[Any]]) -> tuple[list[Chunk], int]:
-    """Read a file to its end or to its first damage.
+    """Read a file up to its end or to its first damage.
 
     Args:
         path: The file.
-        kinds: The rows of each chunk, by its magic number.
+        kinds: The type of the rows by magic number.
 
     Returns:
-        Text and rows of each chunk, and the number of bytes at the end that are no whole chunk.
+        The text and the rows of every chunk, and the number of bytes after the last valid chunk.
 
     Raises:
-        InputError: It can't be read.
+        InputError: The file cannot be read.
     """
     try:
         content = path.read_bytes()
@@ -122,7 +122,7 @@ def read_chunks(path: Path, kinds: Mapping[bytes, np.dtype[Any]]) -> tuple[list[
 def _chunk(
     content: bytes, place: int, kinds: Mapping[bytes, np.dtype[Any]]
 ) -> tuple[dict[str, Any], NDArray[Any], int] | None:
-    """Return text, rows and end of the chunk at a place, None if there is no whole one."""
+    """Return text, rows and end of the chunk at `place`; None if there is no valid one."""
     if place + _HEAD.size > len(content):
         return None
     magic, count, length, checksum = _HEAD.unpack_from(content, place)

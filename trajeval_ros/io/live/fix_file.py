@@ -1,9 +1,9 @@
-"""The GNSS fixes of a live run on disk, as their messages had them.
+"""The file of a live run's GNSS fixes, as in their messages.
 
-`groundtruth.fixes` lies beside the pair files, which hold where the fixes are in metres. It is
-made of chunks, too. A row is a stamp, int64 nanoseconds, and 14 float64: latitude and longitude in
-degrees, height in metres, status, type of covariance, and the covariance about east, north and up,
-m^2.
+`groundtruth.fixes` is next to the pair files, which have the positions of the fixes in metres. It
+is a file of chunks. A row is a timestamp, int64 nanoseconds, and 14 float64: latitude and
+longitude in degrees, height in metres, status, covariance type, and the covariance about east,
+north and up, m^2.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ _ROW = np.dtype([("stamp", "<i8"), ("fix", "<f8", 14)])
 
 
 class FixWriter(ChunkWriter):
-    """Appends to the file of fixes in a folder."""
+    """Appends to the file of fixes in a run's folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the file, which must not exist.
+        """Create the file, which must not exist.
 
         Raises:
-            InputError: It can't be made.
+            InputError: The file cannot be created.
         """
         text = json_text({"format": FORMAT}).encode()
         super().__init__(folder / NAME, _MAGIC, np.empty(0, _ROW), text)
 
     def append(self, stamps: Stamps, fixes: Floats) -> None:
-        """Add fixes: stamps (N,), and places and quality as in messages, (N, 14)."""
+        """Add fixes: stamps (N,), nanoseconds, and rows (N, 14) as described above."""
         rows = np.empty(len(stamps), _ROW)
         rows["stamp"], rows["fix"] = stamps, fixes
         self.add(_MAGIC, rows)
@@ -49,14 +49,14 @@ class FixWriter(ChunkWriter):
 
 
 def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
-    """Return the fixes of a live run, of each stamp the one that came first, in order.
+    """Return the fixes of a live run in order of time, the first of equal timestamps.
 
     Args:
-        folder: Of the run.
-        datum: Of their frame.
+        folder: The run's folder.
+        datum: Origin of the fixes' frame.
 
     Raises:
-        InputError: The file can't be read, or is none.
+        InputError: The file cannot be read, or is no file of fixes.
     """
     path = folder / NAME
     chunks, _ = read_chunks(path, {_MAGIC: _ROW})
@@ -64,5 +64,5 @@ def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
     require_schema(path, schema, FORMAT, "file of fixes", "evaluate a recording of the run")
     rows = np.concatenate([rows for _, rows in chunks])
     stamps, first = np.unique(rows["stamp"].astype(np.int64), return_index=True)
-    found = rows["fix"][first].astype(np.float64)
-    return stamps, replace(fixes_of_rows(found[:, :3], found[:, 3:]), datum=datum)
+    fields = rows["fix"][first].astype(np.float64)
+    return stamps, replace(fixes_of_rows(fields[:, :3], fields[:, 3:]), datum=datum)

@@ -1,11 +1,11 @@
-"""What a live run leaves in its folder, evaluated as a recorded one.
+"""Evaluation of the output folder of a live run, with the pipeline for recorded runs.
 
-`NAME.pairs` holds the pairs of an estimate as they came, `NAME.2.pairs` those of its second
-segment: after a restart, or when time began anew. Each segment is a run of its own.
+`NAME.pairs` has the pairs of an estimate, `NAME.2.pairs` those of its second segment, after a
+restart or a step back in time. A segment is evaluated as a run of its own.
 
-`NAME.revised.npz` holds the last message of an estimate that is a `nav_msgs/Path`: the trajectory
-as its estimator sees it in the end. Then the errors are of the revised trajectory, as they are of
-the recorded topic, and those of each pose as it was first published stand beside them.
+`NAME.revised.npz` has the last message of an estimate of type `nav_msgs/Path`: the trajectory as
+finally revised by the estimator. Then the errors are those of the revised trajectory, as for the
+recorded topic. The ATE of the poses as first published is stored as `causal_ate`.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ REVISED_SUFFIX = ".revised.npz"
 
 @dataclass(frozen=True, eq=False)
 class _EvaluatedEstimate:
-    """A segment of an estimate: its place among those asked for, its groundtruth and its run.
+    """The evaluation of one segment of an estimate.
 
-    `fixes` is how those of the groundtruth were used.
+    `place` is its position in the configuration, `fixes` the rule for the groundtruth's fixes.
     """
 
     place: int
@@ -75,16 +75,16 @@ class _EvaluatedEstimate:
 def evaluate_folder(
     folder: Path, request: Request | None = None, align_with: str | None = None
 ) -> Outcome:
-    """Evaluate all estimates of a live run, whether it still goes on or has ended.
+    """Evaluate all estimates of a live run, which can still be running.
 
     Args:
         folder: The live evaluator's output folder.
-        request: What to calibrate and to judge; its protocol is replaced by that of the live run.
-        align_with: See `Protocol`; None for what the live run did.
+        request: Calibration and tests; its protocol is replaced by that of the live run.
+        align_with: See `Protocol`; None for the live run's setting.
 
     Raises:
         InputError: There is no pair file, or none can be evaluated.
-        SettingsError: The request needs more than pairs.
+        SettingsError: The request needs data that pairs do not have.
     """
     request = request or Request()
     paths = sorted(folder.glob(f"*{SUFFIX}"))
@@ -92,7 +92,7 @@ def evaluate_folder(
         raise InputError(
             f"no live run in {folder} (no file *{SUFFIX}); give the output folder of the evaluator"
         )
-    found: list[_EvaluatedEstimate] = []
+    evaluated: list[_EvaluatedEstimate] = []
     failed: list[FailedRun] = []
     for path in paths:
         try:
@@ -103,36 +103,36 @@ def evaluate_folder(
             name = path.name.removesuffix(SUFFIX)
             failed.append(FailedRun(name, str(path), str(error)))
             continue
-        found.append(estimate)
-    if not found:
-        raise InputError("; ".join(each.reason for each in failed))
-    found.sort(key=lambda each: (each.place, each.segment))
-    runs = tuple(_with_own_errors(found))
-    return Outcome(request, found[0].groundtruth, runs, tuple(failed))
+        evaluated.append(estimate)
+    if not evaluated:
+        raise InputError("; ".join(failure.reason for failure in failed))
+    evaluated.sort(key=lambda estimate: (estimate.place, estimate.segment))
+    runs = tuple(_with_own_errors(evaluated))
+    return Outcome(request, evaluated[0].groundtruth, runs, tuple(failed))
 
 
-def _with_own_errors(found: Sequence[_EvaluatedEstimate]) -> Iterator[RunOutcome]:
-    """Yield the runs, those by GNSS fixes with their errors without the noise of these.
+def _with_own_errors(evaluated: Sequence[_EvaluatedEstimate]) -> Iterator[RunOutcome]:
+    """Yield the runs, with own errors if the groundtruth is GNSS fixes.
 
-    Whose jumps they are, estimates tell that are beside each other in the same segment.
+    Jumps are attributed to fixes or estimates by comparing the estimates of one segment.
     """
-    told: dict[int, RunOutcome] = {}
-    for segment in {each.segment for each in found}:
-        rows = [row for row, each in enumerate(found) if each.segment == segment]
-        runs = with_own_errors([found[row].run for row in rows], found[rows[0]].fixes)
-        told.update(zip(rows, runs, strict=True))
-    for row in range(len(found)):
-        yield told[row]
+    completed: dict[int, RunOutcome] = {}
+    for segment in {estimate.segment for estimate in evaluated}:
+        rows = [row for row, estimate in enumerate(evaluated) if estimate.segment == segment]
+        runs = with_own_errors([evaluated[row].run for row in rows], evaluated[rows[0]].fixes)
+        completed.update(zip(rows, runs, strict=True))
+    for row in range(len(evaluated)):
+        yield completed[row]
 
 
 def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
-    """Write the poses of a path, (N,), (N, 3), (N, 4), to a file."""
+    """Write the poses of a path, stamps (N,), positions (N, 3), quaternions (N, 4), to a file."""
     columns = {"stamps": stamps, "positions": positions, "quaternions": quaternions}
     write_arrays(path, columns, compressed=False)
 
 
 def _evaluate(path: Path, request: Request, align_with: str | None) -> _EvaluatedEstimate:
-    """Evaluate one estimate."""
+    """Evaluate one pair file."""
     recorded = read_pairs(path)
     name = path.name.removesuffix(SUFFIX)
     if not len(recorded.stamps):
@@ -146,25 +146,26 @@ def _evaluate(path: Path, request: Request, align_with: str | None) -> _Evaluate
 def _evaluate_pairs(
     path: Path, name: str, recorded: RecordedPairs, request: Request, align_with: str | None
 ) -> _EvaluatedEstimate:
+    """Evaluate the content of a pair file; values of a wrong type raise various exceptions."""
     description, state = recorded.description, recorded.state
     require_run_state(description, state)
     truth, estimate = state["groundtruth"], state["estimate"]
     try:
         protocol = protocol_from("default", **state["settings"])
-    except SettingsError as error:  # not the user's: other estimates may have better ones
+    except SettingsError as error:  # a damaged file; other estimates can be valid
         raise InputError(f"{path} is damaged or from another version: {error}") from error
     protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
-    if state["aligned_by"]:  # the states up to the moment when the alignment was frozen
+    if state["aligned_by"]:  # number of states when the alignment was frozen
         protocol = dataclasses.replace(protocol, align_states=state["aligned_by"])
     request = dataclasses.replace(request, protocol=protocol)
     ups = [UpAxis(**truth["up"]), UpAxis(**estimate["up"])]
     if request.up is not None:
-        if protocol.gauge is Gauge.PLANAR and request.up != tuple(each.name for each in ups):
+        if protocol.gauge is Gauge.PLANAR and request.up != tuple(up.name for up in ups):
             raise SettingsError(
                 "a live run with gauge planar stores only the components perpendicular to "
                 f"{ups[0].name}; to use another vertical axis, evaluate a bag"
             )
-        ups = [UpAxis(each) for each in request.up]
+        ups = [UpAxis(axis) for axis in request.up]
     pairs, truth_notes, notes = _association(recorded, protocol, ups)
     rule = _fix_rule(state.get("fixes"))
     whole = _all_groundtruth(pairs, recorded)
@@ -194,7 +195,7 @@ def _evaluate_pairs(
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
         causal = _run(pairs, request, *named, name).evaluation
-        live["causal_ate"] = {each: statistics_json(of) for each, of in causal.ate.items()}
+        live["causal_ate"] = {name: statistics_json(ate) for name, ate in causal.ate.items()}
         pairs, estimate = _revised(pairs, recorded, revised)
     run, why_not = _judged(pairs, request, *named, name, state.get("covariances"))
     if applied is not None:
@@ -237,17 +238,17 @@ def _evaluate_pairs(
 
 
 def _fix_rule(words: dict[str, Any] | None) -> FixRule:
-    """Return how GNSS fixes were used; without a datum where the groundtruth is something else."""
+    """Return the rule for GNSS fixes; without a datum if the groundtruth is something else."""
     if words is None:
         return FixRule()
     try:
         return FixRule(datum=Datum(*words["datum"]), correlation_s=words["correlation_s"])
-    except SettingsError as error:  # not the user's
+    except SettingsError as error:  # a damaged file, no mistake of the user
         raise ValueError(str(error)) from error
 
 
 def _all_groundtruth(pairs: Association, recorded: RecordedPairs) -> Trajectory:
-    """Return the groundtruth's states in pairs, and those recorded beside them, in order."""
+    """Return the groundtruth's states in pairs and the recorded ones between them, in order."""
     others = _usable(recorded.waypoints)
     stamps = np.concatenate([pairs.groundtruth.stamps, others.stamps])
     positions = np.concatenate([pairs.groundtruth.positions, others.poses[:, :3]])
@@ -256,7 +257,7 @@ def _all_groundtruth(pairs: Association, recorded: RecordedPairs) -> Trajectory:
 
 
 def _with_fixes(truth: Trajectory, stamps: Stamps, fixes: Fixes) -> Trajectory:
-    """Return groundtruth with the fixes that it is made of, which are in order of their stamps."""
+    """Return groundtruth with its fixes, looked up by timestamp in sorted stamps (M,)."""
     rows = stamps.searchsorted(truth.stamps).clip(max=len(stamps) - 1)
     if not np.array_equal(stamps[rows], truth.stamps):
         raise ValueError(f"{FIXES} lacks some of the fixes")
@@ -267,8 +268,8 @@ def _with_fixes(truth: Trajectory, stamps: Stamps, fixes: Fixes) -> Trajectory:
 def _association(
     recorded: RecordedPairs, protocol: Protocol, ups: Sequence[UpAxis]
 ) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
-    """Return the pairs in order of their stamps, with the counts, and notes about either side."""
-    # A stamp that is there twice came again when nobody remembered it, as in a bag played anew.
+    """Return the pairs in order of time with counts, and notes about groundtruth and estimate."""
+    # A timestamp occurs twice if the bag was played again after its states were dropped.
     usable = np.flatnonzero(_are_states(recorded.groundtruth) & _are_states(recorded.estimate))
     stamps, order = np.unique(recorded.stamps[usable], return_index=True)
     order = usable[order]
@@ -299,39 +300,40 @@ def _association(
 
 
 def _are_states(rows: Floats) -> Booleans:
-    """Return which poses (N, 7) or states (N, 10) can be; NaN stands for what isn't known."""
+    """Return which poses (N, 7) or states (N, 10) are valid; NaN means not measured."""
     finite, turned = judge_poses(rows[:, :3], np.nan_to_num(rows[:, 3:7], nan=1.0))
     return finite & turned & ~(np.abs(rows[:, 7:]) > LARGEST).any(axis=1)
 
 
 def _coverage(groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule) -> Coverage:
-    """Return what pairs cover, whose groundtruth's states these are."""
+    """Return the coverage of pairs with these groundtruth states."""
     if rule.method == AT_GROUNDTRUTH:
         missing = _usable(recorded.waypoints)
         stamps = np.concatenate([groundtruth.stamps, missing.stamps])
         positions = np.concatenate([groundtruth.positions, missing.poses[:, :3]])
         order = np.argsort(stamps, kind="stable")
-        found = np.flatnonzero(order < len(groundtruth))
-        return completeness(Trajectory(stamps[order], positions[order]), found)
+        paired = np.flatnonzero(order < len(groundtruth))
+        return completeness(Trajectory(stamps[order], positions[order]), paired)
     max_gap_ns = round(rule.max_gap_s * NANOSECONDS)
     pairs = StampedPoses.of(groundtruth, np.arange(len(groundtruth)))
     sums = CoverageSums(rule.max_gap_s)
     waypoints = _usable(recorded.waypoints)
     sums.add(StepMeter(max_gap_ns).measure(waypoints, pairs))
     truth = recorded.state["groundtruth"]
-    # Of a run that was killed, the newest counts are older than the newest pairs.
+    # In a killed run, the newest counts are older than the newest pairs.
     passed_ns = time_without_gaps(waypoints.stamps, max_gap_ns)
     return sums.coverage(max(truth["time_without_gaps_ns"], passed_ns), max(truth["states"], 1))
 
 
 def _usable(waypoints: StampedPoses) -> StampedPoses:
+    """Return the valid waypoints in order of time."""
     rows = np.flatnonzero(_are_states(waypoints.poses))
     rows = rows[np.argsort(waypoints.stamps[rows], kind="stable")]
     return StampedPoses(waypoints.stamps[rows], waypoints.poses[rows])
 
 
 def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
-    """Return states (N, 10) as a trajectory of what was measured, and notes about it."""
+    """Return states (N, 10) as a trajectory without unmeasured quantities, and notes about it."""
     turns, velocities = rows[:, 3:7], rows[:, 7:]
     quaternions, notes = judge_rotations(None if np.isnan(turns).any() else turns)
     return Trajectory(
@@ -343,6 +345,7 @@ def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ..
 
 
 def _read_revised(path: Path) -> Trajectory:
+    """Return the trajectory in a file of `write_revised`."""
     arrays = read_arrays(path, ("stamps", "positions", "quaternions"))
     kinds = [(name, array.dtype.kind, array.shape) for name, array in arrays.items()]
     count = len(arrays["stamps"]) if arrays.get("stamps", np.zeros(())).ndim else 0
@@ -362,7 +365,7 @@ def _read_revised(path: Path) -> Trajectory:
 def _revised(
     causal: Association, recorded: RecordedPairs, path: Path
 ) -> tuple[Association, dict[str, Any]]:
-    """Return the pairs with the estimator's last word, and the counts of its poses."""
+    """Return the pairs with the finally revised poses, and the counts of these."""
     revised = dataclasses.replace(_read_revised(path), up=causal.estimate.up)
     stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
@@ -397,9 +400,9 @@ def _judged(
     name: str,
     live: dict[str, Any] | None,
 ) -> tuple[RunOutcome, list[str]]:
-    """Evaluate the pairs, and judge covariances as is asked for now, or was asked for live.
+    """Evaluate the pairs and test covariances as requested now or, otherwise, in the live run.
 
-    What can't be judged, and was asked for live, is a warning: the errors are what counts.
+    If a test requested in the live run is not possible, the result has a warning instead.
     """
     covariances = _covariances_of(live or {})
     if request.covariances.source != "none" or covariances.source == "none":
@@ -413,7 +416,7 @@ def _judged(
 
 
 def _covariances_of(words: dict[str, Any]) -> CovarianceRequest:
-    """Return what a live run was asked to judge; older ones couldn't be asked."""
+    """Return the live run's request for a consistency test; older files have none."""
     noise = words.get("groundtruth_noise")
     try:
         return CovarianceRequest(
@@ -421,7 +424,7 @@ def _covariances_of(words: dict[str, Any]) -> CovarianceRequest:
             rotation_frame=words.get("rotation_frame", "world"),
             groundtruth_noise=None if noise is None else (float(noise[0]), float(noise[1])),
         )
-    except SettingsError as error:  # not the user's
+    except SettingsError as error:  # a damaged file, no mistake of the user
         raise ValueError(str(error)) from error
 
 
@@ -432,7 +435,7 @@ def _run(
     estimate: dict[str, Any],
     name: str,
 ) -> RunOutcome:
-    """Evaluate the pairs; the states that are in none are known by their counts alone."""
+    """Evaluate the pairs; states without a pair are known as counts only."""
     sides = [
         dataclasses.replace(
             trajectory,

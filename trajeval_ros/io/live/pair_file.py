@@ -1,12 +1,12 @@
-"""The pairs of a live run on disk, written as they come: a killed process loses none.
+"""The file of a live run's pairs, written as they arrive; a killed process loses none of them.
 
-A file is a sequence of chunks (`chunk_file.py`). The first text describes the run, later ones what
-can't be told from pairs (the newest counts); most are empty. A row is a stamp, int64 nanoseconds,
-and the states of groundtruth and estimate, ten float64 each: position, quaternion xyzw, velocity,
-NaN where there is none. Chunks with magic numbers of their own hold other rows: pairs with the
-estimate's covariance behind them, 36 float64 as in its message; and the groundtruth's waypoints
-between pairs, or its fixes and points in no pair, a stamp and seven float64 each, position and
-quaternion. Version 2 had no covariances.
+A file is a sequence of chunks (`chunk_file.py`). The first text describes the run. Later texts
+have the newest counts, which do not follow from pairs; most are empty. A row is a timestamp, int64
+nanoseconds, and the states of groundtruth and estimate, ten float64 each: position, quaternion
+xyzw, velocity; NaN if not measured. Other magic numbers mark other rows: pairs followed by the
+estimate's covariance, 36 float64 as in its message; and groundtruth waypoints between pairs, or
+fixes and points without a pair: a timestamp and seven float64, position and quaternion. Version 2
+had no covariances.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SUFFIX = ".pairs"
 _ROW = np.dtype([("stamp", "<i8"), ("groundtruth", "<f8", 10), ("estimate", "<f8", 10)])
 _WIDE_ROW = np.dtype([*_ROW.descr, ("covariance", "<f8", 36)])
 _WAYPOINT = np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)])
-# Of chunks, by their magic numbers.
+# Types of rows by magic number.
 _KINDS = {b"TEPC": _ROW, b"TEVC": _WIDE_ROW, b"TEWC": _WAYPOINT}
 _PAIRS, _WIDE_PAIRS, _WAYPOINTS = _KINDS
 
@@ -40,15 +40,15 @@ class PairWriter(ChunkWriter):
     """Appends to a pair file.
 
     Attributes:
-        lost: Number of pairs that will never be in the file.
-        why_lost: Why the last of these won't.
+        lost: Number of pairs that could not be written.
+        why_lost: Why the last of them could not.
     """
 
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
-        """Make the file, which must not exist.
+        """Create the file, which must not exist.
 
         Raises:
-            InputError: It can't be made.
+            InputError: The file cannot be created.
         """
         self.lost, self.why_lost = 0, ""
         text = json_text({"format": FORMAT, **description}).encode()
@@ -61,9 +61,9 @@ class PairWriter(ChunkWriter):
         estimate: Floats,
         state: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add pairs (N,), (N, 10), (N, 10) or (N, 46), and what else is known by now."""
+        """Add pairs (N,), (N, 10), (N, 10) or (N, 46), and the newest counts if given."""
         estimate, covariances = estimate[:, :10], estimate[:, 10:]
-        magic = _WIDE_PAIRS if covariances.any() else _PAIRS  # zeros say nothing
+        magic = _WIDE_PAIRS if covariances.any() else _PAIRS  # zeros mean unknown
         rows = np.empty(len(stamps), dtype=_KINDS[magic])
         rows["stamp"], rows["groundtruth"], rows["estimate"] = stamps, groundtruth, estimate
         if magic == _WIDE_PAIRS:
@@ -75,7 +75,7 @@ class PairWriter(ChunkWriter):
         self.write()
 
     def append_waypoints(self, waypoints: StampedPoses) -> None:
-        """Add the groundtruth's waypoints; they are written with what comes next."""
+        """Add waypoints of the groundtruth; they are written together with the next pairs."""
         rows = np.empty(len(waypoints.stamps), dtype=_WAYPOINT)
         rows["stamp"], rows["pose"] = waypoints
         self.add(_WAYPOINTS, rows)
@@ -83,19 +83,18 @@ class PairWriter(ChunkWriter):
 
 @dataclass(frozen=True, eq=False)
 class RecordedPairs:
-    """What a pair file holds.
+    """The content of a pair file.
 
     Attributes:
-        description: What the run was.
+        description: Description of the run.
         state: The newest counts; empty if none were written.
-        pairs_at_state: Number of pairs that these counts are about.
+        pairs_at_state: Number of pairs when these counts were written.
         stamps: (N,) nanoseconds, in order of arrival.
         groundtruth: (N, 10) states.
         estimate: (N, 10) states, in the estimate's own frame.
-        covariances: (N, 6, 6) of the estimate, zeros where a message said nothing; None where none
-            said anything.
-        waypoints: (M,) of the groundtruth between pairs, in order of their stamps.
-        torn: Number of bytes at the end that are no whole chunk.
+        covariances: (N, 6, 6) of the estimate, zeros if unknown; None if all are unknown.
+        waypoints: (M,) of the groundtruth between pairs, in order of time.
+        torn: Number of bytes after the last valid chunk.
     """
 
     description: dict[str, Any]
@@ -110,22 +109,22 @@ class RecordedPairs:
 
 
 def read_pairs(path: Path) -> RecordedPairs:
-    """Read a pair file, to its end or to its first damage.
+    """Read a pair file up to its end or to its first damage.
 
     Raises:
-        InputError: It can't be read, or is none.
+        InputError: The file cannot be read, or is no pair file.
     """
     chunks, torn = read_chunks(path, _KINDS)
     texts: list[dict[str, Any]] = []
     rows: list[NDArray[Any]] = []
     waypoints = [np.empty(0, _WAYPOINT)]
     count = pairs_at_state = 0
-    for text, found in chunks:
-        if found.dtype == _WAYPOINT:
-            waypoints.append(found)
+    for text, chunk_rows in chunks:
+        if chunk_rows.dtype == _WAYPOINT:
+            waypoints.append(chunk_rows)
             continue
-        rows.append(found)
-        count += len(found)
+        rows.append(chunk_rows)
+        count += len(chunk_rows)
         if text:
             texts.append(text)
             pairs_at_state = count
@@ -136,14 +135,14 @@ def read_pairs(path: Path) -> RecordedPairs:
         )
     passed = np.concatenate(waypoints)
     stamps, groundtruth, estimate = (
-        np.concatenate([each[name] for each in rows])
+        np.concatenate([block[name] for block in rows])
         for name in ("stamp", "groundtruth", "estimate")
     )
     covariances = None
-    if any(each.dtype == _WIDE_ROW for each in rows):
+    if any(block.dtype == _WIDE_ROW for block in rows):
         known = [
-            each["covariance"] if each.dtype == _WIDE_ROW else np.zeros((len(each), 36))
-            for each in rows
+            block["covariance"] if block.dtype == _WIDE_ROW else np.zeros((len(block), 36))
+            for block in rows
         ]
         covariances = np.concatenate(known).astype(np.float64).reshape(-1, 6, 6)
     passed_stamps, passed_poses = (passed[name].copy() for name in ("stamp", "pose"))

@@ -1,4 +1,4 @@
-"""What the texts of a pair file must say for its pairs to be evaluated."""
+"""Validation of the texts in a pair file before its pairs are evaluated."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Check = Callable[[Any], bool]
 
 
 def require_run_state(description: Mapping[str, Any], state: Mapping[str, Any]) -> None:
-    """Check the values that a live run describes itself with.
+    """Check the description and the newest counts of a live run.
 
     Raises:
-        ValueError: One can't be; says which.
-        KeyError: One is missing.
+        ValueError: A value is not valid; the message has its name.
+        KeyError: A value is missing.
     """
     for keys, fits in _DESCRIPTION.items():
         _require(description, keys, fits)
