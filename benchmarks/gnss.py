@@ -31,7 +31,7 @@ MAX_SIGMA_M = {"rtk": 0.05, "consumer": 3.0}
 DRIFT = (0.004, 0.0006, 0.002)
 TIMES = {"good": 1.0, "poor": 8.0}
 # Shares of their sigma that fixes claim.
-CLAIMED = {1.0: "", 0.5: ", sigma claimed half"}
+CLAIMED = {1.0: "", 0.5: ", half sigma reported"}
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,8 @@ def compare(
         bool | None,
         typer.Option(
             "--common-time-span/--whole-runs",
-            help="Evaluation of only the time span that all runs of a sequence cover.",
+            help="Time span to evaluate: the span that all runs of a sequence cover, or all of "
+            "every run (default).",
             show_default=False,
             rich_help_panel=options.MEASURE,
         ),
@@ -103,8 +104,8 @@ def compare(
         str | None,
         typer.Option(
             metavar="I/N",
-            help="Evaluate the I-th of N parts only, as a job of an array; --merge makes the "
-            "tables of all.",
+            help="Part of the runs to evaluate, the I-th of N, for example in a job array. "
+            "--merge combines the parts.",
             rich_help_panel=WORK,
         ),
     ] = None,
@@ -112,7 +113,7 @@ def compare(
         bool,
         typer.Option(
             "--merge",
-            help="Tables and report of shards: give the --output folders of all shards.",
+            help="Tables and report of all shards. The arguments are their output folders.",
             rich_help_panel=WORK,
         ),
     ] = False,
@@ -134,7 +135,8 @@ def compare(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Append the tables to a Parquet dataset of many comparisons (docs/dataset.md).",
+            help="Parquet dataset of many comparisons, to which the tables are appended "
+            "(docs/dataset.md).",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -150,7 +152,8 @@ def compare(
         bool,
         typer.Option(
             "--wait",
-            help="Wait for another comparison that writes to the same folder. Default: error.",
+            help="Waiting for another comparison that writes to the same folder, instead of an "
+            "error.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = False,

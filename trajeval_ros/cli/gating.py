@@ -30,9 +30,9 @@ FailIfOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="GATE",
-        help="Gate; exits with status 1 if a value is worse than the baseline by more than the "
-        "margin, with statistical significance. Repeatable. Example: 'ate.position_m.rmse worse "
-        "than 5 %'.",
+        help="Gate, such as 'ate.position_m.rmse worse than 5 %'. The exit status is 1 if a value "
+        "is worse than in the baseline by more than the margin, with statistical significance. "
+        "Repeatable.",
         rich_help_panel=GATES,
     ),
 ]

@@ -35,7 +35,7 @@ def info(
     columns: options.ColumnsOption = None,
     frame_rate: options.FrameRateOption = None,
 ) -> None:
-    """Prints the contents of a bag or file, and which topics can be evaluated.
+    """Prints the contents of a bag or file, and the likely roles of its topics.
 
     List all topics of a bag with rates, timestamps and frames, and the TF tree:
 

@@ -9,7 +9,7 @@ import typer
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
-from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS, ATE_FORMS, PROTOCOLS
+from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS, PROTOCOLS
 
 GNSS = "GNSS fixes and surveyed points"
 INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (
@@ -249,8 +249,8 @@ PairsOption = Annotated[
 AteFormOption = Annotated[
     str | None,
     typer.Option(
-        help=f"Form of the ATE, {' or '.join(ATE_FORMS)}: difference of positions, or eq. (23) of "
-        "the tutorial, which depends on the choice of the origin.",
+        help="Form of the ATE: plain (default): difference of positions; evo: also errors of "
+        "whole poses; tutorial: eq. (23), which depends on the choice of the origin.",
         rich_help_panel=MEASURE,
     ),
 ]

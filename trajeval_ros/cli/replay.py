@@ -34,9 +34,7 @@ def replay(
     ] = None,
     rate: Annotated[
         float,
-        typer.Option(
-            metavar="R", help="Playback speed, as a factor of the recorded speed. Default: 1."
-        ),
+        typer.Option(metavar="R", help="Playback speed, as a factor of the recorded speed."),
     ] = 1.0,
     start: Annotated[
         float, typer.Option(metavar="S", help="Start, in seconds after the start of the bag.")

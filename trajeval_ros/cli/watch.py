@@ -65,8 +65,8 @@ def watch(
             "--groundtruth",
             "-g",
             metavar="SOURCE",
-            help="Groundtruth for --learn: refuses a run with errors over 1 s above "
-            f"{_HEALTHY_M:g} m or {_HEALTHY_DEG:g} deg.",
+            help="Groundtruth for --learn. A run with errors above "
+            f"{_HEALTHY_M:g} m or {_HEALTHY_DEG:g} deg over 1 s is refused.",
             rich_help_panel=options.INPUT,
         ),
     ] = None,
@@ -74,7 +74,7 @@ def watch(
         float,
         typer.Option(
             metavar="K",
-            help="Limit, as a multiple of the largest healthy value.",
+            help="Factor between the largest value of the healthy run and the limit.",
             rich_help_panel=options.INPUT,
         ),
     ] = 2.0,
@@ -91,7 +91,7 @@ def watch(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Output figure of signals and limits: png, pdf, svg or pgf.",
+            help="Output file of a figure with signals and limits: png, pdf, svg or pgf.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,

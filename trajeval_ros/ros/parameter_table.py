@@ -297,8 +297,8 @@ PARAMETERS = (
         NodeParameter(
             f"{level}_{name}",
             0.0,
-            f"Limit, in {unit}, of the largest {words} since the last status, above which "
-            f"diagnostics {reports}. 0: never.",
+            f"Limit{unit and f', in {unit},'} of the largest {words} since the last status. "
+            f"Above it, diagnostics {reports}. 0: no limit.",
             (0.0, 1e6),
             is_live=True,
         )
@@ -308,7 +308,7 @@ PARAMETERS = (
     NodeParameter(
         "warn_coverage",
         0.9,
-        "Share of the estimate's poses with groundtruth, or of fixes and points with an "
+        "Fraction of the estimate's poses with groundtruth, or of fixes and points with an "
         "estimate, below which diagnostics warn.",
         (0.0, 1.0),
         is_live=True,
@@ -316,7 +316,7 @@ PARAMETERS = (
     NodeParameter(
         "error_coverage",
         0.5,
-        "Share of the estimate's poses with groundtruth, or of fixes and points with an "
+        "Fraction of the estimate's poses with groundtruth, or of fixes and points with an "
         "estimate, below which diagnostics report an error.",
         (0.0, 1.0),
         is_live=True,
