@@ -19,9 +19,9 @@ from typing import Any
 
 from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
 from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.batch.record_store import RECORDS, SUFFIX, RecordStore
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import load_pyarrow, settings_of
 from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io.schema import require_schema
@@ -131,7 +131,7 @@ def write_shard(folder: Path, shard: Shard, plan: Plan, finished: FinishedCompar
 
 def _hash_of(plan: Plan) -> str:
     """Return what tells two plans apart; where their files lie may differ from host to host."""
-    digest = hashlib.sha256(json.dumps(settings_of(plan)).encode())
+    digest = hashlib.sha256(json.dumps(plan.settings).encode())
     for run in plan.runs:
         part = (run.algorithm, run.sequence, run.trial, bool(run.missing))
         digest.update(json.dumps(part).encode())
