@@ -87,6 +87,7 @@ def run_plan(
     if shard is None:
         batch.finished().write_tables(folder, batch.record_of)
     else:
+        batch.replace_damaged_records()
         write_shard(folder, shard, plan, batch.finished())
     return batch.progress
 
@@ -184,6 +185,16 @@ class _RunningComparison:
         self.tasks = cut
         self.progress.total += len(cut)
         self.evaluate(cut.values())
+
+    def replace_damaged_records(self) -> None:
+        """Evaluate runs again whose older records can't be read, as writing tables does.
+
+        Raises:
+            InputError: A run can't be evaluated again.
+        """
+        for run, task in self.tasks.items():
+            if run not in self._evaluated and run not in self.failures:
+                self._record(task)
 
     def record_of(self, finished: FinishedRun) -> Record:
         """Return what a run left.
