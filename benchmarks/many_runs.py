@@ -41,7 +41,7 @@ def measure(config: Path, out: Path, how: str) -> dict[str, float]:
     start, cpu = time.perf_counter(), time.process_time()
     if how == LOOP:
         for run in sorted(plan.runs, key=lambda run: run.sequence):
-            assert not isinstance(work(Task(run, plan.request, (run.groundtruth, ""))), str)
+            assert work(Task(run, plan.request, (run.groundtruth, ""))).entry
     else:
         here = Pool(ThreadPoolExecutor, 1)
         progress = run_plan(plan, out, lambda: here if how == ALONE else local_pool(int(how[0])))

@@ -44,7 +44,7 @@ def measure_loop(config: Path) -> dict[str, float]:
     plan = plan_of(config, {})
     begun = time.process_time()
     for run in sorted(plan.runs, key=lambda run: run.sequence):
-        assert not isinstance(work(Task(run, plan.request, (run.groundtruth, ""))), str)
+        assert work(Task(run, plan.request, (run.groundtruth, ""))).entry
     return {"runs": len(plan.runs), "cpu_s": time.process_time() - begun}
 
 

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 from moto.server import ThreadedMotoServer
-
-BUCKET = "flights"
 
 
 class Wire(socketserver.ThreadingTCPServer):
@@ -72,3 +71,19 @@ def object_store() -> Iterator[Wire]:
             wire.shutdown()
     finally:
         server.stop()
+
+
+@contextmanager
+def bucket(url: str) -> Iterator[Wire]:
+    """Make a URL a bucket of a server on loopback, for this process and those it starts."""
+    from upath import UPath
+
+    with object_store() as wire, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("AWS_ENDPOINT_URL", wire.url)
+        patch.setenv("AWS_ACCESS_KEY_ID", "nobody")
+        patch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        store = UPath(url)
+        store.fs.mkdir(store.path)
+        yield wire
+        store.fs.clear_instance_cache()

@@ -148,6 +148,11 @@ def make_files(folder: Path) -> None:
         "title: EuRoC\ngroundtruth: groundtruth/{sequence}.txt\nmodality: mono-inertial\nruns:\n"
         "  ours: ours/{sequence}_{trial}.txt\n  baseline: baseline/{sequence}_{trial}.txt\n"
     )
+    listed = ["algorithm,sequence,groundtruth,estimate"]
+    listed += [
+        f"{each},MH_01,groundtruth/MH_01.txt,{each}/MH_01_0.txt" for each in ("ours", "baseline")
+    ]
+    (folder / "runs.csv").write_text("\n".join(listed))
     made = folder / "made"
     assert main(["compare", str(folder / "euroc.yaml"), "--output", str(made), "--quiet"]) == 0
     (made / "runs.parquet").rename(folder / "main.parquet")

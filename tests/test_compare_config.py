@@ -324,9 +324,9 @@ def test_a_file_makes_this_machine_ask_no_host_that_its_user_does_not_name(
     assert "has no host" in said("https:///{sequence}.txt", "https://host.net")
     assert not asked
     for host in ("https://host.net", "https://host.net/", "HTTPS://host.net"):
-        assert "can't be listed: nobody is asked" in said(url, "s3://bucket", host)
+        assert "can't be read: nobody is asked" in said(url, "s3://bucket", host)
     assert asked == [url] * 3
-    assert "can't be listed" in said("HTTPS://host.net/{sequence}.txt", "https://host.net")
+    assert "can't be read" in said("HTTPS://host.net/{sequence}.txt", "https://host.net")
 
 
 @pytest.mark.parametrize("text", ["s3", "s3://", "bucket/x", "s3://bucket/x", "://x"])

@@ -20,12 +20,12 @@ pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `comp
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.drawing import Draw, draw_all
-from trajeval_ros.batch.executors import Outcome, evaluate_all, local_pool
+from trajeval_ros.batch.executors import evaluate_all, local_pool
 from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.record_store import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.results_table import ResultsTable
-from trajeval_ros.batch.worker import Task
+from trajeval_ros.batch.worker import Task, WorkerResult
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.pipeline.request import Request
@@ -52,17 +52,17 @@ def test_a_run_that_kills_its_process_fails_alone(
 ) -> None:
     monkeypatch.setenv("TRAJEVAL_TEST_PARENT", str(os.getpid()))
     tasks = tasks_of(tmp_path, 12, deadly=(1, 7))
-    finished: dict[str, list[Outcome]] = {}
+    finished: dict[str, list[WorkerResult]] = {}
 
-    def finish(task: Task, outcome: Outcome) -> None:
+    def finish(task: Task, outcome: WorkerResult) -> None:
         finished.setdefault(task.run.trial, []).append(outcome)
 
     evaluate_all(local_pool(2), tasks, finish)
     assert sorted(finished, key=int) == [str(number) for number in range(12)]
     assert all(len(outcomes) == 1 for outcomes in finished.values())
-    died = [trial for trial, (outcome,) in finished.items() if isinstance(outcome, str)]
+    died = [trial for trial, (outcome,) in finished.items() if outcome.entry is None]
     assert sorted(died) == ["1", "7"]
-    assert "worker process was killed" in str(finished["7"][0])
+    assert "worker process was killed" in finished["7"][0].reason
 
 
 def test_workers_use_one_thread_each(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,8 +171,8 @@ def test_records_are_made_by_the_workers_as_here(tmp_path: Path) -> None:
     from trajeval_ros.batch.worker import work
 
     (task,) = tasks_of(tmp_path, 1)
-    finished: list[Outcome] = []
+    finished: list[WorkerResult] = []
     evaluate_all(local_pool(1), [task], lambda _, outcome: finished.append(outcome))
     here, (there,) = work(task), finished
-    assert isinstance(here, bytes)
+    assert here.entry
     assert there == here

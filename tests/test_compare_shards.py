@@ -18,6 +18,7 @@ from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.record_store import RECORDS, SUFFIX
+from trajeval_ros.batch.records import HEAD_BYTES
 from trajeval_ros.batch.shards import SHARD, Shard
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import SettingsError
@@ -162,6 +163,46 @@ def test_a_shard_that_is_evaluated_again_is_not_finished_meanwhile(
             run_plan(plan, tmp_path, here, shard=Shard(1, 2))
     assert not (tmp_path / SHARD).exists()
     assert run_plan(plan, tmp_path, here, shard=Shard(1, 2)).done == 0
+
+
+def test_a_damaged_record_is_refused_by_the_merge_and_replaced_by_its_shard(
+    config: Path,
+    whole: dict[bool, dict[str, bytes]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plan = plan_of(config, {})
+    folders = [tmp_path / "1", tmp_path / "2"]
+    for number, folder in enumerate(folders, 1):
+        run_plan(plan, folder, here, shard=Shard(number, 2))
+    (file,) = (folders[1] / RECORDS).iterdir()
+    data = bytearray(file.read_bytes())
+    data[HEAD_BYTES + 10] ^= 1
+    file.write_bytes(data)
+    command = ["compare", "--merge", *map(str, folders), "--output", str(tmp_path / "out"), "-q"]
+    assert main(command) == 2
+    assert "can't be read; run its shard again" in capsys.readouterr().err
+    assert run_plan(plan, folders[1], here, shard=Shard(2, 2)).done == 1
+    assert main(command) == 0
+    assert contents(tmp_path / "out") == whole[False]
+
+
+def test_a_shard_that_cannot_be_read_is_named_once(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / SHARD
+    command = ["compare", "--merge", str(tmp_path), "--output", str(tmp_path / "out")]
+    table.mkdir()
+    assert main(command) == 2
+    assert capsys.readouterr().err == f"trajeval: {table} can't be read: is a directory\n"
+    table.rmdir()
+    run_plan(plan_of(config, {}), tmp_path, here, shard=Shard(1, 1))
+    whole = table.read_bytes()
+    for damaged in (b"", whole[:-20], whole[:4] + bytes(400) + whole[404:]):
+        table.write_bytes(damaged)
+        assert main(command) == 2
+        said = f"trajeval: {table} is damaged; run that shard again\n"
+        assert capsys.readouterr().err == said
 
 
 def test_usage_is_refused_in_one_line(

@@ -14,6 +14,8 @@ from test_io_bags import simple, the_file
 from test_io_damage import COUNT, among_images, mcap_file, rows_of, split
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.byte_source import RemoteFile
+from trajeval_ros.io.fetched_bytes import counting_fetched_bytes
 from trajeval_ros.io.sources import read_trajectory
 
 upath = pytest.importorskip("upath", reason="universal_pathlib is missing")
@@ -24,17 +26,10 @@ def wire() -> Iterator[Any]:
     """Return the wire to a server with a bucket of bags."""
     pytest.importorskip("moto.server", reason="moto's server is missing")
     pytest.importorskip("s3fs", reason="s3fs is missing")
-    from object_store import object_store
+    from object_store import bucket
 
-    with object_store() as wire, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AWS_ENDPOINT_URL", wire.url)
-        patch.setenv("AWS_ACCESS_KEY_ID", "nobody")
-        patch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
-        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        bucket = upath.UPath(STORE)
-        bucket.fs.mkdir(bucket.path)
+    with bucket(STORE) as wire:
         yield wire
-        bucket.fs.clear_instance_cache()
 
 
 STORE = "s3://flights"
@@ -44,6 +39,10 @@ def upload(file: Path) -> int:
     """Put a file into the bucket, and return its size."""
     (upath.UPath(STORE) / file.name).write_bytes(file.read_bytes())
     return file.stat().st_size
+
+
+def upload_text(name: str, text: str) -> None:
+    (upath.UPath(STORE) / name).write_text(text)
 
 
 def test_only_ranges_are_transferred(wire: Any, tmp_path: Path) -> None:
@@ -84,6 +83,45 @@ def test_text_in_a_store(tmp_path: Path) -> None:
     assert rows_of(read_trajectory(f"{STORE}/text.txt")) == list(range(1, 9))
     with pytest.raises(InputError, match="is not a bag"):
         read_trajectory(f"{STORE}/text.txt:/pose")
+
+
+def test_a_text_is_transferred_once(wire: Any, tmp_path: Path) -> None:
+    text = tmp_path / "long.txt"
+    rows = (f"{row}.000000 {row} 2 3 0 0 0.600000 0.800000\n" for row in range(1, 20_001))
+    text.write_text("".join(rows))
+    size = upload(text)
+    before = wire.carried
+    with counting_fetched_bytes() as fetched:
+        assert len(read_trajectory(f"{STORE}/long.txt")) == 20_000
+    assert fetched.total == size + 16  # the first bytes tell what it is
+    assert size < wire.carried - before < 1.05 * size
+
+
+@pytest.mark.usefixtures("wire")
+def test_frames_in_a_store_have_the_times_beside_them(tmp_path: Path) -> None:
+    poses, times = tmp_path / "07.txt", tmp_path / "times.txt"
+    poses.write_text("".join(f"1 0 0 {row} 0 1 0 0 0 0 1 0\n" for row in range(5)))
+    times.write_text("".join(f"{row}.5\n" for row in range(5)))
+    for file in (poses, times):
+        upload(file)
+    read = read_trajectory(f"{STORE}/07.txt")
+    assert read.name == "07"
+    assert (read.stamps == [500_000_000 + row * 10**9 for row in range(5)]).all()
+    upload_text("bad.txt", "1 0 0 0 0 0 0 1\nx\n")
+    with pytest.raises(InputError, match=f"^{STORE}/bad.txt, line 2"):
+        read_trajectory(f"{STORE}/bad.txt")
+
+
+@pytest.mark.usefixtures("wire")
+def test_an_object_that_vanishes_is_an_error_and_no_data(tmp_path: Path) -> None:
+    upload(mcap_file(tmp_path / "gone.mcap"))
+    path = upath.UPath(f"{STORE}/gone.mcap")
+    file = RemoteFile(path)
+    path.unlink()
+    with pytest.raises(FileNotFoundError):
+        file.read_all([(0, 4), (4, 4)])
+    with pytest.raises(FileNotFoundError):
+        file.read(0, 4)
 
 
 @pytest.mark.usefixtures("wire")

@@ -74,7 +74,7 @@ def compare(
     folder = Path(output)
     words = {word: _as_written(word, value) for word, value in settings.items()}
     plan = plan_of(
-        Path(target),
+        target,
         words,
         columns=columns,
         frame_rate=frame_rate,

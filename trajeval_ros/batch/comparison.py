@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from trajeval_ros.batch.executors import Outcome, Pool, evaluate_all
+from trajeval_ros.batch.executors import Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
 from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun, has_tables
 from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.batch.record_store import RECORDS, RecordStore
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import load_pyarrow, settings_of
 from trajeval_ros.batch.shards import SHARD, Shard, write_shard
-from trajeval_ros.batch.worker import Task, work
+from trajeval_ros.batch.worker import Task, WorkerResult, work
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.io.writing import refused_by_disk
 
@@ -34,6 +34,7 @@ class Progress:
         done: Runs that were evaluated.
         new: Runs that were evaluated, once each.
         failed: Runs that could not be.
+        fetched_bytes: What runs read from remote stores.
         running: Names of those being evaluated.
     """
 
@@ -42,6 +43,7 @@ class Progress:
     done: int = 0
     new: int = 0
     failed: int = 0
+    fetched_bytes: int = 0
     running: list[str] = field(default_factory=list)
 
 
@@ -85,6 +87,7 @@ def run_plan(
     if shard is None:
         batch.finished().write_tables(folder, batch.record_of)
     else:
+        batch.replace_damaged_records()
         write_shard(folder, shard, plan, batch.finished())
     return batch.progress
 
@@ -141,7 +144,7 @@ class _RunningComparison:
             reason = self.failures.get(run, "")
             planned = self.planned_keys.get(run, "")
             runs.append(FinishedRun(run, planned, key, reason, self.own_coverage.get(run)))
-        return FinishedComparison(self.plan.title, settings_of(self.plan), runs)
+        return FinishedComparison(self.plan.title, self.plan.settings, runs)
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
         """Evaluate the runs that have no record yet."""
@@ -183,6 +186,16 @@ class _RunningComparison:
         self.progress.total += len(cut)
         self.evaluate(cut.values())
 
+    def replace_damaged_records(self) -> None:
+        """Evaluate runs again whose older records can't be read, as writing tables does.
+
+        Raises:
+            InputError: A run can't be evaluated again.
+        """
+        for run, task in self.tasks.items():
+            if run not in self._evaluated and run not in self.failures:
+                self._record(task)
+
     def record_of(self, finished: FinishedRun) -> Record:
         """Return what a run left.
 
@@ -205,11 +218,12 @@ class _RunningComparison:
             )
         return record
 
-    def _finish(self, task: Task, outcome: Outcome) -> None:
-        if isinstance(outcome, str):
-            self._fail(task.run, outcome)
+    def _finish(self, task: Task, outcome: WorkerResult) -> None:
+        self.progress.fetched_bytes += outcome.fetched_bytes
+        if outcome.entry is None:
+            self._fail(task.run, outcome.reason)
         else:
-            self.records.add(outcome)
+            self.records.add(outcome.entry)
             self.progress.done += 1
             self._evaluated.add(task.run)
             self.progress.new = len(self._evaluated)

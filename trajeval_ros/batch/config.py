@@ -1,16 +1,17 @@
-"""A comparison as a user writes it down: a YAML file, or a folder of a known convention."""
+"""The plan of a comparison: from a YAML file, a manifest, or a folder of a known layout."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.conventions import runs_in_folder
+from trajeval_ros.batch.manifest import is_manifest, runs_in_manifest
 from trajeval_ros.batch.patterns import Pattern, is_url
 from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
-from trajeval_ros.batch.remote_hosts import parse_hosts, require_allowed
+from trajeval_ros.batch.remote_hosts import host_of, parse_hosts, require_allowed
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io.requests.protocol_file import is_protocol_file
 from trajeval_ros.io.requests.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
@@ -22,13 +23,13 @@ from trajeval_ros.pipeline.request import Request
 _NUMBERS = ("align_states", "time_offset", "start", "end")
 _LISTS = ("lengths", "groundtruth_noise", "alert_limit")
 _KEYS = (
-    "title", "folder", "groundtruth", "runs", "sequences", "trials", "common_time_span", "columns",
-    "frame_rate", *WORDS,
+    "title", "folder", "manifest", "groundtruth", "runs", "sequences", "trials",
+    "common_time_span", "columns", "frame_rate", *WORDS,
 )  # fmt: skip
 
 
 def plan_of(
-    target: Path,
+    target: str | Path,
     settings: Mapping[str, Any],
     *,
     columns: str | None = None,
@@ -36,43 +37,62 @@ def plan_of(
     common_time_span: bool | None = None,
     allow_remote: Iterable[str] = (),
 ) -> Plan:
-    """Return what a YAML file or a folder asks to compare.
+    """Return the plan of a comparison.
 
     Args:
-        target: The file or folder.
-        settings: Of the request, by the words of the command line; they override the file's.
-        columns: What the columns of the estimates' text files are; likewise.
-        frame_rate: Poses a second of text files without stamps; likewise.
-        common_time_span: Likewise.
-        allow_remote: Hosts that a file's URLs may be of, `SCHEME://HOST`.
+        target: A YAML file, a manifest (its path or URL), or a folder of a known layout.
+        settings: Settings of the request, by the words of the command line. They override the
+            file.
+        columns: Columns of the estimates' text files; overrides the file.
+        frame_rate: Poses per second in text files without timestamps; overrides the file.
+        common_time_span: Whether to evaluate only the time that all runs of a sequence cover;
+            overrides the file.
+        allow_remote: Hosts that URLs in the file may name, `SCHEME://HOST`. The host of a
+            manifest's own URL is allowed.
 
     Raises:
-        InputError: It can't be read, says what nobody knows, names no files, or a host that isn't
-            allowed.
-        SettingsError: Settings that mean nothing.
+        InputError: The target can't be read, has an unknown key, names no files, or a host that
+            is not allowed.
+        SettingsError: A setting is not valid.
     """
-    if target.is_dir():
+    hosts = parse_hosts(allow_remote)
+    path = Path(target)
+    if path.is_dir() or is_manifest(str(target)):
+        if path.is_dir():
+            title, found = path.resolve().name, runs_in_folder(path)
+        else:
+            title, found = path.stem, runs_in_manifest(str(target), hosts | host_of(str(target)))
         known = TextHints.of(columns, frame_rate)
-        found = (dataclasses.replace(run, hints=known) for run in runs_in_folder(target))
-        request = _request({}, settings)
-        return Plan(target.resolve().name, tuple(found), request, bool(common_time_span))
+        runs = tuple(dataclasses.replace(run, hints=known) for run in found)
+        return Plan(title, runs, _request({}, settings), bool(common_time_span))
+    if is_url(str(target)):
+        raise InputError(
+            f"{target} is not a manifest (.csv or .parquet); copy the file to this machine"
+        )
+    return _plan_of_yaml(path, settings, columns, frame_rate, common_time_span, hosts)
+
+
+def _plan_of_yaml(
+    target: Path,
+    settings: Mapping[str, Any],
+    columns: str | None,
+    frame_rate: float | None,
+    common_time_span: bool | None,
+    hosts: frozenset[str],
+) -> Plan:
     if not target.exists():
         raise InputError(
-            f"{target} does not exist; give a YAML configuration, or a folder in the layout of "
-            "ov_eval or rpg_trajectory_evaluation"
+            f"{target} does not exist; give a YAML configuration, a manifest (.csv or .parquet), "
+            "or a folder in the layout of ov_eval or rpg_trajectory_evaluation"
         )
-    hosts = parse_hosts(allow_remote)
     config = read_mapping(target, "comparison")
     require_known(config, _KEYS, str(target))
-    for key in ("groundtruth", "runs"):
-        if key not in config:
-            raise InputError(
-                f"{target} has no {key!r}, which defines the files to compare; add it"
-            )
     if common_time_span is None:
         common_time_span = _typed(config, "common_time_span", bool, target, default=False)
-    runs = _runs(config, target, hosts)
-    hints = _hints(config, target, columns, frame_rate)
+    listed = "manifest" in config
+    runs = _listed_runs(config, target, hosts) if listed else _runs(config, target, hosts)
+    algorithms = list(dict.fromkeys(run.algorithm for run in runs))
+    hints = _hints(config, target, algorithms, columns, frame_rate)
     return Plan(
         title=_typed(config, "title", str, target, default=target.stem),
         runs=tuple(dataclasses.replace(run, hints=hints[run.algorithm]) for run in runs),
@@ -81,10 +101,38 @@ def plan_of(
     )
 
 
+def _listed_runs(
+    config: Mapping[str, Any], target: Path, hosts: frozenset[str]
+) -> tuple[PlannedRun, ...]:
+    """Return the runs of the manifest that a YAML file names."""
+    for key in ("groundtruth", "runs", "sequences", "trials"):
+        if key in config:
+            raise InputError(f"{target}: manifest and {key} exclude each other; remove one")
+    manifest = _typed(config, "manifest", str, target)
+    if not is_manifest(manifest):
+        raise InputError(f"{target}: {manifest} is not a manifest; give a .csv or .parquet file")
+    if is_url(manifest):
+        require_allowed(manifest, hosts, str(target))
+        return runs_in_manifest(manifest, hosts)
+    return runs_in_manifest(str(_folder_of(config, target) / manifest), hosts)
+
+
+def _folder_of(config: Mapping[str, Any], target: Path) -> Path:
+    folder: str = _typed(config, "folder", str, target, default=".")
+    return target.parent / folder
+
+
 def _runs(
     config: Mapping[str, Any], target: Path, hosts: frozenset[str]
 ) -> tuple[PlannedRun, ...]:
-    folder = target.parent / _typed(config, "folder", str, target, default=".")
+    """Return the runs that the patterns of a YAML file match, and missing ones."""
+    for key in ("groundtruth", "runs"):
+        if key not in config:
+            raise InputError(
+                f"{target} has no {key!r}, which defines the files to compare; add it, or name a "
+                "manifest"
+            )
+    folder = _folder_of(config, target)
     patterns = config["runs"]
     if not isinstance(patterns, dict) or not patterns:
         raise InputError(
@@ -122,10 +170,13 @@ def _runs(
 
 
 def _hints(
-    config: Mapping[str, Any], target: Path, columns: str | None, frame_rate: float | None
+    config: Mapping[str, Any],
+    target: Path,
+    algorithms: Sequence[str],
+    columns: str | None,
+    frame_rate: float | None,
 ) -> dict[str, TextHints]:
-    """Return what is known of the text files of each algorithm beyond what is in them."""
-    algorithms = list(map(str, config["runs"]))
+    """Return the hints for the text files of each algorithm."""
     if frame_rate is None and "frame_rate" in config:
         frame_rate = _typed(config, "frame_rate", float, target)
     if columns is not None:

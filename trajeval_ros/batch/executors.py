@@ -25,13 +25,12 @@ from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from trajeval_ros.batch.source_hash import hash_of_numbers
-from trajeval_ros.batch.worker import Task, work
+from trajeval_ros.batch.worker import Task, WorkerResult, work
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.linear_algebra_threads import one_thread_for_children
 
-Outcome = bytes | str  # an encoded record, or why there is none
-Finish = Callable[[Task, Outcome], None]
+Finish = Callable[[Task, WorkerResult], None]
 
 _PATIENCE_S = 10.0
 _DIED = "the worker process was killed, probably out of memory"
@@ -142,7 +141,7 @@ def _drain(
     watch: Callable[[list[Task]], None],
 ) -> bool:
     """Work through the tasks; return whether all are done, and not the executor broken."""
-    running: dict[Future[Outcome], Task] = {}
+    running: dict[Future[WorkerResult], Task] = {}
     room = pool.workers + pool.ahead
     while True:
         while len(running) < room and (task := next(waiting, None)) is not None:
@@ -161,31 +160,31 @@ def _drain(
                 suspects += running.values()
                 return False
             except Exception as error:
-                outcome = _failure(error)
+                outcome = WorkerResult(None, _failure(error))
             finish(running.pop(future), outcome)
 
 
-def _submit(executor: Executor, task: Task) -> Future[Outcome]:
+def _submit(executor: Executor, task: Task) -> Future[WorkerResult]:
     """Hand a run over; to a broken executor, so that it is among those that broke with it."""
     try:
         return executor.submit(work, task)
     except BrokenExecutor as error:
-        future: Future[Outcome] = Future()
+        future: Future[WorkerResult] = Future()
         future.set_exception(error)
         return future
 
 
-def _succeeded(future: Future[Outcome]) -> bool:
+def _succeeded(future: Future[WorkerResult]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
 
 
-def _outcome(future: Future[Outcome]) -> Outcome:
+def _outcome(future: Future[WorkerResult]) -> WorkerResult:
     try:
         return future.result()
     except BrokenExecutor:
-        return _DIED
+        return WorkerResult(None, _DIED)
     except Exception as error:
-        return _failure(error)
+        return WorkerResult(None, _failure(error))
 
 
 def _failure(error: Exception) -> str:

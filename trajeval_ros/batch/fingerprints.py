@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.patterns import is_url, split_topic
+from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
@@ -98,10 +99,5 @@ def _read_beside(path: Path) -> list[Path]:
 
 def _remote_state(url: str) -> str:
     """Return what tells whether a file behind a URL changed: its tag, or its size and time."""
-    try:
-        from fsspec.core import url_to_fs
-
-        files, path = url_to_fs(url)
+    with open_store(url) as (files, path):
         return str(files.ukey(path))
-    except (ImportError, OSError, ValueError) as error:
-        raise InputError(f"{url} can't be read: {error}") from error

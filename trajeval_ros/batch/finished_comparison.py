@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.pooling import pooled_rows, write_pooled
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import row_of_failure, rows_of_run, state_of, write_table
+from trajeval_ros.batch.results_table import state_of, write_table
+from trajeval_ros.batch.run_rows import row_of_failure, rows_of_run
 from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.io.writing import refused_by_disk, write_text
 
@@ -55,7 +56,7 @@ class FinishedComparison:
 
     Attributes:
         title: What a report calls it.
-        settings: That the numbers depend on, as `settings_of` returns them.
+        settings: That the numbers depend on, as `Plan.settings` has them.
         runs: In the order of the tables.
     """
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
+from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.io.urls import require_no_password
 
 SEQUENCE, TRIAL = "sequence", "trial"
@@ -147,23 +147,16 @@ def _existing(folder: Path, pattern: str) -> Iterator[tuple[re.Match[str], str]]
             yield match, path
 
 
-def _existing_at(url: str) -> Iterator[tuple[re.Match[str], str]]:
-    """Yield the same of a pattern in a store."""
-    try:
-        from fsspec.core import url_to_fs
-
-        files, pattern = url_to_fs(url)
+def _existing_at(url: str) -> list[tuple[re.Match[str], str]]:
+    """Return the same of a pattern in a store."""
+    with open_store(url) as (files, pattern):
         expression = re.compile(_expression(pattern))
-        for path in sorted(files.glob("*".join(_fixed_parts(pattern)))):
-            if match := expression.fullmatch(path):
-                yield match, files.unstrip_protocol(path)
-    except ImportError as error:
-        raise InputError(
-            f"{url} can't be read: {error}; {extra_command('remote')}, or install the fsspec "
-            "package of that protocol"
-        ) from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{url} can't be listed: {error}") from error
+        found = sorted(files.glob("*".join(_fixed_parts(pattern))))
+        return [
+            (match, files.unstrip_protocol(path))
+            for path in found
+            if (match := expression.fullmatch(path))
+        ]
 
 
 def _fixed_parts(pattern: str) -> list[str]:

@@ -6,7 +6,9 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.pipeline.request import Request
@@ -65,6 +67,51 @@ class Plan:
         if run.time_span is None or self.request.time_span is not None:
             return self.request
         return dataclasses.replace(self.request, time_span=run.time_span)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings that the numbers depend on."""
+        request, protocol = self.request, self.request.protocol
+        rule, selection = protocol.association, protocol.selection
+        continuous = rule.method == "continuous"
+        return {
+            "protocol": protocol.name,
+            "gauge": protocol.gauge.value,
+            "modality": protocol.modality,
+            "align_states": "all" if protocol.align_states is None else protocol.align_states,
+            "align_with": protocol.align_with,
+            "apply": protocol.apply,
+            "align_weights": protocol.align_weights,
+            "association": rule.method,
+            "max_time_difference": rule.max_time_difference_s,
+            "max_gap": rule.max_gap_s,
+            "time_offset": rule.time_offset_s,
+            "continuous_model": rule.model if continuous else None,
+            "groundtruth_noise": dataclasses.asdict(rule.noise) if continuous else None,
+            "in_order": protocol.in_order,
+            "ate_form": protocol.ate_form,
+            "re_form": protocol.re_form,
+            "lengths": [str(length) for length in protocol.lengths],
+            "selection": str(selection),
+            "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
+            "calibrate_time_offset": request.calibration.offset,
+            "hand_eye": _hand_eye(request.calibration),
+            "covariance": request.covariances.source,
+            "rotation_covariance_frame": request.covariances.rotation_frame,
+            "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
+            "integrity": None
+            if request.integrity is None
+            else dataclasses.asdict(request.integrity),
+            "mends": dataclasses.asdict(request.mends) if request.mends.anything else None,
+            "common_time_span": self.common_time_span,
+        }
+
+
+def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
+    known = calibration.known
+    if known is not None:
+        return [*known.rotation_xyzw.tolist(), *known.lever_m.tolist()]
+    return "auto" if calibration.hand_eye else "none"
 
 
 def all_runs(

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, load_pyarrow, metadata_of
+from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, metadata_of
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.drift import PER_LENGTH

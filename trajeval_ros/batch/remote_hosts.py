@@ -31,6 +31,12 @@ def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
     return frozenset(hosts)
 
 
+def host_of(url: str) -> frozenset[str]:
+    """Return the host of a URL that the user's own command names; nothing if it has none."""
+    match = _HOST.match(url)
+    return frozenset() if match is None else frozenset({_name(match)})
+
+
 def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
     """Check that a URL is of this machine, or of a host that is allowed.
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.plan import Plan, PlannedRun
-from trajeval_ros.batch.records import Record
-from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_whole
 
@@ -53,160 +48,6 @@ _COLUMNS = {
 }
 
 
-def settings_of(plan: Plan) -> dict[str, Any]:
-    """Return all settings that the numbers of a comparison depend on."""
-    request, protocol = plan.request, plan.request.protocol
-    rule, selection = protocol.association, protocol.selection
-    continuous = rule.method == "continuous"
-    return {
-        "protocol": protocol.name,
-        "gauge": protocol.gauge.value,
-        "modality": protocol.modality,
-        "align_states": "all" if protocol.align_states is None else protocol.align_states,
-        "align_with": protocol.align_with,
-        "apply": protocol.apply,
-        "align_weights": protocol.align_weights,
-        "association": rule.method,
-        "max_time_difference": rule.max_time_difference_s,
-        "max_gap": rule.max_gap_s,
-        "time_offset": rule.time_offset_s,
-        "continuous_model": rule.model if continuous else None,
-        "groundtruth_noise": dataclasses.asdict(rule.noise) if continuous else None,
-        "in_order": protocol.in_order,
-        "ate_form": protocol.ate_form,
-        "re_form": protocol.re_form,
-        "lengths": [str(length) for length in protocol.lengths],
-        "selection": str(selection),
-        "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
-        "calibrate_time_offset": request.calibration.offset,
-        "hand_eye": _hand_eye(request.calibration),
-        "covariance": request.covariances.source,
-        "rotation_covariance_frame": request.covariances.rotation_frame,
-        "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
-        "integrity": None if request.integrity is None else dataclasses.asdict(request.integrity),
-        "mends": dataclasses.asdict(request.mends) if request.mends.anything else None,
-        "common_time_span": plan.common_time_span,
-    }
-
-
-def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
-    known = calibration.known
-    if known is not None:
-        return [*known.rotation_xyzw.tolist(), *known.lever_m.tolist()]
-    return "auto" if calibration.hand_eye else "none"
-
-
-def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
-    """Yield the rows of an evaluated run.
-
-    Args:
-        run: Which.
-        record: Its evaluation.
-        own_coverage: Of the groundtruth's time, before the run was cut to a common span.
-    """
-    evaluated = record.run
-    association, alignment = evaluated["association"], evaluated["alignment"]
-    gap = association["longest_gap"] or {}
-    inputs = record.result["provenance"]["inputs"]
-    truth, estimate = (
-        inputs[record.result["groundtruth"]["source"]],
-        inputs[evaluated["estimate"]["source"]],
-    )
-    same = {
-        **_names(run),
-        "status": OK,
-        "pairs": association["pairs"],
-        "estimate_coverage": association["estimate_coverage"],
-        "groundtruth_coverage": association["groundtruth_coverage"],
-        "own_groundtruth_coverage": own_coverage,
-        "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
-        "groundtruth_span": association["groundtruth_span"],
-        "longest_gap_s": gap.get("duration_s"),
-        "longest_gap_m": gap.get("reach_m"),
-        "longest_gap_deg": gap.get("turn_deg"),
-        "scale": alignment["scale"],
-        "states_used": alignment["states_used"],
-        "poses": evaluated["estimate"]["poses"],
-        "groundtruth": run.groundtruth,
-        "estimate": run.estimate,
-        "groundtruth_sha256": truth,
-        "estimate_sha256": estimate,
-        "key": record.key,
-        "warnings": "\n".join(evaluated["warnings"]),
-        "diagnosis": ",".join(each["cause"] for each in evaluated["diagnosis"]),
-    }
-    yield from _rows(evaluated["ate"], {**same, "kind": ATE})
-    yield from _values(evaluated, same)
-    relative = evaluated["re"]
-    if relative is None:
-        return
-    for length, segment in zip(record.lengths, relative["segments"], strict=True):
-        sizes = {name: segment.get(name) for name in ("length_m", "duration_s", "mean_length_m")}
-        yield from _rows(segment, {**same, **sizes, "kind": RE, "length": length})
-    yield from _rows(relative["pooled"], {**same, "kind": POOLED})
-
-
-def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield what was calibrated and applied, and how errors fit covariances and groundtruth."""
-    calibration, consistency, probabilistic = (
-        evaluated[name] or {} for name in ("calibration", "consistency", "probabilistic")
-    )
-    offset, hand_eye = calibration.get("time_offset") or {}, calibration.get("hand_eye") or {}
-    rotation, lever = hand_eye.get("rotation") or {}, hand_eye.get("lever_arm") or {}
-    joint, per_pose = (consistency.get(name) or {} for name in ("joint", "per_pose"))
-    ate = probabilistic.get("ate") or {}
-    found = (
-        (CALIBRATION, "time_offset_s", offset.get("value_s") if offset.get("applied") else None,
-         offset.get("sigma_s")),
-        (CALIBRATION, "rotation_deg", rotation.get("angle_deg") if rotation.get("applied") else
-         None, None),
-        (CALIBRATION, "lever_arm_m", math.hypot(*(each or 0.0 for each in lever["value_m"]))
-         if lever.get("applied") else None, None),
-        (CALIBRATION, "parameters_applied", calibration.get("parameters_applied"), None),
-        (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
-        (CONSISTENCY, "pose_nees_per_dof", per_pose.get("mean"), None),
-        *_integrity(evaluated["integrity"] or {}),
-        (LIKELIHOOD, "nll_per_pose", probabilistic.get("nll_per_pose"), None),
-        (LIKELIHOOD, "weighted_m", ate.get("weighted_m"), None),
-        (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),
-        (LIKELIHOOD, "supported_share", ate.get("supported_share"), None),
-    )  # fmt: skip
-    for kind, metric, value, sigma in found:
-        if value is not None:
-            yield {**same, "kind": kind, "metric": metric, "mean": value, "std": sigma}
-
-
-def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
-    """Yield kind, metric and value of what was found about each part of the pose."""
-    for part in found.get("parts", ()):
-        name = part["part"]
-        yield INTEGRITY, f"{name}_hazardous", part["areas"]["hazardous"], None
-        yield INTEGRITY, f"{name}_available", part["availability"], None
-        yield INTEGRITY, f"{name}_inflation", part["inflation_999"], None
-        yield INTEGRITY, f"{name}_level_{part['unit']}", part["protection_level_median"], None
-
-
-def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
-    """Return the row of a run without numbers: it stays in the table."""
-    return {
-        **_names(run),
-        "status": MISSING if run.missing else FAILED,
-        "reason": reason,
-        "groundtruth": run.groundtruth,
-        "estimate": run.estimate,
-    }
-
-
-def _names(run: PlannedRun) -> dict[str, str]:
-    return {"algorithm": run.algorithm, "sequence": run.sequence, "trial": run.trial}
-
-
-def _rows(metrics: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for metric, statistics in metrics.items():
-        if isinstance(statistics, dict):
-            yield {**same, "metric": metric, **statistics}
-
-
 def write_table(
     path: Path, rows: Iterable[dict[str, Any]], title: str, settings: dict[str, Any], state: str
 ) -> None:
@@ -216,7 +57,7 @@ def write_table(
         path: The file; it is whole or not there.
         rows: Of runs, as `rows_of_run` and `row_of_failure` make them.
         title: Of the comparison.
-        settings: That its numbers depend on, as `settings_of` returns them.
+        settings: That its numbers depend on, as `Plan.settings` has them.
         state: Hash of what the table was made from.
 
     Raises:
@@ -369,23 +210,3 @@ class ResultsTable:
         return InputError(
             f"{self.path} is not a complete Parquet file; create it again with trajeval compare"
         )
-
-
-def load_pyarrow() -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet part.
-
-    Raises:
-        InputError: It is not installed, or wants another numpy.
-    """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"trajeval compare needs pyarrow; install it: {extra_command('compare')}"
-        ) from error
-    except ImportError as error:
-        raise InputError(
-            f"pyarrow is installed but can't be used ({error}): {pyarrow_command()}"
-        ) from error
-    return pyarrow, parquet

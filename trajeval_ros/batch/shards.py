@@ -11,7 +11,8 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,11 +20,11 @@ from typing import Any
 
 from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
 from trajeval_ros.batch.plan import Plan, PlannedRun
+from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.batch.record_store import RECORDS, SUFFIX, RecordStore
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import load_pyarrow, settings_of
 from trajeval_ros.batch.source_hash import hash_of_package
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError, reason_of
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import refused_by_disk, write_whole
 
@@ -131,7 +132,7 @@ def write_shard(folder: Path, shard: Shard, plan: Plan, finished: FinishedCompar
 
 def _hash_of(plan: Plan) -> str:
     """Return what tells two plans apart; where their files lie may differ from host to host."""
-    digest = hashlib.sha256(json.dumps(settings_of(plan)).encode())
+    digest = hashlib.sha256(json.dumps(plan.settings).encode())
     for run in plan.runs:
         part = (run.algorithm, run.sequence, run.trial, bool(run.missing))
         digest.update(json.dumps(part).encode())
@@ -201,21 +202,37 @@ def write_merged(finished: FinishedComparison, folders: Sequence[Path], output: 
 
 
 def _head_of(folder: Path) -> dict[str, str]:
-    _, parquet = load_pyarrow()
     path = folder / SHARD
-    try:
-        metadata = parquet.read_schema(path).metadata or {}
-    except FileNotFoundError as error:
-        raise InputError(
-            f"no finished shard in {folder}; give the --output of a finished trajeval compare "
-            "--shard"
-        ) from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} can't be read: {error}; run that shard again") from error
+    with _open_table(path) as table:
+        metadata = table.schema_arrow.metadata or {}
     text = {key.decode(): value.decode(errors="replace") for key, value in metadata.items()}
     head = {key.removeprefix("trajeval."): value for key, value in text.items()}
     require_schema(path, head.get("schema"), SCHEMA, "shard of a comparison", "run it again")
     return head
+
+
+@contextmanager
+def _open_table(path: Path) -> Iterator[Any]:
+    """Yield the table of a shard; errors in the block name it once.
+
+    Raises:
+        InputError: There is none, or it can't be read.
+    """
+    _, parquet = load_pyarrow()
+    try:
+        file = path.open("rb")
+    except FileNotFoundError as error:
+        raise InputError(
+            f"no finished shard in {path.parent}; give the --output of a finished trajeval "
+            "compare --shard"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
+    try:
+        with file, parquet.ParquetFile(file) as table:
+            yield table
+    except (OSError, ValueError, LookupError) as error:
+        raise InputError(f"{path} is damaged; run that shard again") from error
 
 
 def _require_all(heads: dict[Path, dict[str, str]]) -> None:
@@ -243,16 +260,10 @@ def _require_all(heads: dict[Path, dict[str, str]]) -> None:
 
 
 def _place(folder: Path, runs: list[FinishedRun | None]) -> None:
-    _, parquet = load_pyarrow()
-    try:
-        with parquet.ParquetFile(folder / SHARD) as file:
-            for batch in file.iter_batches(columns=list(_COLUMNS)):
-                for row in batch.to_pylist():
-                    runs[row["place"]] = _finished(row)
-    except (OSError, ValueError, LookupError) as error:
-        raise InputError(
-            f"{folder / SHARD} can't be read: {error}; run that shard again"
-        ) from error
+    with _open_table(folder / SHARD) as table:
+        for batch in table.iter_batches(columns=list(_COLUMNS)):
+            for row in batch.to_pylist():
+                runs[row["place"]] = _finished(row)
 
 
 def _finished(row: dict[str, Any]) -> FinishedRun:

@@ -16,6 +16,7 @@ from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.fetched_bytes import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import TextHints
@@ -49,19 +50,34 @@ class Task:
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
-def work(task: Task) -> bytes | str:
-    """Evaluate a run and return its encoded record; or why not, in one sentence.
+@dataclass(frozen=True)
+class WorkerResult:
+    """The result of evaluating a run.
 
-    Nothing that one run does wrong may end the others, so defects of ours are told as well.
+    Attributes:
+        entry: Its encoded record; None if it failed.
+        reason: Why it failed, in one sentence; "" if it did not.
+        fetched_bytes: What was read from remote stores, for failed runs too.
     """
-    try:
-        return encode(_evaluate(task))
-    except TrajevalError as error:
-        return str(error)
-    except MemoryError:
-        return "out of memory; use fewer workers"
-    except Exception as error:
-        return f"internal error, please report it: {type(error).__name__}: {error}"
+
+    entry: bytes | None
+    reason: str = ""
+    fetched_bytes: int = 0
+
+
+def work(task: Task) -> WorkerResult:
+    """Evaluate a run. No failure of a run ends the others, not even a defect of this package."""
+    entry, reason = None, ""
+    with counting_fetched_bytes() as fetched:
+        try:
+            entry = encode(_evaluate(task))
+        except TrajevalError as error:
+            reason = str(error)
+        except MemoryError:
+            reason = "out of memory; use fewer workers"
+        except Exception as error:
+            reason = f"internal error, please report it: {type(error).__name__}: {error}"
+    return WorkerResult(entry, reason, fetched.total)
 
 
 def _evaluate(task: Task) -> Record:

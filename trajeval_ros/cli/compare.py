@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trajeval_ros.cli import figure_options, gating, options
-from trajeval_ros.cli.pipes import may_break
+from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict
 from trajeval_ros.cli.progress import progress as drawing
+from trajeval_ros.cli.progress import progress_of_runs
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.batch.comparison import Progress
-    from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.executors import Pool
-    from trajeval_ros.batch.shards import Shard
 
 WORK = "Work"
 
 
 def compare(
     targets: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(
-            metavar="CONFIG.yaml|DIR",
-            help="YAML configuration (docs/compare.md), or a folder in the layout of ov_eval or "
+            metavar="CONFIG.yaml|RUNS.csv|DIR",
+            help="YAML configuration, manifest (RUNS.csv or RUNS.parquet, also a URL; "
+            "docs/compare.md), or a folder in the layout of ov_eval or "
             "rpg_trajectory_evaluation; with --merge the output folders of all shards.",
             show_default=False,
         ),
@@ -79,7 +75,8 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="URL",
-            help="Host that URLs in CONFIG.yaml may use, as in s3://bucket. Repeatable.",
+            help="Host that URLs in CONFIG.yaml or in the manifest may use, as in s3://bucket. "
+            "Repeatable.",
             rich_help_panel=WORK,
         ),
     ] = None,
@@ -192,6 +189,10 @@ def compare(
 
         trajeval compare euroc.yaml --output comparison
 
+    Evaluate the runs that a table lists, one per row:
+
+        trajeval compare runs.csv --modality mono-inertial
+
     Evaluate a folder in the layout of ov_eval or rpg_trajectory_evaluation:
 
         trajeval compare results --gauge yaw
@@ -218,7 +219,6 @@ def compare(
     from trajeval_ros.batch.output_lock import only_writer
     from trajeval_ros.batch.page import is_drawn, write_report
     from trajeval_ros.batch.record_store import RECORDS
-    from trajeval_ros.batch.results_table import settings_of
     from trajeval_ros.batch.shards import Shard, merged, write_merged
 
     look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
@@ -271,7 +271,8 @@ def compare(
             raise SettingsError(
                 "--merge uses the settings of the shards; remove the options of the evaluation"
             )
-        finished = merged(targets)
+        folders = [Path(each) for each in targets]
+        finished = merged(folders)
         settings = finished.settings
     else:
         plan = plan_of(
@@ -282,7 +283,7 @@ def compare(
             common_time_span=common_time_span,
             allow_remote=allow_remote or (),
         )
-        settings = settings_of(plan)
+        settings = plan.settings
     # Read before anything is written: it may be the table of the same folder.
     gates = gating.gates_of(
         baseline, fail_if or [], undecided, false_alarms, settings, paired=paired
@@ -290,12 +291,12 @@ def compare(
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
         progress = Progress()
         if merge:
-            write_merged(finished, targets, output)
+            write_merged(finished, folders, output)
         else:
-            with _progress_bar() as tell:
+            with progress_of_runs() as tell:
                 progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell, part)
         if part is not None:
-            _print_shard(part, progress, output, quiet=quiet)
+            print_shard(part, progress, output, quiet=quiet)
             return
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
@@ -308,26 +309,9 @@ def compare(
             with drawing("drawing figures") as advance:
                 write_figure_files(output, summary, look, local_pool(workers), advance)
         if not quiet:
-            with may_break():
-                _print(summary, progress, output)
+            print_verdict(summary, progress, output)
         if gates is not None:
             gating.judge(gates, output, summary.title, quiet=quiet)
-
-
-def _print_shard(shard: Shard, progress: Progress, folder: Path, *, quiet: bool) -> None:
-    """State what a shard did; runs that failed are told by the tables of all shards, too."""
-    if progress.failed:
-        print(
-            f"warning: {progress.failed} of {progress.total} runs of shard {shard} failed; the "
-            "tables after --merge list the reasons",
-            file=sys.stderr,
-        )
-    if not quiet:
-        with may_break():
-            print(
-                f"shard {shard}: {progress.new} runs evaluated, {progress.kept} unchanged: "
-                f"{folder}"
-            )
 
 
 def _tell_of_waiting(held: str) -> None:
@@ -338,61 +322,3 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
     from trajeval_ros.batch.executors import dask_pool, local_pool
 
     return local_pool(workers) if cluster is None else dask_pool(cluster)
-
-
-def _print(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
-    from trajeval_ros.batch.comparison_summary import failures
-    from trajeval_ros.batch.results_table import OK
-    from trajeval_ros.batch.summary_tables import matrices
-    from trajeval_ros.report.console import console, show
-    from trajeval_ros.report.matrix import to_terminal
-
-    terminal = console()
-    for each in matrices(summary):
-        show(terminal, to_terminal(each))
-        terminal.print(f"{each.caption}\n", style="dim")
-    unchanged = sum(trial.status == OK for trial in summary.trials) - progress.new
-    kept = f", {unchanged} unchanged" if unchanged else ""
-    terminal.print(
-        f"{counted(progress.new, 'run')} evaluated{kept}; report.html, tables and runs.parquet: "
-        f"{folder}",
-        soft_wrap=True,
-    )
-    terminal.file.flush()
-    remarks = console(sys.stderr)
-    for line in failures(summary):
-        remarks.print(f"warning: {line}", soft_wrap=True)
-
-
-@contextmanager
-def _progress_bar() -> Iterator[Callable[[Progress], None]]:
-    """Yield a function that shows how many runs are done, have failed and are in progress."""
-    if not sys.stderr.isatty():
-        yield lambda progress: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    from trajeval_ros.formatting.escaping import visible
-
-    columns: list[Any] = [
-        MofNCompleteColumn(),
-        BarColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[failed]}[dim]{task.fields[running]}"),
-    ]
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        line = bar.add_task("runs", total=None, failed="", running="reading inputs")
-
-        def tell(progress: Progress) -> None:
-            bar.update(
-                line,
-                total=progress.total or None,
-                completed=progress.kept + progress.done + progress.failed,
-                failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
-                running=escape(visible(", ".join(progress.running))),
-            )
-
-        yield tell

@@ -1,4 +1,4 @@
-"""A progress bar for what takes longer than a second, on a terminal only."""
+"""Progress bars, on a terminal only."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from trajeval_ros.batch.comparison import Progress as RunProgress
 
 PATIENCE_S = 1.0
 
@@ -35,6 +39,40 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
         yield advance
     finally:
         bar.stop()
+
+
+@contextmanager
+def progress_of_runs() -> Iterator[Callable[[RunProgress], None]]:
+    """Yield a function that shows how many runs are done, have failed and are in progress."""
+    if not sys.stderr.isatty():
+        yield lambda progress: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    from trajeval_ros.formatting.escaping import visible
+
+    columns: list[Any] = [
+        MofNCompleteColumn(),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[failed]}[dim]{task.fields[running]}"),
+    ]
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        line = bar.add_task("runs", total=None, failed="", running="reading inputs")
+
+        def tell(progress: RunProgress) -> None:
+            bar.update(
+                line,
+                total=progress.total or None,
+                completed=progress.kept + progress.done + progress.failed,
+                failed=f"[red]{progress.failed} failed[/] " if progress.failed else "",
+                running=escape(visible(", ".join(progress.running))),
+            )
+
+        yield tell
 
 
 def _ignore(done: int, total: int) -> None:

@@ -50,6 +50,16 @@ def change_percent(share: float, sign: str = "+") -> str:
     return f"{100.0 * share:{sign}.{0 if abs(share) >= 0.1 else 1}f} %"
 
 
+def data_size(count: int) -> str:
+    """Return a number of bytes with at most three significant digits: 12.3 MB."""
+    size = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 999.5:
+            return f"{size:.3g} {unit}"
+        size /= 1000.0
+    return f"{size:.3g} TB"
+
+
 def metres(value: float | None) -> str:
     """Return a length to the millimetre."""
     return NOTHING if value is None else f"{value:.3f} m"

@@ -10,7 +10,6 @@ import dataclasses
 import difflib
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.byte_source import beginning_of
-from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.local_copy import local_file
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
 from trajeval_ros.io.urls import require_no_password
@@ -149,14 +148,14 @@ def read_many(
     for done, numbers in enumerate(files.values()):
         first, own = parsed[numbers[0]], _part_of(advance, done, len(files))
         with _naming(first.path):
-            if first.is_pipe:
-                if len(numbers) > 1:
-                    raise InputError("a pipe can be read only once; use it for one source")
-                with _copied(first.path) as copy:
-                    read |= {numbers[0]: read_text(copy, own, known[numbers[0]])}
-                continue
+            if first.is_pipe and len(numbers) > 1:
+                raise InputError("a pipe can be read only once; use it for one source")
             if not first.is_bag:
-                read |= dict.fromkeys(numbers, read_text(first.path, own, known[numbers[0]]))
+                with local_file(first.path) as file:
+                    if first.is_pipe and _begins_as_bag(file):
+                        raise InputError("a bag can't be read from a pipe; give the file")
+                    text = read_text(file, own, known[numbers[0]], beside=first.path)
+                read |= dict.fromkeys(numbers, text)
                 continue
             from trajeval_ros.io.bags.topics import BagSource, read_bag
 
@@ -185,25 +184,6 @@ def each_topic(source: str) -> list[str]:
     with _naming(parts.path), Bag(parts.path, None) as bag:
         topics = [topic.name for topic in bag.topics if topic.holds_poses and topic.count]
     return [f"{source}:{topic}" for topic in topics] or [source]
-
-
-@contextlib.contextmanager
-def _copied(pipe: Path) -> Iterator[Path]:
-    """Yield a file with what comes through a pipe; errors about it name the pipe.
-
-    Raises:
-        InputError: A bag comes, which is read by its index.
-    """
-    with temporary_folder("pipe") as folder:
-        copy = folder / pipe.name
-        with pipe.open("rb") as reading, copy.open("wb") as writing:
-            shutil.copyfileobj(reading, writing)
-        if _begins_as_bag(copy):
-            raise InputError("a bag can't be read from a pipe; give the file")
-        try:
-            yield copy
-        except InputError as error:
-            raise InputError(str(error).replace(str(copy), str(pipe))) from error
 
 
 def _same_bag(path: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -52,8 +52,16 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
     return first
 
 
-def require_known(found: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+def require_known(
+    found: Iterable[str], known: Iterable[str], where: str, what: str = "key"
+) -> None:
     """Check that all names are known ones.
+
+    Args:
+        found: The names.
+        known: All valid names.
+        where: What contains them, for the message.
+        what: The noun for the message.
 
     Raises:
         InputError: One isn't; says which might be meant.
@@ -63,4 +71,4 @@ def require_known(found: Mapping[str, Any], known: Iterable[str], where: str) ->
         if name not in known:
             near = get_close_matches(str(name), known, n=1)
             hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"
-            raise InputError(f"{where} has an unknown key {name!r}; {hint}")
+            raise InputError(f"{where} has an unknown {what} {name!r}; {hint}")

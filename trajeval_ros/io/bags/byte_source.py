@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from trajeval_ros.io.fetched_bytes import current_counter
+
 
 class ByteSource(Protocol):
     """What can be read at any place.
@@ -75,6 +77,7 @@ class RemoteFile:
         self.name = str(path)
         self._files, self._path = path.fs, path.path
         self.size = int(self._files.size(self._path))
+        self._fetched = current_counter()  # reads may come from other threads
 
     def read(self, offset: int, size: int) -> bytes:
         """Return the bytes from an offset on, fewer where the end is near."""
@@ -82,13 +85,17 @@ class RemoteFile:
         if end <= offset:
             return b""
         data: bytes = self._files.cat_file(self._path, start=offset, end=end)
+        self._fetched.add(len(data))
         return data
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes of several ranges (offset, size)."""
         starts = [offset for offset, _ in ranges]
         ends = [min(offset + size, self.size) for offset, size in ranges]
-        pieces: list[bytes] = self._files.cat_ranges([self._path] * len(ranges), starts, ends)
+        pieces: list[bytes] = self._files.cat_ranges(
+            [self._path] * len(ranges), starts, ends, on_error="raise"
+        )
+        self._fetched.add(sum(map(len, pieces)))
         return pieces
 
     def close(self) -> None:

@@ -35,7 +35,10 @@ _BLOCK = 1 << 19  # bytes that are parsed at once: their arrays stay in the proc
 
 
 def read_text(
-    path: Path, advance: Advance | None = None, hints: TextHints = NO_HINTS
+    path: Path,
+    advance: Advance | None = None,
+    hints: TextHints = NO_HINTS,
+    beside: Path | None = None,
 ) -> Trajectory:
     """Read a trajectory from a text file whose layout is recognised by its content.
 
@@ -43,6 +46,7 @@ def read_text(
         path: An existing, readable file.
         advance: Called with the bytes done and all bytes, now and then.
         hints: What the user says of it.
+        beside: The original of a copy, next to which files of timestamps are; by default `path`.
 
     Raises:
         InputError: The file is no trajectory, with the line where that shows.
@@ -54,7 +58,8 @@ def read_text(
     layout = text.layout
     columns = _read_columns(path, text, advance)
     frames = _frames_of(path, layout, columns)
-    stamps, stamped, timing = _stamps_of(path, layout, columns, frames, hints)
+    origin = path if beside is None else beside
+    stamps, stamped, timing = _stamps_of(origin, layout, columns, frames, hints)
     if stamped:
         check_stamps(stamps, str(path))
     notes = [f"format: {layout.name}", *filter(None, [layout.note]), *timing]

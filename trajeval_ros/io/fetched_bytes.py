@@ -1,0 +1,44 @@
+"""How many bytes come from remote stores."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+
+class FetchedBytes:
+    """A counter that several threads may increase.
+
+    Attributes:
+        total: Bytes of objects; without protocol headers and listings.
+    """
+
+    def __init__(self) -> None:
+        self.total = 0
+        self._lock = threading.Lock()
+
+    def add(self, count: int) -> None:
+        """Add bytes."""
+        with self._lock:
+            self.total += count
+
+
+_COUNTER: ContextVar[FetchedBytes] = ContextVar("fetched_bytes", default=FetchedBytes())  # noqa: B039
+
+
+def current_counter() -> FetchedBytes:
+    """Return the counter of the innermost block of `counting_fetched_bytes`."""
+    return _COUNTER.get()
+
+
+@contextmanager
+def counting_fetched_bytes() -> Iterator[FetchedBytes]:
+    """Count the bytes of all remote objects that this thread opens in the block."""
+    counter = FetchedBytes()
+    token = _COUNTER.set(counter)
+    try:
+        yield counter
+    finally:
+        _COUNTER.reset(token)

@@ -1,0 +1,50 @@
+"""Texts of pipes and stores as local files: text is read several times from its start."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.byte_source import source_of
+from trajeval_ros.io.temporary import temporary_folder
+
+_AT_ONCE = 1 << 23  # bytes per request to a store
+
+
+@contextmanager
+def local_file(path: Any) -> Iterator[Path]:
+    """Yield the file itself, or a copy of a pipe or of an object in a store.
+
+    Errors about the copy name the original.
+
+    Args:
+        path: Of this machine, or of universal_pathlib.
+
+    Raises:
+        OSError: It can't be read.
+    """
+    if isinstance(path, Path) and path.is_file():
+        yield path
+        return
+    with temporary_folder("copy") as folder:
+        copy = folder / path.name
+        with copy.open("wb") as writing:
+            if isinstance(path, Path):
+                with path.open("rb") as reading:
+                    shutil.copyfileobj(reading, writing)
+            else:
+                _download(path, writing)
+        try:
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), str(path))) from error
+
+
+def _download(path: Any, writing: BinaryIO) -> None:
+    source = source_of(path)
+    for offset in range(0, source.size, _AT_ONCE):
+        writing.write(source.read(offset, _AT_ONCE))
