@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from trajeval_ros.io.sources import read_trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 PAIR = Path(__file__).parent / "data/parity/pairs/drone_loop"
-_BLOCK = re.compile(r"^( *)```console\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^( *)```(\w*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 
 # Commands that no test types, by how they begin, and why.
 NOT_RUN = {
@@ -54,10 +55,22 @@ def pages() -> list[Path]:
 
 def commands(text: str) -> Iterator[str]:
     """Yield the commands of the `console` blocks of a page, each as one line."""
-    for _, block in _BLOCK.findall(text):
-        lines = block.replace("\\\n", " ").splitlines()
-        typed = [each.strip()[2:] for each in lines if each.strip().startswith("$ ")]
-        yield from (" ".join(each.split()) for each in typed)
+    for _, kind, block in _BLOCK.findall(text):
+        if kind == "console":
+            yield from _commands_of(block)
+
+
+def outputs(text: str) -> Iterator[tuple[list[str], list[str]]]:
+    """Yield the commands of a `console` block and the lines of the `text` block after it."""
+    for (_, kind, block), (_, next_kind, output) in pairwise(_BLOCK.findall(text)):
+        if (kind, next_kind) == ("console", "text"):
+            yield _commands_of(block), output.splitlines()
+
+
+def _commands_of(block: str) -> list[str]:
+    lines = block.replace("\\\n", " ").splitlines()
+    typed = [each.strip()[2:] for each in lines if each.strip().startswith("$ ")]
+    return [" ".join(each.split()) for each in typed]
 
 
 def why_not_run(command: str) -> str | None:
@@ -81,8 +94,8 @@ def environment_with_programs(folder: Path, **more: str) -> dict[str, str]:
 
 def typed(
     command: str, folder: Path, environment: dict[str, str], allowed: Sequence[int] = (0,)
-) -> None:
-    """Type a command, and check how it ends."""
+) -> str:
+    """Type a command, check how it ends, and return what it prints."""
     done = subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
@@ -93,6 +106,7 @@ def typed(
         check=False,
     )
     assert done.returncode in allowed, f"{command}\n{done.stdout}{done.stderr}"
+    return done.stdout + done.stderr
 
 
 def _saved(folder: Path, trajectory: Trajectory, name: str, kind: str) -> None:

@@ -251,6 +251,25 @@ def test_errors_start_small() -> None:
     assert not found, listed(found)
 
 
+def test_examples_of_the_style_guide_are_messages_of_the_program() -> None:
+    guide = (PACKAGE.parent / "docs/style.md").read_text(encoding="utf-8")
+    section = guide.partition("## Messages")[2].partition("\n## ")[0]
+    examples = re.findall(r"^\| [\w ]+ \| `(.*)` \|$", section, re.MULTILINE)
+    parts = [part for example in examples for part in example.split("; ")]
+    known = [
+        re.escape(part).replace(HOLE, ".+")
+        for each in catalogue()
+        for part in each.text.split("; ")
+        if len(re.findall(r"[A-Za-z']{2,}", part)) >= 3
+    ]
+    install = re.escape("install it: ")
+    unknown = [
+        part for part in parts if not any(re.search(each, part) for each in [*known, install])
+    ]
+    assert len(examples) > 3
+    assert not unknown, listed(unknown)
+
+
 def test_numbers_and_nouns_agree() -> None:
     found = [str(each) for each in catalogue() if each.number]
     assert not found, listed(found)

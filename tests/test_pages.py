@@ -16,6 +16,7 @@ from page_commands import (
     commands,
     environment_with_programs,
     make_files,
+    outputs,
     pages,
     typed,
     why_not_run,
@@ -105,6 +106,13 @@ def test_every_command_can_be_typed(name: str) -> None:
             assert words[0] in ("cp", "sed"), f"{command}: no test runs it, and no reason is given"
 
 
+def test_an_output_belongs_to_the_commands_before_it() -> None:
+    text = "```console\n$ a b \\\n    c\n$ d\n```\nIt prints:\n\n```text\none\ntwo\n```\n"
+    assert list(outputs(text)) == [(["a b c", "d"], ["one", "two"])]
+    assert list(outputs(text.replace("text", "yaml"))) == []
+    assert list(outputs(PAGES["README.md"]))
+
+
 def test_reasons_are_of_commands_that_stand_somewhere() -> None:
     typed = [each for found in TYPED.values() for each in found]
     assert not [begin for begin in NOT_RUN if not any(each.startswith(begin) for each in typed)]
@@ -124,12 +132,16 @@ STATUS = {"--fail-on": (0, 1), "--fail-if": (0, 1)}
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, typed in RUN.items() if typed])
 def test_commands_run_as_they_stand(name: str, files: Path, tmp_path: Path) -> None:
-    """One after the other, in a folder with the files that they name."""
+    """One after the other, in a folder with the files that they name; they print what is shown."""
     for package in ("matplotlib", "pyarrow", "jinja2"):
         pytest.importorskip(package, reason=f"{package} is missing")
     folder = tmp_path / "work"
     subprocess.run(["cp", "-r", str(files), str(folder)], check=True)
     environment = environment_with_programs(tmp_path / "bin")
+    printed = {}
     for command in RUN[name]:
         allowed = next((each for word, each in STATUS.items() if word in command), (0,))
-        typed(command, folder, environment, allowed)
+        printed[command] = typed(command, folder, environment, allowed)
+    for shown_after, lines in outputs(PAGES[name]):
+        found = "".join(printed.get(command, "") for command in shown_after)
+        assert not found or not [line for line in lines if line not in found], found

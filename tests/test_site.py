@@ -14,7 +14,7 @@ import pytest
 import trajeval_ros
 from trajeval_ros.cli.verbs import VERBS, verb
 from trajeval_ros.online import error_topics
-from trajeval_ros.ros.parameter_table import PARAMETERS
+from trajeval_ros.ros.parameter_table import PARAMETERS, SERVICES
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -44,13 +44,15 @@ def test_the_reference_has_every_command_and_option(site: Any) -> None:
     assert "docs/" not in page
 
 
-def test_the_reference_has_every_parameter_and_topic(site: Any) -> None:
+def test_the_reference_has_every_parameter_topic_and_service(site: Any) -> None:
     page = site("reference").parameters()
     table = page.partition("## Topics")[0]
     assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [each.name for each in PARAMETERS]
     assert table.count("Can be set while the node runs.") == sum(
         each.is_live for each in PARAMETERS
     )
+    services = page.partition("## Services")[2]
+    assert re.findall(r"^\| `(~/\w+)` \|", services, re.MULTILINE) == list(SERVICES)
     described = (ROOT / "docs/topics.md").read_text(encoding="utf-8")
     topics = [*error_topics.VECTORS, *error_topics.NUMBERS, *error_topics.WINDOW_NUMBERS]
     topics += [*error_topics.NEES_NUMBERS, *error_topics.PROTECTION_LEVELS.values()]
@@ -66,7 +68,7 @@ def test_the_reference_names_the_public_names_at_their_homes(site: Any) -> None:
 
 def test_commands_of_the_gallery_exist(site: Any) -> None:
     gallery = site("gallery")
-    for command in (*gallery.SIMULATE, *(each.command for each in gallery.PICTURES)):
+    for command in (*gallery.PREPARE, *(each.command for each in gallery.PICTURES)):
         program, name, *arguments = shlex.split(command)
         assert program == "trajeval"
         assert verb(name).make_context(name, arguments).params

@@ -1,11 +1,13 @@
-"""The gallery: figures, with the commands that made them, drawn anew for each build."""
+"""The gallery: figures, with the commands that made them, drawn again for each build."""
 
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,8 +29,12 @@ class Picture:
     file: str
 
 
-SIMULATE = (
+PREPARE = (
     "trajeval simulate flight",
+    "trajeval trajectory flight:/groundtruth/pose --end 45 --save-as tum --output before",
+    "trajeval trajectory flight:/groundtruth/pose --start 48 --save-as tum --output after",
+    "trajeval trajectory before/groundtruth_pose.txt after/groundtruth_pose.txt --merge --rate 2 "
+    "--save-as tum --output slow",
     "trajeval simulate covariances --profile euroc --duration 60",
     "trajeval simulate drive --gnss rtk --duration 300",
 )
@@ -48,6 +54,10 @@ _GNSS = (
 _INTEGRITY = (
     "trajeval evaluate -g covariances:/groundtruth/pose -e covariances:/vio/odometry --gauge yaw "
     "--align-states 1 --covariance message --integrity --alert-limit 0.5 --output integrity"
+)
+_CONTINUOUS = (
+    "trajeval evaluate -g slow/before_groundtruth_pose.txt -e flight:/vio/odometry --modality "
+    "stereo-inertial --association continuous --groundtruth-noise 0.02,1 --output uncertain"
 )
 PICTURES = (
     Picture("From above", "Both trajectories after alignment.", _EVALUATE,
@@ -74,14 +84,31 @@ PICTURES = (
             "consistency/uncertainty_top.png"),
     Picture("Stanford diagram", "Protection levels and errors.", _INTEGRITY,
             "integrity/stanford.png"),
+    Picture("Slow groundtruth", "Groundtruth at 2 Hz with a dropout, and its uncertainty.",
+            _CONTINUOUS, "uncertain/groundtruth_uncertainty.png"),
     Picture("GNSS groundtruth", "A car with RTK fixes as groundtruth.", _GNSS,
             "gnss/trajectory_top.png"),
 )  # fmt: skip
 
+_WIDTH = 76  # of a line on the page
+# A screenshot needs ROS 2 and a Vulkan driver, so it is the one of the last release.
+_RERUN = """
+## Rerun
+
+A live run in Rerun's viewer. The command writes the screenshot to `demo_output/rerun.png`; version
+0.2.0 drew this one.
+
+```console
+$ trajeval demo demo_output
+```
+
+![A live run in Rerun: the estimate coloured by its position error](../images/rerun.png)
+"""
+
 
 def draw(folder: Path) -> dict[str, bytes]:
     """Run all commands in a folder, and return the figures by their names on the page."""
-    for command in dict.fromkeys([*SIMULATE, *(each.command for each in PICTURES)]):
+    for command in dict.fromkeys([*PREPARE, *(each.command for each in PICTURES)]):
         program, *arguments = shlex.split(command)
         assert program == "trajeval"
         done = subprocess.run(
@@ -99,19 +126,27 @@ def draw(folder: Path) -> dict[str, bytes]:
 
 def page() -> str:
     """Return the page, which shows the figures of `draw`."""
-    simulate = "\n".join(f"$ {each}" for each in SIMULATE)
+    prepare = "\n".join(f"$ {_broken(each)}" for each in PREPARE)
     lines = [
         "# Gallery",
         "",
-        "Figures with the commands that made them. All data is simulated by these commands:",
+        "Figures with the commands that made them. The commands simulate all data. The first ones",
+        "write the bags, and groundtruth at 2 Hz with a dropout of 3 s:",
         "",
-        f"```console\n{simulate}\n```",
+        f"```console\n{prepare}\n```",
         "",
         "[Figures](../figures.md) describes formats and widths, and [Rerun](../rerun.md) the 3-D",
         "viewer.",
     ]
     for each in PICTURES:
-        command = each.command.replace(" --", " \\\n      --")
-        lines += ["", f"## {each.title}", "", each.text, "", f"```console\n$ {command}\n```"]
+        lines += ["", f"## {each.title}", "", each.text, ""]
+        lines += [f"```console\n$ {_broken(each.command)}\n```"]
         lines += ["", f"![{each.text}](gallery/{each.file})"]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, _RERUN])
+
+
+def _broken(command: str) -> str:
+    """Return a command in lines that fit on the page, which start with an option."""
+    glued = re.sub(r" (?!-)", "\0", command)
+    lines = textwrap.wrap(glued, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return " \\\n      ".join(lines).replace("\0", " ")

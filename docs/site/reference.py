@@ -10,7 +10,7 @@ from typing import Any
 import trajeval_ros
 from trajeval_ros.cli.verbs import VERBS, verb
 from trajeval_ros.online import error_topics
-from trajeval_ros.ros.parameter_table import PARAMETERS, NodeParameter
+from trajeval_ros.ros.parameter_table import PARAMETERS, SERVICE_TYPE, SERVICES, NodeParameter
 
 # The node's parameters are on a page of their own.
 _VERBS = [name for name in VERBS if name != "evaluator"]
@@ -21,10 +21,10 @@ def command_line() -> str:
     lines = [
         "# Command line",
         "",
-        "All commands and options, generated from `--help`. Exit status 0 means success, 1 means",
+        "All commands and options, generated from the code. Exit status 0 means success, 1 means",
         "that a requirement does not hold, and 2 means invalid input or usage.",
         "",
-        "The node's own page is [ROS 2 parameters](parameters.md).",
+        "The parameters of the node are on the page [ROS 2 parameters](parameters.md).",
     ]
     for name in _VERBS:
         lines += ["", *_command(name)]
@@ -114,7 +114,10 @@ def parameters() -> str:
         (error_topics.GROUNDTRUTH_PATH, "nav_msgs/msg/Path"),
     ]
     published = "\n".join(f"| `{name}` | `{kind}` |" for name, kind in topics)
-    return f"""# ROS 2 parameters
+    services = "\n".join(
+        f"| `{name}` | `{SERVICE_TYPE}` | {_plain(each)} |" for name, each in SERVICES.items()
+    )
+    return f"""# ROS 2 parameters and services
 
 The parameters of `ros2 run trajeval_ros evaluator`, generated from the code. Set them with
 `--ros-args -p NAME:=VALUE` or in a file ([live evaluation](../live.md)).
@@ -138,8 +141,7 @@ The node also publishes `/diagnostics` (`{error_topics.DIAGNOSTICS_TYPE}`) and `
 
 | service | type | effect |
 |---|---|---|
-| `~/save` | `std_srvs/srv/Trigger` | writes the results now |
-| `~/reset` | `std_srvs/srv/Trigger` | starts a new run |
+{services}
 """
 
 

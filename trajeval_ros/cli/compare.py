@@ -181,9 +181,9 @@ def compare(
         ),
     ] = False,
 ) -> None:
-    """Compares many runs: algorithms x sequences x trials, in tables and one report.
+    r"""Compares many runs: algorithms x sequences x trials, in tables and one report.
 
-    Options override the settings of the file.
+    Options override the settings in CONFIG.yaml.
 
     Evaluate the runs in euroc.yaml, on all cores:
 
@@ -197,7 +197,7 @@ def compare(
 
         trajeval compare results --gauge yaw
 
-    Evaluate one part in each job of an array, then make the tables of all:
+    Evaluate a part in every job of a job array, and combine the parts:
 
         trajeval compare euroc.yaml --shard 3/16 --output shards/3
 
@@ -205,9 +205,8 @@ def compare(
 
     Check for regressions. gates.md is for pull requests, gates.json is for programs:
 
-
-        trajeval compare euroc.yaml --baseline main.parquet
-        --fail-if 'ate.position_m.rmse worse than 5 %'
+        trajeval compare euroc.yaml --baseline main.parquet \
+            --fail-if 'ate.position_m.rmse worse than 5 %'
     """
     from trajeval_ros.batch.compare_runs import write_tables
     from trajeval_ros.batch.comparison import Progress, run_plan

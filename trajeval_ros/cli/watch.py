@@ -106,7 +106,7 @@ def watch(
     ] = None,
     quiet: options.QuietOption = False,
 ) -> None:
-    """Monitors an estimate without groundtruth: jumps, freezes, divergence, yaw drift, clocks.
+    r"""Monitors an estimate without groundtruth: jumps, freezes, divergence, yaw drift, clocks.
 
     Learn limits from a healthy run of the same robot and estimator:
 
@@ -114,8 +114,8 @@ def watch(
 
     Watch another run, with exit status 1 on an alarm:
 
-        trajeval watch run:/odom --imu run:/imu --with run:/vio/odometry --limits limits.yaml
-        --fail-on alarm
+        trajeval watch run:/odom --imu run:/imu --with run:/vio/odometry --limits limits.yaml \
+            --fail-on alarm
 
     docs/watchdog.md lists what is detected, the detection delays and the limits of detection.
     """

@@ -28,7 +28,7 @@ from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.node_log import log
 from trajeval_ros.ros.output_folder import Autosave, Finisher, make_folder
-from trajeval_ros.ros.parameter_table import PARAMETERS
+from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
 from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.revised_outputs import RevisedOutputs
@@ -148,8 +148,8 @@ class EvaluatorNode:
         self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
         # Whoever waits for ~/save must not keep other services waiting.
         asked = ReentrantCallbackGroup()
-        self._node.create_service(Trigger, "~/reset", self._reset, callback_group=asked)
-        self._node.create_service(Trigger, "~/save", self._save, callback_group=asked)
+        self._node.create_service(Trigger, RESET, self._reset, callback_group=asked)
+        self._node.create_service(Trigger, SAVE, self._save, callback_group=asked)
         self._node.add_on_set_parameters_callback(self._set)
 
     @property

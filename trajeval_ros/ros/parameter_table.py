@@ -1,4 +1,4 @@
-"""All parameters of the evaluator's node: names, defaults and what they mean."""
+"""All parameters and services of the evaluator's node: names, defaults and what they mean."""
 
 from __future__ import annotations
 
@@ -10,6 +10,12 @@ from trajeval_ros.io.requests.request_words import AUTO
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES
 
 FROZEN = "frozen"
+SERVICE_TYPE = "std_srvs/srv/Trigger"
+SAVE, RESET = "~/save", "~/reset"
+SERVICES = {
+    SAVE: "Writes the results now. Answers when result.json is written, with its path.",
+    RESET: "Ends the run, whose results are written, and starts a new run in a new folder.",
+}
 
 
 @dataclass(frozen=True)
