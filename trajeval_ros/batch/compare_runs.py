@@ -1,4 +1,4 @@
-"""A comparison as a whole: from a YAML file or a folder to tables and a report."""
+"""A whole comparison: from a YAML file, a manifest or a folder to tables and a report."""
 
 from __future__ import annotations
 
@@ -31,34 +31,34 @@ def compare(
     report: bool = True,
     **settings: str | float,
 ) -> ComparisonSummary:
-    """Evaluate algorithms x sequences x trials, in processes, and write tables and a report.
+    """Evaluate algorithms x sequences x trials in processes; write tables and a report.
 
-    A script that calls it does so under `if __name__ == "__main__":`, since processes import it.
+    Call it under `if __name__ == "__main__":`, because the processes import the script.
 
     Args:
-        target: A YAML file that says what to compare (docs/compare.md), or a folder of ov_eval's
-            or rpg_trajectory_evaluation's layout.
-        output: Folder for runs.parquet, tables and report.html. What is there and unchanged isn't
-            evaluated again.
-        columns: What the columns of the estimates' text files are, as in "t x y z qw qx qy qz";
-            None for what the file says, or the files themselves.
-        frame_rate: Poses a second of text files without stamps; likewise.
-        common_time_span: Evaluate only the time that all runs of a sequence have; None for what
-            the file says.
-        allow_remote: Hosts that the file's URLs may be of, such as `s3://bucket`.
-        workers: Number of processes; None for one for each core.
+        target: A YAML file, a manifest (docs/compare.md), or a folder in the layout of ov_eval or
+            rpg_trajectory_evaluation.
+        output: Folder for runs.parquet, tables and report.html. Finished runs in it that are
+            unchanged are not evaluated again.
+        columns: Columns of the estimates' text files, as in "t x y z qw qx qy qz"; None for those
+            of the YAML file or of the text files.
+        frame_rate: Poses per second in text files without timestamps; None likewise.
+        common_time_span: Whether to evaluate only the time that all runs of a sequence cover; None
+            for the setting of the file.
+        allow_remote: Hosts that URLs in the file may name, such as `s3://bucket`.
+        workers: Number of processes; None for one per core.
         report: Whether to write report.html, which needs Jinja2.
-        **settings: Of the request, by the command line's words with `_` for `-`, such as
-            modality="mono-inertial", lengths="8,16" or time_offset="auto"; they override the
-            file's.
+        **settings: Settings of the request, by the words of the command line with `_` for `-`,
+            such as modality="mono-inertial", lengths="8,16" or time_offset="auto". They override
+            the file.
 
     Returns:
-        All runs, those that failed included, and statistics over trials.
+        All runs, including failed ones, and statistics over trials.
 
     Raises:
-        InputError: The target can't be read, the output can't be written, or a package of the
-            extra `compare` is missing; another comparison writes to the same output.
-        SettingsError: Settings that mean nothing.
+        InputError: The target can't be read, the output can't be written, a package of the extra
+            `compare` is missing, or another comparison writes to the same output.
+        SettingsError: A setting is not valid.
 
     Example:
         >>> import pathlib, tempfile
@@ -93,17 +93,17 @@ def compare(
 
 
 def _as_written(word: str, value: str | float) -> str | float:
-    """Return a number as the text that its word takes, unless it takes numbers."""
+    """Return a number as text if its setting is a text."""
     return str(value) if WORDS[word] is str else value
 
 
 def write_tables(folder: Path, summary: ComparisonSummary, *, transpose: bool = False) -> None:
-    """Write tables.md, tables.tex and a CSV file for each table, those that aren't there yet.
+    """Write tables.md, tables.tex and one CSV file per table, unless they are up to date.
 
     Args:
-        folder: The comparison's.
-        summary: What it found.
-        transpose: Make the algorithms the columns of tables.tex.
+        folder: Folder of the comparison.
+        summary: Its results.
+        transpose: Whether algorithms are the columns of tables.tex.
 
     Raises:
         InputError: They can't be written.

@@ -1,4 +1,4 @@
-"""A comparison from its plan to its tables, which goes on where it was interrupted."""
+"""A comparison from its plan to its tables; an interrupted one continues."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _INPUTS = "inputs.json"
 
 @dataclass
 class Progress:
-    """How far a comparison is.
+    """The progress of a comparison.
 
     Attributes:
-        total: Runs that there are, twice with a common time span.
-        kept: Runs that were finished before.
-        done: Runs that were evaluated.
-        new: Runs that were evaluated, once each.
-        failed: Runs that could not be.
-        fetched_bytes: What runs read from remote stores.
-        running: Names of those being evaluated.
+        total: Number of evaluations: of runs with files, twice with a common time span.
+        kept: Number of evaluations that were finished before.
+        done: Number of finished evaluations.
+        new: Number of runs that were evaluated.
+        failed: Number of failed runs.
+        fetched_bytes: Bytes that the runs read from remote stores.
+        running: Names of the runs in progress.
     """
 
     total: int = 0
@@ -54,18 +54,18 @@ def run_plan(
     tell: Callable[[Progress], None] = lambda progress: None,
     shard: Shard | None = None,
 ) -> Progress:
-    """Evaluate what is not evaluated yet, and write the tables, or the shard.
+    """Evaluate the runs without a record, and write the tables or the shard.
 
     Args:
-        plan: What is compared.
-        folder: For records and tables; made if it doesn't exist.
-        start_pool: Called if there is something to evaluate.
-        tell: Called whenever something began or ended.
+        plan: The comparison.
+        folder: Folder for records and tables; made if it does not exist.
+        start_pool: Returns the workers; called only if a run must be evaluated.
+        tell: Called at the start and end of every run.
         shard: The part of the plan to evaluate; None for all.
 
     Raises:
-        InputError: The folder can't be written, or a cluster can't be reached; what is finished
-            stays.
+        InputError: The folder can't be written, or a cluster can't be reached. Finished runs are
+            kept.
     """
     load_pyarrow()
     with refused_by_disk(f"the folder {folder / RECORDS}"):
@@ -80,7 +80,7 @@ def run_plan(
             tell(batch.progress)
             return batch.progress
     with refused_by_disk(f"the folder {folder}"):
-        (folder / SHARD).unlink(missing_ok=True)  # it is not finished any more
+        (folder / SHARD).unlink(missing_ok=True)  # not finished until it is written again
     batch.evaluate(batch.planned())
     if plan.common_time_span:
         batch.cut_to_common_spans()
@@ -93,7 +93,7 @@ def run_plan(
 
 
 class _RunningComparison:
-    """The runs of one comparison: what is to be done, and why what failed did."""
+    """The runs of one comparison: their tasks, and the reasons of failed ones."""
 
     def __init__(
         self,
@@ -116,9 +116,9 @@ class _RunningComparison:
         self._tell = tell
 
     def planned(self) -> Iterator[Task]:
-        """Yield the runs that there are, as their inputs are read.
+        """Yield the tasks, while their inputs are hashed.
 
-        The trials of a sequence follow one another: workers keep its groundtruth.
+        Trials of a sequence are consecutive, because workers keep its groundtruth.
         """
         for run in sorted(self.plan.runs, key=lambda run: (run.sequence, run.groundtruth)):
             if run.missing:
@@ -136,7 +136,7 @@ class _RunningComparison:
         self._fingerprints.save()
 
     def finished(self) -> FinishedComparison:
-        """Return all runs, as they are now."""
+        """Return the current status of all runs."""
         runs = []
         for run in self.plan.runs:
             task = self.tasks.get(run)
@@ -147,7 +147,7 @@ class _RunningComparison:
         return FinishedComparison(self.plan.title, self.plan.settings, runs)
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
-        """Evaluate the runs that have no record yet."""
+        """Evaluate the runs without a record."""
         todo = self._without_record(tasks)
         first = next(todo, None)
         if first is not None:
@@ -164,7 +164,7 @@ class _RunningComparison:
                 yield task
 
     def cut_to_common_spans(self) -> None:
-        """Evaluate the runs of each sequence again, over the time that all of them have."""
+        """Evaluate the runs of every sequence again, over the time that all of them cover."""
         spans: dict[str, list[tuple[int, int]]] = defaultdict(list)
         for run, task in self.tasks.items():
             if run not in self.failures:
@@ -197,15 +197,15 @@ class _RunningComparison:
                 self._record(task)
 
     def record_of(self, finished: FinishedRun) -> Record:
-        """Return what a run left.
+        """Return the record of a run.
 
         Raises:
-            InputError: It can't be read, and couldn't be made again.
+            InputError: It can't be read, and the run can't be evaluated again.
         """
         return self._record(self.tasks[finished.run])
 
     def _record(self, task: Task, *, with_pooled: bool = True) -> Record:
-        """Return what a run left; one that can't be read any more is evaluated again."""
+        """Return a record; a run whose record can't be read is evaluated again."""
         record = self.records.read(task.key, with_pooled=with_pooled)
         if record is None:
             self.records.forget(task.key)
@@ -213,7 +213,7 @@ class _RunningComparison:
             record = self.records.read(task.key)
         if record is None:
             raise InputError(
-                f"{task.run.name} was evaluated, and what it left can't be read: "
+                f"{task.run.name} was evaluated, and its record can't be read: "
                 f"{self.failures.get(task.run, 'its record is damaged')}; start again"
             )
         return record

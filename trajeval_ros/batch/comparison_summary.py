@@ -1,4 +1,4 @@
-"""What a comparison left on disk, in brief."""
+"""A summary of a comparison on disk."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ _OF_A_RUN = (
 
 @dataclass(frozen=True)
 class Trial:
-    """A run in brief.
+    """The summary of a run.
 
     Attributes:
-        algorithm, sequence, trial: Which.
+        algorithm, sequence, trial: Its names.
         status: `ok`, `failed` or `missing`.
-        reason: Why there are no numbers.
-        coverage: Share of the groundtruth's time that its pairs cover, 0.0 of a failed run.
-        pairs: Their number, 0 of a failed run.
-        key: Of its record.
-        rmse: Of the absolute errors, by metric.
-        values: What was calibrated, and how errors fit covariances and groundtruth, by metric.
-        warnings: What a reader of its numbers must know.
-        diagnosis: The causes of mistakes that it shows, the gravest first.
+        reason: Why it has no numbers.
+        coverage: Share of the groundtruth's duration that its pairs cover; 0.0 for a failed run.
+        pairs: Number of pairs; 0 for a failed run.
+        key: Key of its record.
+        rmse: RMSE of the absolute errors, by metric.
+        values: Results of calibration, consistency, integrity and likelihood, by metric.
+        warnings: Its warnings.
+        diagnosis: Causes of the mistakes that it shows, the most severe first.
     """
 
     algorithm: str
@@ -61,13 +61,13 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSummary:
-    """What a comparison says.
+    """The results of a comparison.
 
     Attributes:
-        title: Of the comparison.
-        settings: That the numbers depend on.
-        trials: All runs, the failed ones included.
-        pooled: ResultsTable of statistics over trials.
+        title: Its title.
+        settings: Settings that the numbers depend on.
+        trials: All runs, including failed ones.
+        pooled: Rows of the statistics over trials.
     """
 
     title: str
@@ -77,12 +77,12 @@ class ComparisonSummary:
 
     @cached_property
     def algorithms(self) -> list[str]:
-        """In the order of the plan."""
+        """Names of the algorithms, in the order of the plan."""
         return list(dict.fromkeys(trial.algorithm for trial in self.trials))
 
     @cached_property
     def sequences(self) -> list[str]:
-        """In the order of the plan."""
+        """Names of the sequences, in the order of the plan."""
         return list(dict.fromkeys(trial.sequence for trial in self.trials))
 
     def of(self, algorithm: str, sequence: str | None = None) -> list[Trial]:
@@ -113,16 +113,16 @@ class ComparisonSummary:
 
 
 def summary_of(folder: Path) -> ComparisonSummary:
-    """Read what a comparison left.
+    """Read the tables of a comparison; memory grows with the number of runs, not of rows.
 
     Raises:
-        InputError: Its table can't be read.
+        InputError: A table can't be read.
     """
     rows = ResultsTable(folder / RUNS)
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     kinds = (ATE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD)
-    # Texts that many rows have in common are held once.
+    # Texts that occur in many rows are stored once.
     for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean"), kind=kinds):
         run = tuple(intern(row[name]) for name in _NAMES)
         metric = intern(row["metric"])
@@ -155,7 +155,7 @@ def summary_of(folder: Path) -> ComparisonSummary:
 
 
 def failures(summary: ComparisonSummary) -> list[str]:
-    """Return a line for each run without numbers."""
+    """Return one line per run without numbers."""
     return [
         f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "
         f"{each.status}: {each.reason}"

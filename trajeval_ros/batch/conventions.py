@@ -1,4 +1,4 @@
-"""Folders that other tools' users have: ov_eval's and rpg_trajectory_evaluation's."""
+"""Folders in the layouts of ov_eval and rpg_trajectory_evaluation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.yaml_file import read_mapping
 
 _ESTIMATE = re.compile(r"stamped_(\w+?)_estimate(\d*)\.txt")
-# The toolbox's own words for the files that an estimator may leave.
+# The toolbox's names for the files of an estimator.
 _KINDS = {"traj": "traj_est", "pose_graph": "pose_graph", "ba": "ba_estimate"}
 _TRUTH = "stamped_groundtruth.txt"
 _TIMES = "start_end_time.yaml"
@@ -20,17 +20,16 @@ _ENDINGS = (".txt", ".csv")
 
 
 def runs_in_folder(folder: Path) -> tuple[PlannedRun, ...]:
-    """Return the runs in a folder of a known convention.
+    """Return the runs in a folder of a known layout.
 
     ov_eval: `truths/SEQUENCE.txt`, `algorithms/ALGORITHM/SEQUENCE/TRIAL.txt`.
     rpg_trajectory_evaluation: `PLATFORM/ALGORITHM/PLATFORM_ALGORITHM_SEQUENCE/` with
-    `stamped_groundtruth.txt` and `stamped_traj_estimate0.txt`, ...; the folder itself may be
-    a platform, an algorithm, or one such experiment. The toolbox evaluates the time from
-    `start_time_sec` to `end_time_sec`, by the groundtruth's stamps, of an experiment's
-    `start_end_time.yaml`.
+    `stamped_groundtruth.txt` and `stamped_traj_estimate0.txt`, ...; the folder may also be
+    a platform, an algorithm, or one experiment. An experiment with `start_end_time.yaml` is
+    evaluated from `start_time_sec` to `end_time_sec`, timestamps of the groundtruth.
 
     Raises:
-        InputError: It follows neither.
+        InputError: The folder has neither layout.
     """
     if (folder / "truths").is_dir() and (folder / "algorithms").is_dir():
         return _ov_eval(folder)
@@ -75,7 +74,7 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
     truths: dict[tuple[str, str], str] = {}
     estimates: dict[Name, str] = {}
     places = [_place(path) for path in experiments]
-    if len(set(places)) < len(places):  # sequences by algorithm, in folders named by the first
+    if len(set(places)) < len(places):  # folders ALGORITHM/SEQUENCE
         places = [
             (platform, algorithm or path.resolve().parent.name, sequence)
             for path, (platform, algorithm, sequence) in zip(experiments, places, strict=True)
@@ -101,7 +100,7 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
             f"{experiments[0]} has a {_TRUTH}, but no estimate; add stamped_traj_estimate.txt, "
             "stamped_pose_graph_estimate.txt or stamped_ba_estimate.txt"
         )
-    # Who has no estimate at all has failed, and stays.
+    # An algorithm without any estimate has failed, and stays in the tables.
     for (whose, sequence), truth in without.items():
         if whose not in having:
             algorithms[whose] = None
@@ -118,10 +117,10 @@ def _rpg(experiments: list[Path]) -> tuple[PlannedRun, ...]:
 
 
 def _time_span(path: Path) -> TimeSpan | None:
-    """Return the part of an experiment that its file says is evaluated; None for all.
+    """Return the time span in the file of an experiment; None without a file.
 
     Raises:
-        InputError: The file can't be read, or its times are none.
+        InputError: The file can't be read, or a time is not valid.
     """
     if not path.exists():
         return None
@@ -137,7 +136,7 @@ def _time_span(path: Path) -> TimeSpan | None:
 
 
 def _place(experiment: Path) -> tuple[str, str, str]:
-    """Return platform, algorithm and sequence of an experiment, by where it is."""
+    """Return platform, algorithm and sequence of an experiment, by its path."""
     experiment = experiment.resolve()
     algorithm, platform = experiment.parent.name, experiment.parent.parent.name
     prefix = f"{platform}_{algorithm}_"
@@ -147,7 +146,7 @@ def _place(experiment: Path) -> tuple[str, str, str]:
 
 
 def _truths(folder: Path) -> list[Path]:
-    """Return the groundtruth files of experiments, no deeper than the convention has them."""
+    """Return the groundtruth files of experiments, at the depths of the layout."""
     return [path for depth in range(4) for path in folder.glob("*/" * depth + _TRUTH)]
 
 

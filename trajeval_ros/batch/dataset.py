@@ -1,7 +1,7 @@
-"""Tables of many comparisons side by side: a Parquet dataset in folders, as Hive lays them out.
+"""Tables of many comparisons: a Parquet dataset in folders with Hive partitioning.
 
-DuckDB, pyarrow, Spark and others read all of it as one table. Appending writes two files and reads
-none of those that are there.
+DuckDB, pyarrow, Spark and others read it as one table. Appending writes two files and reads no
+existing ones.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _SCHEMAS = {RUNS: results_table.SCHEMA, POOLED: pooling.SCHEMA}
 
 
 def append_to_dataset(folder: Path, title: str, dataset: Path, label: str) -> None:
-    """Put the tables of a comparison into a dataset; those of the same title and label go.
+    """Copy the tables of a comparison into a dataset, in place of those of its title and label.
 
     `runs.parquet` becomes `runs/schema=1/title=TITLE/label=LABEL/runs.parquet`, and
-    `pooled.parquet` likewise. In names, what a path can't hold is percent-encoded.
+    `pooled.parquet` likewise. Characters that are not valid in a path are percent-encoded.
 
     Args:
-        folder: The comparison's.
-        title: Of the comparison.
-        dataset: Folder of the dataset; made if it doesn't exist.
-        label: What tells the comparison from others of its title, such as a commit.
+        folder: Folder of the comparison.
+        title: Its title.
+        dataset: Folder of the dataset; made if it does not exist.
+        label: Name of this comparison among those of its title, such as a commit.
 
     Raises:
         InputError: It can't be written.

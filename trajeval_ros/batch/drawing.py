@@ -1,4 +1,4 @@
-"""Draws the figures of a comparison as files, which takes long: on several processes."""
+"""Draws figures on several processes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from trajeval_ros.exceptions import InputError
 
 Draw = Callable[[], str]
 Advance = Callable[[int, int], None]
-# As many are drawn in the time that processes take to start.
+# So many are drawn in the time that processes take to start.
 _FEW = 12
 
 
 def draw_all(draws: Sequence[Draw], pool: Pool, advance: Advance) -> list[str]:
-    """Return what draws figures returns, in their order.
+    """Call functions that draw figures; return their results in order.
 
     Args:
-        draws: Each draws one, and can be sent to another process.
-        pool: Of this machine.
-        advance: Called with how many are drawn, and how many there are.
+        draws: Functions that draw one figure each and can be pickled.
+        pool: Processes of this machine.
+        advance: Called with the number of drawn figures and of all.
 
     Raises:
         InputError: A process died, or matplotlib is not installed.

@@ -1,6 +1,6 @@
-"""Where runs are evaluated: processes of this machine, or the workers of a Dask cluster.
+"""Evaluates runs on processes of this machine or on the workers of a Dask cluster.
 
-Both are a `concurrent.futures.Executor`. A worker that dies takes its run with it and no other.
+Both are a `concurrent.futures.Executor`. If a worker dies, only its run fails.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ _DIED = "the worker process was killed, probably out of memory"
 
 @dataclass(frozen=True)
 class Pool:
-    """Executors that can be started, and started again when one broke.
+    """Executors that can be started, and started again after a failure.
 
     Attributes:
-        start: Starts one with so many workers.
-        workers: How many there are.
-        ahead: How many more runs than workers may wait in the executor: it must not run dry, and
-            memory must not grow with the number of runs.
+        start: Starts an executor with a number of workers.
+        workers: Number of workers.
+        ahead: Number of runs that wait in the executor. Workers must not become idle, and memory
+            must not grow with the number of runs.
     """
 
     start: Callable[[int], AbstractContextManager[Executor]]
@@ -53,7 +53,7 @@ class Pool:
 
 
 def local_pool(workers: int | None) -> Pool:
-    """Return processes of this machine, by default one for each core that we may use."""
+    """Return processes of this machine, by default one per available core."""
     return Pool(_processes, workers or _cores())
 
 
@@ -61,8 +61,8 @@ def dask_pool(address: str) -> Pool:
     """Return the workers of a Dask cluster.
 
     Raises:
-        InputError: dask.distributed is not installed, there is no scheduler at the address or it
-            has no workers.
+        InputError: dask.distributed is not installed, no scheduler responds, it has no workers,
+            or a worker has another version of this package.
     """
     try:
         import distributed
@@ -94,7 +94,7 @@ def dask_pool(address: str) -> Pool:
         )
 
     @contextmanager
-    def start(workers: int) -> Iterator[Executor]:  # noqa: ARG001 - it has the workers it has
+    def start(workers: int) -> Iterator[Executor]:  # noqa: ARG001 - the cluster sets the number
         with connect() as client:
             yield _Workers(client)
 
@@ -107,16 +107,16 @@ def evaluate_all(
     finish: Finish,
     watch: Callable[[list[Task]], None] = lambda running: None,
 ) -> None:
-    """Evaluate runs on a pool; each is finished once, evaluated or failed.
+    """Evaluate runs on a pool.
 
     Args:
-        pool: Where.
-        tasks: What; taken as workers become free.
-        finish: Called with each run and what came out, here, in order of completion.
-        watch: Called with what is being evaluated, whenever that changes.
+        pool: The workers.
+        tasks: The runs; taken when workers become free.
+        finish: Called in this thread, once per run, with its result, in order of completion.
+        watch: Called with the runs in progress, at every change.
 
     Raises:
-        InputError: The cluster is lost.
+        InputError: The connection to the cluster is lost.
     """
     waiting = iter(tasks)
     suspects: list[Task] = []
@@ -124,7 +124,7 @@ def evaluate_all(
     while not exhausted:
         with pool.start(pool.workers) as executor:
             exhausted = _drain(pool, executor, waiting, suspects, finish, watch)
-        # Whichever run broke the executor is among those in flight: each gets one of its own.
+        # One of the runs in flight broke the executor: evaluate each in an executor of its own.
         for task in suspects:
             watch([task])
             with pool.start(1) as executor:
@@ -140,7 +140,7 @@ def _drain(
     finish: Finish,
     watch: Callable[[list[Task]], None],
 ) -> bool:
-    """Work through the tasks; return whether all are done, and not the executor broken."""
+    """Evaluate tasks until all are done (return True) or the executor breaks (False)."""
     running: dict[Future[WorkerResult], Task] = {}
     room = pool.workers + pool.ahead
     while True:
@@ -165,7 +165,7 @@ def _drain(
 
 
 def _submit(executor: Executor, task: Task) -> Future[WorkerResult]:
-    """Hand a run over; to a broken executor, so that it is among those that broke with it."""
+    """Submit a run. If the executor is broken, return a future that failed with it."""
     try:
         return executor.submit(work, task)
     except BrokenExecutor as error:
@@ -188,7 +188,7 @@ def _outcome(future: Future[WorkerResult]) -> WorkerResult:
 
 
 def _failure(error: Exception) -> str:
-    """Return why a run failed that no worker could tell about."""
+    """Return the reason of a failure outside of the run's evaluation."""
     if isinstance(error, CancelledError) or type(error).__name__ == "FutureCancelledError":
         raise InputError(
             "the connection to the cluster is lost; start again to continue, finished runs are "
@@ -202,17 +202,16 @@ def _failure(error: Exception) -> str:
 class _Workers(Executor):
     """The workers of a Dask client.
 
-    Dask's own executor looks at a future's state after its result was fetched. If the worker has
-    died in between, the state is no longer "finished", and the result is unpacked as an error.
+    Dask's own executor reads a future's state after fetching its result. If the worker died in
+    between, the state is no longer "finished", and the result is treated as an error.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Hand something over to a worker."""
-        # Numbers come out the same wherever they are computed, but a key of its own for each
-        # run keeps two comparisons at the same time apart.
+        """Submit a call to a worker."""
+        # pure=False gives every run its own key, which separates simultaneous comparisons.
         remote = self._client.submit(fn, *args, pure=False, **kwargs)
         local: Future[Any] = Future()
         self._client.loop.add_callback(_pass_on, remote, local)
@@ -220,7 +219,7 @@ class _Workers(Executor):
 
 
 async def _pass_on(remote: Any, local: Future[Any]) -> None:
-    """Wait for a future of Dask and give its outcome to another one."""
+    """Wait for a future of Dask and copy its result to another future."""
     try:
         result = await remote
     except Exception as error:
@@ -231,9 +230,9 @@ async def _pass_on(remote: Any, local: Future[Any]) -> None:
 
 @contextmanager
 def _processes(workers: int) -> Iterator[Executor]:
-    # The runs are the parallelism: more threads than cores only wait.
+    # One thread per process: the processes use all cores.
     with one_thread_for_children():
-        # Spawned, since a fork copies whatever threads and locks a notebook has open.
+        # Spawned, because a fork copies the threads and locks of a notebook.
         executor = _Processes(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
         try:
             yield executor
@@ -242,10 +241,10 @@ def _processes(workers: int) -> Iterator[Executor]:
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes that leave Ctrl-C to their parent, from their first moment on."""
+    """Processes that ignore Ctrl-C from their start; their parent handles it."""
 
     def submit(self, *args: Any, **options: Any) -> Future[Any]:
-        """Hand something over: then processes are started, which inherit what is blocked."""
+        """Submit a call. This starts processes, which inherit the blocked signal."""
         if not hasattr(signal, "pthread_sigmask"):
             return super().submit(*args, **options)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -256,13 +255,13 @@ class _Processes(ProcessPoolExecutor):
 
 
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and never outlive it."""
+    """Ignore Ctrl-C, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    # A parent that was killed can't tell: its end of the queue stays open in every worker.
+    # If the parent is killed, the queue does not close: all workers hold its other end.
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

@@ -29,11 +29,11 @@ def write_figure_files(
     """Write the figures of the report, and errors over time, into a folder `figures`.
 
     Args:
-        folder: The comparison's.
-        summary: What it found.
-        style: Formats and look.
-        pool: Processes of this machine, to draw on.
-        advance: Called with how many are drawn, and how many there are.
+        folder: Folder of the comparison.
+        summary: Its results.
+        style: Formats and style.
+        pool: Processes of this machine.
+        advance: Called with the number of drawn figures and of all.
 
     Returns:
         The folder.

@@ -1,4 +1,4 @@
-"""What a SOURCE's bytes are, to know whether it changed."""
+"""Hashes of the bytes of a SOURCE, to detect changes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.writing import write_text
 
 _NANOSECONDS = 1_000_000_000
-# A file that changed later than this before it was hashed may change again at the same stamp.
+# A file that changed less than this before it was hashed may change again with the same time.
 _SETTLED_NS = 2 * _NANOSECONDS
-# To read bags takes long, and a kill shouldn't make it be done again.
+# Hashing bags takes long: after a kill, it is not repeated.
 _SAVED_EVERY_S = 5.0
 
 
 class Fingerprints:
-    """sha256 of inputs, remembered by size and time of change, as git does in its index."""
+    """sha256 of inputs, stored with size and time of change, as in the index of git."""
 
     def __init__(self, memory: Path) -> None:
         self._memory = memory
@@ -31,11 +31,11 @@ class Fingerprints:
         self._of_source: dict[str, str] = {}
         self._changed = False
         self._saved_at = time.monotonic()
-        with contextlib.suppress(OSError):  # with nothing remembered, all is read again
+        with contextlib.suppress(OSError):  # without stored hashes, all files are read
             self._known = mapping_in(memory.read_bytes()) or {}
 
     def of(self, source: str) -> str:
-        """Return the sha256 of what a SOURCE reads, with its topic.
+        """Return the sha256 of the bytes and the topic of a SOURCE.
 
         Raises:
             InputError: It can't be read.
@@ -47,7 +47,7 @@ class Fingerprints:
         return self._of_source[source]
 
     def save(self) -> None:
-        """Remember what was read, for the next time."""
+        """Store the hashes for the next start."""
         if self._changed:
             write_text(self._memory, json_text(self._known, indent=0))
             self._changed = False
@@ -59,7 +59,7 @@ class Fingerprints:
         if is_url(path):
             digest.update(_remote_state(path).encode())
             return digest.hexdigest()
-        # What was read before needn't be recognised again.
+        # The format of a file that was hashed before is not detected again.
         known = str(Path(source).absolute()) in self._known and Path(source).is_file()
         local = Path(source) if known else parse_source(source).path
         try:
@@ -75,7 +75,7 @@ class Fingerprints:
 
     def _file(self, path: Path) -> str:
         name, state = str(path.absolute()), path.stat()
-        changed = max(state.st_mtime_ns, state.st_ctime_ns)  # `cp -p` keeps the first alone
+        changed = max(state.st_mtime_ns, state.st_ctime_ns)  # `cp -p` keeps mtime, not ctime
         now = [state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino]
         known = self._known.get(name)
         if known and known[:-1] == now:
@@ -91,13 +91,13 @@ class Fingerprints:
 
 
 def _read_beside(path: Path) -> list[Path]:
-    """Return the files that are read with another: KITTI's stamps, the log of an sqlite bag."""
+    """Return the files that belong to another: KITTI's timestamps, the log of an sqlite bag."""
     names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
     beside = [path.with_name(name) for name in names]
     return [each for each in beside if each.is_file() and each != path]
 
 
 def _remote_state(url: str) -> str:
-    """Return what tells whether a file behind a URL changed: its tag, or its size and time."""
+    """Return the tag of a remote file, or its size and time, which change with its content."""
     with open_store(url) as (files, path):
         return str(files.ukey(path))

@@ -1,4 +1,4 @@
-"""What evaluated runs make: the Parquet tables of a comparison, group by group."""
+"""The Parquet tables of a comparison, written from its records group by group."""
 
 from __future__ import annotations
 
@@ -35,12 +35,13 @@ class FinishedRun(NamedTuple):
     """A run after its evaluation.
 
     Attributes:
-        run: Which.
-        planned_key: Hash of all that it was to be evaluated from; "" of a missing run.
-        key: Of its record, another one where a common time span cut it; "" if it has none.
-        reason: Why it has none.
-        own_coverage: Of the groundtruth's time before the run was cut to a common time span; None
-            for what its record says.
+        run: The run.
+        planned_key: Hash of all inputs of its evaluation; "" for a missing run.
+        key: Key of its record, which differs if a common time span cut the run; "" without a
+            record.
+        reason: Why it has no record.
+        own_coverage: Share of the groundtruth's duration that the whole run covers, if a common
+            time span cut it; None for the value in its record.
     """
 
     run: PlannedRun
@@ -52,12 +53,12 @@ class FinishedRun(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FinishedComparison:
-    """All runs of a comparison after their evaluation, wherever that was.
+    """All runs of a comparison after their evaluation.
 
     Attributes:
-        title: What a report calls it.
-        settings: That the numbers depend on, as `Plan.settings` has them.
-        runs: In the order of the tables.
+        title: Its title.
+        settings: Settings that the numbers depend on, as in `Plan.settings`.
+        runs: The runs, in the order of the tables.
     """
 
     title: str
@@ -66,7 +67,7 @@ class FinishedComparison:
 
     @property
     def state(self) -> str:
-        """Hash of what the tables are made from; "" while there is a run that may yet succeed."""
+        """Hash of all inputs of the tables; "" if a run failed that may succeed next time."""
         if any(not each.key and not each.run.missing for each in self.runs):
             return ""
         digest = hashlib.sha256(
@@ -82,21 +83,21 @@ class FinishedComparison:
         return digest.hexdigest()
 
     def is_in(self, folder: Path) -> bool:
-        """Return whether the tables in a folder are of these runs."""
+        """Return whether the tables in a folder belong to these runs."""
         return has_tables(folder) and state_of(folder / RUNS) == self.state
 
     def write_tables(self, folder: Path, record_of: Callable[[FinishedRun], Record]) -> None:
         """Write `runs.parquet` and `pooled.parquet`; memory holds the runs of one group.
 
         Args:
-            folder: The comparison's.
+            folder: Folder of the comparison.
             record_of: Returns the record of a run that has one.
 
         Raises:
             InputError: They can't be written.
         """
         with refused_by_disk(f"the folder {folder}"):
-            for name in (GATES, GATES_JSON):  # are of tables that will be there no more
+            for name in (GATES, GATES_JSON):  # belong to the previous tables
                 (folder / name).unlink(missing_ok=True)
         write_text(folder / _ABOUT, _ABOUT_TEXT)
         pooled: list[dict[str, Any]] = []
@@ -125,6 +126,6 @@ class FinishedComparison:
 
 
 def has_tables(folder: Path) -> bool:
-    """Return whether a folder has both tables, of the same runs, all of which were evaluated."""
+    """Return whether a folder has both tables, of the same runs, without failed ones."""
     state = state_of(folder / RUNS)
     return bool(state) and state_of(folder / POOLED) == state

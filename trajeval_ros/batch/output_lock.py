@@ -22,26 +22,26 @@ _MOST_READ = 200
 def only_writer(
     folder: Path, subfolder: str, wait: Callable[[str], object] | None = None
 ) -> Iterator[None]:
-    """Make a comparison's folders and hold them against other comparisons during the block.
+    """Make a comparison's folders and lock them during the block.
 
-    What comparisons that were killed left there unfinished is removed.
+    Unfinished files of killed comparisons are removed.
 
     Args:
-        folder: The comparison's.
-        subfolder: Of its records.
-        wait: Called with who holds the folder, before waiting for them; by default, nobody is
-            waited for.
+        folder: Folder of the comparison.
+        subfolder: Its folder of records.
+        wait: Called with the holder of the lock before waiting for it; None to raise an error
+            instead of waiting.
 
     Raises:
-        InputError: Another comparison writes there, the folder can't be made, or its records lie
-            behind a link.
+        InputError: Another comparison holds the lock, the folder can't be made, or the folder of
+            records is a symbolic link.
     """
     records = folder / subfolder
     if records.is_symlink():
         raise InputError(f"{records} is a symbolic link; remove it")
     with refused_by_disk(f"the folder {folder}"):
         records.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):  # nobody writes here: all is there, or a sentence tells
+    if not os.access(folder, os.W_OK):  # read-only: only a finished comparison can be shown
         yield
         return
     path = folder / LOCK
@@ -50,7 +50,7 @@ def only_writer(
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
             _hold(file, folder, wait)
-            if not is_at(path, file):  # who held it before has removed it
+            if not is_at(path, file):  # its previous holder has removed it
                 continue
             with refused_by_disk(str(path)):
                 os.truncate(file, 0)
@@ -68,8 +68,8 @@ def only_writer(
 
 
 def _hold(file: int, folder: Path, wait: Callable[[str], object] | None) -> None:
-    """Lock the open file, or refuse to."""
-    with contextlib.suppress(OSError):  # a disk that knows no locks
+    """Lock the open file, or raise an error."""
+    with contextlib.suppress(OSError):  # a file system without locks
         if lock(file, wait=False):
             return
         holder = one_line(os.pread(file, _MOST_READ, 0).decode(errors="replace"))

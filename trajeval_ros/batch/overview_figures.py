@@ -1,4 +1,4 @@
-"""What is drawn of all runs together: for the report, and as files."""
+"""Figures of all runs together, for the report and as files."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from trajeval_ros.batch.records import Record
 from trajeval_ros.report.comparison_plots import Box, BoxPlot, ErrorsPlot, PathsPlot
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
-# More of them make figures that nobody looks at, or that nobody can read.
+# With more, figures are not readable.
 MOST_SEQUENCES, MOST_ALGORITHMS = 50, 24
 _UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
 @dataclass(frozen=True, eq=False)
 class FigureDraft:
-    """A figure that is yet to be drawn.
+    """A figure before it is drawn.
 
     Attributes:
-        name: Unlike any other's, for a file.
-        title: In few words.
-        caption: How to read it.
-        plot: What it shows.
+        name: Unique name, for a file.
+        title: Its title.
+        caption: Its explanation.
+        plot: Its data.
     """
 
     name: str
@@ -40,7 +40,7 @@ def drafts_of(summary: ComparisonSummary, records: RecordStore) -> Iterator[Figu
     Of the first `MOST_SEQUENCES` and `MOST_ALGORITHMS`.
 
     Args:
-        summary: What the comparison found.
+        summary: Results of the comparison.
         records: Its records.
     """
     yield from absolute_drafts(summary)
@@ -128,7 +128,7 @@ def error_drafts(summary: ComparisonSummary, records: RecordStore) -> Iterator[F
     """Yield the figures of errors over time, by sequence, likewise; reports have them by run.
 
     Args:
-        summary: What the comparison found.
+        summary: Results of the comparison.
         records: Its records.
     """
     for sequence in summary.sequences[:MOST_SEQUENCES]:

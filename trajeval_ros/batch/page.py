@@ -1,4 +1,4 @@
-"""From a comparison on disk to its report: one page, and more of them where runs are many."""
+"""The report of a comparison on disk: one page, and further pages for many runs."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from trajeval_ros.report.page_figures import box_svg, paths_svg
 
 REPORT, PAGES = "report.html", "report"
 _HEAD_BYTES = 2000
-_MOST_DETAILS = 1000  # runs of which there are figures and statistics
+_MOST_DETAILS = 1000  # runs with figures and statistics
 _MOST_ON_A_PAGE = 100
-# Of details on a page, and of figures on the first one; with the tables it stays under 5 MB.
+# Limit of details on a page and of figures on the first one; a page stays below 5 MB.
 _MOST_BYTES = 2_000_000
 
 
@@ -40,12 +40,12 @@ def write_report(
     summary: ComparisonSummary,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Write the report of a comparison beside its tables.
+    """Write the report of a comparison into its folder.
 
     Args:
-        folder: The comparison's.
-        summary: What it found.
-        advance: Called with of how many runs the details are written, and how many there are.
+        folder: Folder of the comparison.
+        summary: Its results.
+        advance: Called with the number of runs whose details are written, and of all.
 
     Raises:
         InputError: It can't be written, or Jinja2 is not installed.
@@ -83,12 +83,12 @@ def write_report(
         details if on_first_page else (),
         "All runs" if len(shown) == len(summary.trials) else "Runs that stand out",
     )
-    write_text(folder / REPORT, text)  # at last: it says that all is there
+    write_text(folder / REPORT, text)  # last: its existence states that the report is complete
     return folder / REPORT
 
 
 def is_drawn(folder: Path) -> bool:
-    """Return whether the report is of the tables beside it; clocks tell it wrongly."""
+    """Return whether the report belongs to the tables, by their hash and not by clocks."""
     state = state_of(folder / RUNS)
     try:
         with (folder / REPORT).open("rb") as file:
@@ -98,7 +98,7 @@ def is_drawn(folder: Path) -> bool:
 
 
 def _shown(trials: Sequence[Trial]) -> list[Trial]:
-    """Return the runs to give details of, in their order: all, or those that stand out."""
+    """Return the runs with details, in their order: all, or failed and inaccurate ones."""
     if len(trials) <= _MOST_DETAILS:
         return list(trials)
     by_sequence: dict[str, list[float]] = {}
@@ -117,7 +117,7 @@ def _shown(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _plots(summary: ComparisonSummary, records: RecordStore) -> tuple[list[Plot], int]:
-    """Return the figures of all runs together, and of how many sequences they are."""
+    """Return the figures of all runs together, and the number of sequences in them."""
     absolute = [_drawn(each) for each in absolute_drafts(summary)]
     boxes: list[Plot] = []
     paths: list[Plot] = []
@@ -141,7 +141,7 @@ def _drawn(draft: FigureDraft) -> Plot:
 
 
 def _parts(details: Sequence[str]) -> list[range]:
-    """Return which details stand on a page together: all on one, if these are few and small."""
+    """Return the details of each page; a single page if they are few and small."""
     parts, first, size = [], 0, 0
     for place, each in enumerate(details):
         if place - first == _MOST_ON_A_PAGE or (size + len(each) > _MOST_BYTES and size):
@@ -152,15 +152,15 @@ def _parts(details: Sequence[str]) -> list[range]:
 
 
 def _remove_pages(folder: Path) -> None:
-    """Remove the pages of an older report."""
+    """Remove the pages of a previous report."""
     for each in folder.glob("runs_*.html"):
         each.unlink()
-    with contextlib.suppress(OSError):  # there is none, or something else is in it
+    with contextlib.suppress(OSError):  # it does not exist, or has other files
         folder.rmdir()
 
 
 def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
-    """Return what one wants to know first."""
+    """Return the main findings."""
     trials = summary.trials
     lost = [trial for trial in trials if trial.status != OK]
     findings = [
@@ -201,7 +201,3 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             if coverage[name] < 0.9 * coverage[most]
         ]
     return findings
-
-
-def _counted(names: list[str], what: str) -> str:
-    return f"{len(names)} {what}{'' if len(names) == 1 else 's'}"

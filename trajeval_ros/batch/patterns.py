@@ -1,4 +1,4 @@
-"""File patterns with placeholders: which files there are for which sequence and trial."""
+"""File patterns with placeholders for sequence and trial."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Pattern:
 
     @classmethod
     def parse(cls, text: str) -> Pattern:
-        """Take a pattern apart.
+        """Parse a pattern.
 
         Raises:
-            SettingsError: It has a placeholder that there isn't, or lacks `{sequence}`.
+            SettingsError: It has an unknown placeholder, or lacks `{sequence}`.
             InputError: It is a URL with a password.
         """
         if is_url(text):
@@ -73,17 +73,17 @@ class Pattern:
 
     @property
     def has_trials(self) -> bool:
-        """Whether it tells trials apart."""
+        """Whether it has `{trial}`."""
         return TRIAL in _PLACEHOLDER.findall(self.path)
 
     def find(self, folder: Path) -> dict[tuple[str, str], str]:
-        """Return the SOURCE of each sequence and trial ("" without trials).
+        """Return the SOURCE of every sequence and trial ("" without trials).
 
         Args:
-            folder: What a relative path begins at.
+            folder: Start of relative paths.
 
         Raises:
-            InputError: Two files are of the same sequence and trial.
+            InputError: Two files have the same sequence and trial.
         """
         found: dict[tuple[str, str], str] = {}
         for match, path in _existing(folder, self.path):
@@ -99,10 +99,10 @@ class Pattern:
         return found
 
     def require(self, found: dict[tuple[str, str], str], folder: Path) -> None:
-        """Refuse a pattern that found nothing.
+        """Check that a pattern matches a file.
 
         Raises:
-            InputError: It found nothing.
+            InputError: It matches none.
         """
         if not found:
             raise InputError(
@@ -114,13 +114,13 @@ class Pattern:
         return self.topic.replace("{sequence}", sequence).replace("{trial}", trial)
 
     def path_of(self, folder: Path, sequence: str, trial: str) -> str:
-        """Return where a run's file would be."""
+        """Return the path of a run's file, which may not exist."""
         path = self.path.replace("{sequence}", sequence).replace("{trial}", trial)
         return path if is_url(path) else str(folder / path)
 
 
 def _expression(path: str) -> str:
-    """Return the regular expression of a pattern; a placeholder takes as much as it can."""
+    """Return the regular expression of a pattern; placeholders match as much as possible."""
     parts, seen = [], set()
     for place, piece in enumerate(re.split(r"\{(\w+)\}|(\*)", path)):
         if place % 3 == 0:
@@ -134,7 +134,7 @@ def _expression(path: str) -> str:
 
 
 def _existing(folder: Path, pattern: str) -> Iterator[tuple[re.Match[str], str]]:
-    """Yield how the files and folders match a pattern, and where they are, in order of names."""
+    """Yield the matches of a pattern and their paths, in order of names."""
     if is_url(pattern):
         yield from _existing_at(pattern)
         return
@@ -160,12 +160,12 @@ def _existing_at(url: str) -> list[tuple[re.Match[str], str]]:
 
 
 def _fixed_parts(pattern: str) -> list[str]:
-    """Return what stands between the placeholders."""
+    """Return the parts between the placeholders."""
     return re.split(r"\{\w+\}|\*", pattern)
 
 
 def _how_far(folder: Path, pattern: str) -> str:
-    """Return what to say of the part of a path that exists."""
+    """Return the end of a message: the part of a path that exists."""
     if is_url(pattern):
         return "; check the URL"
     fixed = (folder / f"{_fixed_parts(pattern)[0]}x").parent

@@ -1,4 +1,4 @@
-"""What is to be compared: every run that there is, and every one that should be."""
+"""The plan of a comparison: all runs that exist, and missing ones."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class PlannedRun:
     """One run of an algorithm, which may be missing.
 
     Attributes:
-        algorithm: What made the estimate.
-        sequence: What it ran on.
-        trial: Which of several runs on it, "" if there is but one.
+        algorithm: Name of the estimator.
+        sequence: Name of the recording.
+        trial: Name of the repetition; "" if there is only one.
         groundtruth: SOURCE of the groundtruth.
         estimate: SOURCE of the estimate.
-        missing: Why it can't be evaluated; "" of a run whose files are there.
-        time_span: The part of it that its folder says is to be evaluated; None for all.
-        hints: What is known of the estimate's text file beyond what is in it.
+        missing: Why it has no files; "" if it has.
+        time_span: The time span to evaluate, by a file of its folder; None for all.
+        hints: Columns and frame rate of the estimate's text file.
     """
 
     algorithm: str
@@ -42,19 +42,19 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """Algorithm, sequence and trial in one."""
+        """Algorithm, sequence and trial, separated by spaces."""
         return " ".join(filter(None, (self.algorithm, self.sequence, self.trial)))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A comparison that is to be made.
+    """A comparison before its evaluation.
 
     Attributes:
-        title: What a report calls it.
-        runs: By algorithm, sequence and trial, the missing ones included.
-        request: What is computed of each.
-        common_time_span: Evaluate only the time that all runs of a sequence have.
+        title: Title of the report.
+        runs: All runs by algorithm, sequence and trial, including missing ones.
+        request: The evaluation of every run.
+        common_time_span: Whether to evaluate only the time that all runs of a sequence cover.
     """
 
     title: str
@@ -63,7 +63,7 @@ class Plan:
     common_time_span: bool = False
 
     def request_of(self, run: PlannedRun) -> Request:
-        """Return what is computed of a run: its own time span, unless the request has one."""
+        """Return the evaluation of a run, with its own time span unless the request has one."""
         if run.time_span is None or self.request.time_span is not None:
             return self.request
         return dataclasses.replace(self.request, time_span=run.time_span)
@@ -123,18 +123,18 @@ def all_runs(
     sequences: Iterable[str] = (),
     trials: Iterable[str] = (),
 ) -> tuple[PlannedRun, ...]:
-    """Return the runs that were found, and those that are missing beside them.
+    """Return the runs with files, and missing ones.
 
-    An algorithm is expected to have run on each sequence that any other one ran on, as often as
-    on any of its own sequences: leaving out what failed would flatter it.
+    An algorithm is expected to have every sequence of the other algorithms, and on it all of its
+    trials on any sequence. Omitting missing runs would favour it.
 
     Args:
-        algorithms: In the order that tables list them.
+        algorithms: In the order of the tables.
         estimates: SOURCE by algorithm, sequence and trial.
-        groundtruths: SOURCE by algorithm and sequence; "" where there is none.
-        where: Where the file of a missing run was looked for.
-        sequences: All that there should be; by default those that were found.
-        trials: Of algorithms with trials, all that there should be; likewise.
+        groundtruths: Returns the SOURCE for algorithm and sequence; "" if there is none.
+        where: Returns the expected path of a missing run.
+        sequences: All expected sequences; by default those of the estimates.
+        trials: All expected trials of algorithms with trials; by default those of the estimates.
     """
     names = natural({sequence for _, sequence, _ in estimates} | set(sequences))
     if sequences:
@@ -157,7 +157,7 @@ def all_runs(
 
 
 def natural(names: Iterable[str]) -> list[str]:
-    """Return names in the order of people: trial 2 before trial 10."""
+    """Return names in natural order: trial 2 before trial 10."""
 
     def key(name: str) -> list[tuple[bool, int, str]]:
         pieces = re.findall(r"[0-9]+|[^0-9]+", name)

@@ -1,4 +1,4 @@
-"""Statistics over the trials of an algorithm on a sequence, as multi-trial tables have them."""
+"""Statistics over the trials of an algorithm on a sequence."""
 
 from __future__ import annotations
 
@@ -29,17 +29,16 @@ _COLUMNS = {
 def pooled_rows(
     algorithm: str, sequence: str, trials: int, records: Sequence[Record]
 ) -> Iterator[dict[str, Any]]:
-    """Yield what the trials say together.
+    """Yield the statistics over trials.
 
-    Of the absolute error, statistics of the trials' rmse; of the relative error, of the
-    sub-trajectories of all trials. How many trials were evaluated stands beside how many there
-    should be.
+    Absolute errors: statistics of the RMSE of the trials. Relative errors: statistics over the
+    sub-trajectories of all trials. Rows have the number of evaluated and of expected trials.
 
     Args:
-        algorithm: Which made the estimates.
-        sequence: Which they are of.
-        trials: How many there should be.
-        records: Of those that were evaluated.
+        algorithm: Name of the algorithm.
+        sequence: Name of the sequence.
+        trials: Number of expected trials.
+        records: Records of the evaluated trials.
     """
     same = {
         "algorithm": algorithm,
@@ -62,7 +61,7 @@ def _relative(
     segments = [record.run["re"]["segments"][record.lengths.index(length)] for record in having]
     sizes = [segment.get("length_m") for segment in segments]
     row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
-    # Shares of a length need each trial's own one, which are the same but for odd groundtruths.
+    # Errors in percent refer to the length of each trial, which may differ between trials.
     for metric, (share, unit) in PER_LENGTH.items():
         name = f"{length}.{metric}"
         errors = [record.columns[name] for record in having if name in record.columns]
@@ -96,7 +95,7 @@ def _rows(values: Floats, row: dict[str, Any]) -> Iterator[dict[str, Any]]:
 def write_pooled(
     path: Path, rows: list[dict[str, Any]], title: str, settings: dict[str, Any], state: str
 ) -> None:
-    """Write the statistics over trials as Parquet, with the hash of what they were made from.
+    """Write the statistics over trials as Parquet, with the hash of their inputs.
 
     Raises:
         InputError: It can't be written, or pyarrow is not installed.

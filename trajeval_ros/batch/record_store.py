@@ -1,7 +1,7 @@
-"""The records of a comparison on disk: one file of entries, and one of each shard it was made of.
+"""The records of a comparison on disk: one file of entries, and one per shard that was merged.
 
-Entries are appended, each by one call of the system, so that a kill loses what is in flight. What
-stands behind an entry that isn't whole is cut off by the next one that writes there.
+Every entry is appended by one system call, so a kill loses only the entry in progress. The next
+writer removes everything after the last complete entry.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ OWN = f"all{SUFFIX}"
 
 
 class RecordStore:
-    """All records in a folder, by key; of several with one key the last one counts."""
+    """All records in a folder, by key; of several with the same key, the last one counts."""
 
     def __init__(self, folder: Path, own: str = OWN) -> None:
-        """Find all entries.
+        """Index all entries.
 
         Args:
-            folder: With files of records; it may not exist yet.
-            own: Name of the file that records are added to.
+            folder: Folder with files of records; it may not exist yet.
+            own: Name of the file to which records are added.
         """
         self._own = folder / own
-        self._end = 0  # of what is whole in that file
+        self._end = 0  # of the last complete entry in that file
         self._places: dict[str, tuple[Path, int]] = {}
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             for key, begin, end in _entries(path):
@@ -48,7 +48,7 @@ class RecordStore:
         """Append an encoded record.
 
         Raises:
-            InputError: It can't be written; nothing of it is left.
+            InputError: It can't be written; the file is unchanged.
         """
         head = entry_head(entry)
         assert head is not None
@@ -68,11 +68,11 @@ class RecordStore:
         self._end += len(entry)
 
     def read(self, key: str, *, with_pooled: bool = True) -> Record | None:
-        """Return a record; None if there is none that can be read.
+        """Return a record; None if there is none or it is damaged.
 
         Args:
-            key: Which.
-            with_pooled: Whether with the errors of its sub-trajectories, which are large.
+            key: Its key.
+            with_pooled: Whether to read the errors of its sub-trajectories, which are large.
         """
         if key not in self._places:
             return None
@@ -90,12 +90,12 @@ class RecordStore:
         return decode(head, drawn, pooled)
 
     def forget(self, key: str) -> None:
-        """Take a record for none, since it can't be read."""
+        """Remove a damaged record from the index."""
         self._places.pop(key, None)
 
 
 def _entries(path: Path) -> Iterator[tuple[str, int, int]]:
-    """Yield key, begin and end of the entries of a file, up to the first that isn't whole."""
+    """Yield key, start and end of the entries of a file, up to the first incomplete one."""
     try:
         with path.open("rb", buffering=0) as file:
             size, begin = os.fstat(file.fileno()).st_size, 0

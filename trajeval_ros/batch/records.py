@@ -1,4 +1,4 @@
-"""What an evaluated run leaves on disk, as an entry in a file of records.
+"""The record of an evaluated run, an entry in a file of records.
 
 An entry is a head of fixed size, a line of JSON with the columns to draw, and the errors of all
 sub-trajectories, which only statistics over trials need. Columns are float64, little-endian.
@@ -32,10 +32,10 @@ class Record:
     """An evaluated run.
 
     Attributes:
-        key: Hash of what it was evaluated from, and how.
-        result: As in result.json, of this run alone.
-        lengths: Of sub-trajectories, as asked for: "8m", "10%".
-        span_ns: Stamps of the first and the last pair, in the groundtruth's clock.
+        key: Hash of its inputs and settings.
+        result: As in result.json, for this run alone.
+        lengths: Sub-trajectory lengths as in the request: "8m", "10%".
+        span_ns: Timestamps of the first and the last pair, in the groundtruth's clock.
         columns: `LENGTH.position_m`, `LENGTH.rotation_deg` of all sub-trajectories; `truth`
             (M, 3) and `path` (M, 3), positions to draw, height last; `errors` (M, 3): time since
             the first pair (s), position error (m), rotation error (deg, NaN where withheld).
@@ -55,12 +55,12 @@ class Record:
 
     @property
     def groundtruth_up(self) -> UpAxis:
-        """Which axis of the groundtruth's frame points up."""
+        """The up axis of the groundtruth's frame."""
         return UpAxis(**self.result["groundtruth"]["up"])
 
 
 class EntryHead(NamedTuple):
-    """The beginning of an entry: whose it is, and sizes and checksums of its two parts."""
+    """The head of an entry: its key, and sizes and checksums of its two parts."""
 
     key: str
     drawn_bytes: int
@@ -75,7 +75,7 @@ class EntryHead(NamedTuple):
 
 
 def entry_head(data: bytes) -> EntryHead | None:
-    """Return the head that data (`HEAD_BYTES`) is; None if it is none."""
+    """Parse a head (`HEAD_BYTES`); None if it is not valid."""
     if len(data) < HEAD_BYTES:
         return None
     mark, key, *rest = _HEAD.unpack_from(data)
@@ -85,7 +85,7 @@ def entry_head(data: bytes) -> EntryHead | None:
 
 
 def encode(record: Record) -> bytes:
-    """Return a record as an entry, which workers make."""
+    """Return the entry of a record."""
     drawn = {name: record.columns[name] for name in DRAWN if name in record.columns}
     pooled = {name: each for name, each in record.columns.items() if name not in drawn}
     head = {
@@ -102,12 +102,12 @@ def encode(record: Record) -> bytes:
 
 
 def decode(head: EntryHead, drawn: bytes, pooled: bytes | None) -> Record | None:
-    """Return the record of an entry; None if it is none.
+    """Return the record of an entry; None if it is damaged.
 
     Args:
-        head: Of the entry.
+        head: Head of the entry.
         drawn: Its first part.
-        pooled: Its second part; None to leave its columns out.
+        pooled: Its second part; None to omit its columns.
     """
     if zlib.crc32(drawn) != head.drawn_sum:
         return None
@@ -134,10 +134,10 @@ def _bytes_of(columns: dict[str, Floats]) -> bytes:
 
 
 def _columns(values: bytes, shapes: dict[str, list[int]]) -> dict[str, Floats]:
-    """Return columns by their shapes.
+    """Split values into columns by their shapes.
 
     Raises:
-        ValueError: There are more or fewer numbers.
+        ValueError: The number of values differs.
     """
     sizes = [math.prod(shape) for shape in shapes.values()]
     parts = np.split(np.frombuffer(values, dtype="<f8"), np.cumsum(sizes))

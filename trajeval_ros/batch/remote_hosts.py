@@ -1,6 +1,6 @@
-"""Hosts that the file of a comparison may make this machine ask: those that its user names.
+"""Remote hosts that the file of a comparison may name: those that the command line allows.
 
-Else a file from elsewhere could make this machine ask any host, with its user's credentials.
+Otherwise an untrusted file makes this machine contact any host with the user's credentials.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
     """Return hosts, or buckets, as `SCHEME://HOST`.
 
     Raises:
-        SettingsError: One is written otherwise.
+        SettingsError: One has another form.
     """
     hosts = set()
     for text in texts:
@@ -32,23 +32,23 @@ def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
 
 
 def host_of(url: str) -> frozenset[str]:
-    """Return the host of a URL that the user's own command names; nothing if it has none."""
+    """Return the host of a URL, as of `parse_hosts`; empty if it has none."""
     match = _HOST.match(url)
     return frozenset() if match is None else frozenset({_name(match)})
 
 
 def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
-    """Check that a URL is of this machine, or of a host that is allowed.
+    """Check that a URL refers to this machine or to an allowed host.
 
     Args:
-        url: May hold placeholders, but none in an allowed host.
-        allowed: As of `parse_hosts`.
-        where: What names the URL.
+        url: The URL, which may have placeholders.
+        allowed: Allowed hosts, as of `parse_hosts`.
+        where: The place that names the URL.
 
     Raises:
-        InputError: It is of another host.
+        InputError: The host is not allowed.
     """
-    if "::" in url:  # fsspec would ask each of them
+    if "::" in url:  # fsspec contacts all of them
         raise InputError(f"{where}: {url} is a chain of URLs; give one URL without '::'")
     if url.partition("://")[0].lower() in _OF_THIS_MACHINE:
         return

@@ -1,4 +1,4 @@
-"""The results of all runs as one columnar table: Parquet, a row per run x metric x length."""
+"""The results of all runs as a Parquet table with one row per run, metric and length."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SCHEMA = "trajeval-runs/1"
 OK, FAILED, MISSING = "ok", "failed", "missing"
 ATE, RE, POOLED = "ate", "re", "re.pooled"
-# Rows of one value, in the column `mean`, with its standard deviation, if known, in `std`.
+# Kinds of rows with one value, in column `mean`; its standard deviation, if known, is in `std`.
 CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood"
 INTEGRITY = "integrity"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
@@ -51,14 +51,14 @@ _COLUMNS = {
 def write_table(
     path: Path, rows: Iterable[dict[str, Any]], title: str, settings: dict[str, Any], state: str
 ) -> None:
-    """Write rows as they come, so that memory doesn't grow with their number.
+    """Write rows in groups; memory does not grow with their number.
 
     Args:
-        path: The file; it is whole or not there.
-        rows: Of runs, as `rows_of_run` and `row_of_failure` make them.
-        title: Of the comparison.
-        settings: That its numbers depend on, as `Plan.settings` has them.
-        state: Hash of what the table was made from.
+        path: The file; it is written completely or not at all.
+        rows: Rows of runs, as of `rows_of_run` and `row_of_failure`.
+        title: Title of the comparison.
+        settings: Settings that its numbers depend on, as in `Plan.settings`.
+        state: Hash of the inputs of the table.
 
     Raises:
         InputError: It can't be written, or pyarrow is not installed.
@@ -89,13 +89,13 @@ def write_table(
 
 
 def metadata_of(schema: str, title: str, settings: dict[str, Any], state: str) -> dict[str, str]:
-    """Return what a table of a comparison says of itself."""
+    """Return the metadata of a table of a comparison."""
     head = {"schema": schema, "title": title, "settings": json.dumps(settings), "state": state}
     return {f"trajeval.{name}": value for name, value in head.items()}
 
 
 def state_of(path: Path) -> str:
-    """Return the hash of what a table was made from; "" if it can't be read."""
+    """Return the hash of the inputs of a table; "" if it can't be read."""
     _, parquet = load_pyarrow()
     try:
         metadata = parquet.read_schema(path).metadata or {}
@@ -105,19 +105,19 @@ def state_of(path: Path) -> str:
 
 
 class ResultsTable:
-    """A table that was written, column by column as asked for.
+    """A written table, of which requested columns are read.
 
     Attributes:
-        path: Where it is.
-        title: Of the comparison.
-        settings: That its numbers depend on.
+        path: Its file.
+        title: Title of the comparison.
+        settings: Settings that its numbers depend on.
     """
 
     def __init__(self, path: Path) -> None:
         """Open a table.
 
         Raises:
-            InputError: It can't be read, or is something else.
+            InputError: It can't be read, or is not a table of a comparison.
         """
         self._arrow, parquet = load_pyarrow()
         from pyarrow import compute
@@ -125,7 +125,7 @@ class ResultsTable:
         self._compute = compute
         self.path = path
         try:
-            # Stays open: a baseline may be replaced by the new table before it is compared with.
+            # Stays open: a baseline may be replaced by the new table before the comparison.
             self._file = parquet.ParquetFile(path)
         except FileNotFoundError as error:
             raise InputError(f"{path} does not exist; check the path") from error
@@ -147,17 +147,17 @@ class ResultsTable:
     def select(
         self, columns: Iterable[str], **allowed: str | Sequence[str | None]
     ) -> list[dict[str, Any]]:
-        """Return some columns of the rows in which other columns have a value that is allowed.
+        """Return columns of the rows in which other columns have allowed values.
 
         Raises:
-            InputError: The table lacks one, or can't be read.
+            InputError: The table lacks a column, or can't be read.
         """
         return list(self.each(columns, **allowed))
 
     def each(
         self, columns: Iterable[str], **allowed: str | Sequence[str | None]
     ) -> Iterator[dict[str, Any]]:
-        """Yield the same row by row: memory holds a group of rows, however many there are."""
+        """Yield the same row by row; memory holds one group of rows."""
         names = list(columns)
         sets = {
             name: self._arrow.array(
@@ -171,15 +171,15 @@ class ResultsTable:
             yield from rows.select(names).to_pylist()
 
     def distinct(self, columns: Iterable[str]) -> list[dict[str, Any]]:
-        """Return what differs among the rows in some columns, in order of first occurrence.
+        """Return the distinct values of some columns, in order of first occurrence.
 
         Raises:
-            InputError: The table lacks one, or can't be read.
+            InputError: The table lacks a column, or can't be read.
         """
         names = list(columns)
         found: dict[tuple[Any, ...], None] = {}
         for rows in self._groups(names):
-            # Groups come in an order that differs from CPU to CPU.
+            # The order of the groups differs between CPUs.
             numbered = rows.append_column(_ROW, self._arrow.array(range(rows.num_rows)))
             groups = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "min")])
             some = groups.sort_by(f"{_ROW}_min").select(names)
@@ -187,7 +187,7 @@ class ResultsTable:
         return [dict(zip(names, values, strict=True)) for values in found]
 
     def _groups(self, names: Sequence[str]) -> Iterator[pyarrow.Table]:
-        """Yield columns of some rows after the other."""
+        """Yield columns, one group of rows after another."""
         for name in names:
             kinds = getattr(self._arrow, _COLUMNS[name])(), self._arrow.null()
             if name not in self._schema.names or self._schema.field(name).type not in kinds:
@@ -197,7 +197,7 @@ class ResultsTable:
                 )
         try:
             for batch in self._file.iter_batches(_ROWS_AT_ONCE, columns=names, use_threads=False):
-                # A column of nothing else is of nulls in tables that others wrote.
+                # Other writers give columns without values the type null.
                 columns = [
                     batch.column(name).cast(getattr(self._arrow, _COLUMNS[name])())
                     for name in names

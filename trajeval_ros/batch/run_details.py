@@ -1,4 +1,4 @@
-"""What the report says of each run: its figures, statistics and origins."""
+"""The details of a run in the report: figures, statistics and inputs."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _COLUMNS = (
 def run_pages(
     folder: Path, summary: ComparisonSummary, records: RecordStore, trials: Sequence[Trial]
 ) -> Iterator[RunPage]:
-    """Yield what is said of some runs, one after the other.
+    """Yield the details of some runs.
 
     Args:
-        folder: The comparison's.
-        summary: What it found.
+        folder: Folder of the comparison.
+        summary: Its results.
         records: Its records.
-        trials: Those runs.
+        trials: The runs to describe.
 
     Raises:
         InputError: The table of the comparison can't be read.

@@ -26,9 +26,10 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
     """Yield the rows of an evaluated run.
 
     Args:
-        run: Which.
-        record: Its evaluation.
-        own_coverage: Of the groundtruth's time, before the run was cut to a common span.
+        run: The run.
+        record: Its record.
+        own_coverage: Share of the groundtruth's duration that the whole run covers, before a
+            common time span cut it.
     """
     evaluated = record.run
     association, alignment = evaluated["association"], evaluated["alignment"]
@@ -73,7 +74,7 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
 
 
 def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield what was calibrated and applied, and how errors fit covariances and groundtruth."""
+    """Yield rows of calibration, consistency, integrity and likelihood."""
     calibration, consistency, probabilistic = (
         evaluated[name] or {} for name in ("calibration", "consistency", "probabilistic")
     )
@@ -103,7 +104,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
 
 
 def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
-    """Yield kind, metric and value of what was found about each part of the pose."""
+    """Yield kind, metric and value of the integrity of each part of the pose."""
     for part in found.get("parts", ()):
         name = part["part"]
         yield INTEGRITY, f"{name}_hazardous", part["areas"]["hazardous"], None
@@ -113,7 +114,7 @@ def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
 
 
 def row_of_failure(run: PlannedRun, reason: str) -> dict[str, Any]:
-    """Return the row of a run without numbers: it stays in the table."""
+    """Return the row of a failed or missing run, which has no numbers."""
     return {
         **_names(run),
         "status": MISSING if run.missing else FAILED,

@@ -1,4 +1,4 @@
-"""A comparison in shards, for the jobs of an array: each evaluates a part, then they are merged.
+"""A comparison in shards, for arrays of jobs: each job evaluates a part, then they are merged.
 
 What is merged is the same as what one job makes, byte for byte: the records are the same, and what
 makes tables of them is, too.
@@ -44,8 +44,8 @@ class Shard:
     """One of several parts of a comparison.
 
     Attributes:
-        number: Which, from 1.
-        count: How many there are.
+        number: Its number, from 1.
+        count: Number of shards.
     """
 
     number: int
@@ -56,7 +56,7 @@ class Shard:
         """Read "3/16".
 
         Raises:
-            SettingsError: It is something else.
+            SettingsError: It has another form.
         """
         match = re.fullmatch(r"([0-9]{1,7})/([0-9]{1,7})", text)
         if match is None or not 1 <= int(match[1]) <= int(match[2]):
@@ -71,8 +71,8 @@ class Shard:
     def places(self, plan: Plan) -> list[int]:
         """Return the places of its runs in the plan, in order.
 
-        Shards are as large as each other but for one run, and runs of a sequence are together, as
-        they share its groundtruth; where they share a time span, too, they are in one shard.
+        The sizes of shards differ by at most one run. Runs of a sequence stay together, because
+        they share its groundtruth. With a common time span, they are in one shard.
         """
         order = sorted(
             range(len(plan.runs)),
@@ -88,18 +88,18 @@ class Shard:
         return sorted(own)
 
     def of(self, plan: Plan) -> Plan:
-        """Return the plan of its runs alone."""
+        """Return the part of the plan with its runs."""
         return replace(plan, runs=tuple(plan.runs[place] for place in self.places(plan)))
 
 
 def write_shard(folder: Path, shard: Shard, plan: Plan, finished: FinishedComparison) -> None:
-    """Write how the runs of a shard ended, for merging.
+    """Write the status of the runs of a shard, for merging.
 
     Args:
-        folder: The shard's.
-        shard: Which.
-        plan: Of all shards together.
-        finished: Its runs.
+        folder: Folder of the shard.
+        shard: The shard.
+        plan: Plan of all shards together.
+        finished: Runs of the shard.
 
     Raises:
         InputError: It can't be written.
@@ -131,7 +131,7 @@ def write_shard(folder: Path, shard: Shard, plan: Plan, finished: FinishedCompar
 
 
 def _hash_of(plan: Plan) -> str:
-    """Return what tells two plans apart; where their files lie may differ from host to host."""
+    """Return a hash of a plan without the paths, which may differ between hosts."""
     digest = hashlib.sha256(json.dumps(plan.settings).encode())
     for run in plan.runs:
         part = (run.algorithm, run.sequence, run.trial, bool(run.missing))
@@ -140,14 +140,14 @@ def _hash_of(plan: Plan) -> str:
 
 
 def merged(folders: Sequence[Path]) -> FinishedComparison:
-    """Return the comparison that all shards together are.
+    """Return the comparison of all shards together.
 
     Args:
-        folders: Of all shards.
+        folders: Folders of all shards.
 
     Raises:
-        InputError: One of them is no shard or of another comparison, is there twice, or is
-            missing.
+        InputError: A folder is not a shard or belongs to another comparison, or a shard is given
+            twice or missing.
     """
     heads = {folder: _head_of(folder) for folder in folders}
     first, *others = heads
@@ -175,12 +175,12 @@ def merged(folders: Sequence[Path]) -> FinishedComparison:
 
 
 def write_merged(finished: FinishedComparison, folders: Sequence[Path], output: Path) -> None:
-    """Write the tables of a comparison that was made of shards, and put their records beside them.
+    """Write the tables of a comparison in shards, and add the records of the shards.
 
     Args:
-        finished: As of `merged`.
-        folders: Of all shards.
-        output: For the comparison.
+        finished: The comparison, as of `merged`.
+        folders: Folders of all shards.
+        output: Folder for the comparison.
 
     Raises:
         InputError: Records can't be read, or the output can't be written.
@@ -236,7 +236,7 @@ def _open_table(path: Path) -> Iterator[Any]:
 
 
 def _require_all(heads: dict[Path, dict[str, str]]) -> None:
-    """Check that each of the shards is there once."""
+    """Check that every shard is given once."""
     of_number: dict[int, Path] = {}
     counts = {Shard.parse(head["shard"]).count for head in heads.values()}
     if len(counts) > 1:
@@ -272,7 +272,7 @@ def _finished(row: dict[str, Any]) -> FinishedRun:
 
 
 def _adopt_records(folders: Sequence[Path], records: Path) -> None:
-    """Put the records of shards into another folder: as links, or as copies on another disk."""
+    """Add the records of shards to another folder: as links, or as copies on another disk."""
     for folder in folders:
         name = _head_of(folder)["shard"].replace("/", "-of-")
         for file in sorted((folder / RECORDS).glob(f"*{SUFFIX}")):
@@ -280,7 +280,7 @@ def _adopt_records(folders: Sequence[Path], records: Path) -> None:
 
 
 def _link(file: Path, other: Path) -> None:
-    """Give a file a second name, or copy it where that can't be."""
+    """Link a file, or copy it if that is not possible."""
     other.unlink()
     try:
         os.link(file, other)

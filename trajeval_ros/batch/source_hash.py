@@ -1,7 +1,6 @@
-"""What this package's sources are, since numbers depend on them.
+"""Hashes of this package's sources, because numbers depend on them.
 
-A version stands for many states of the sources while one works on them. A hash of their bytes
-stands for one.
+During development, many states of the sources have the same version. A hash identifies one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From the summary of a comparison to the tables that people read."""
+"""The tables of a comparison, from its summary."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _COMPARABLE = (
 
 
 def definition(settings: dict[str, Any]) -> str:
-    """State in a sentence what all numbers of a comparison depend on."""
+    """Return a sentence with the settings of all numbers of a comparison."""
     modality = f" for {settings['modality']}" if settings["modality"] else ""
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
-    # Comparisons of older versions don't say it.
+    # Tables of older versions lack it.
     how += " and their orientations" if settings.get("align_with") == "poses" else ""
     span = ", common time span of all runs of a sequence" if settings["common_time_span"] else ""
     return (
@@ -41,7 +41,7 @@ def definition(settings: dict[str, Any]) -> str:
 
 
 def _calibration(settings: dict[str, Any]) -> str:
-    """State what of clocks and bodies the numbers are with."""
+    """Return a sentence with the calibration that was applied."""
     asked = ["clock offset"] if settings["calibrate_time_offset"] else []
     asked += ["body"] if settings["hand_eye"] == "auto" else []
     text = ""
@@ -105,7 +105,7 @@ _RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
 
 
 def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
-    """Return the median over trials of a number that was asked for; None where nobody did."""
+    """Return the table of the medians over trials of a value; None if no run has it."""
     rows, ranked = [], metric in _RANKED
     for algorithm in summary.algorithms:
         found = [
@@ -183,25 +183,25 @@ def _brief(summary: ComparisonSummary, what: str, notes: str = "", enough: int =
 
 
 def _comparable_coverage(summary: ComparisonSummary, sequence: str | None) -> float:
-    """Return the least coverage that compares with the greatest one of an algorithm."""
+    """Return the smallest coverage that is comparable with the largest one."""
     covered = [_coverage(summary.of(each, sequence)) for each in summary.algorithms]
     return LOW_COVERAGE * max(covered, default=0.0)
 
 
 def _coverage(trials: Sequence[Trial]) -> float:
-    """Return the median over trials that were evaluated, of a share of the groundtruth's time."""
+    """Return the median coverage of the evaluated trials."""
     return median([each.coverage for each in trials if each.status == OK] or [0.0])
 
 
 def _mistakes(trial: Trial) -> list[str]:
-    """Return the causes that a run shows and that are mistakes; keyframes are none."""
+    """Return the mistakes that a run shows; keyframes are not a mistake."""
     return [cause for cause in trial.diagnosis if cause not in _NO_MISTAKES]
 
 
 def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) -> Cell:
-    """Return the median over trials, of which a failed one is worse than any other.
+    """Return the median over trials; a failed trial is worse than any other.
 
-    What is from fewer pairs than enough is not ranked, nor what covers less than is comparable.
+    A number is not ranked if it has too few pairs or its coverage is not comparable.
     """
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
@@ -237,7 +237,7 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
         evaluated = sum(trial.status == OK for trial in trials)
-        # Means without the hardest runs would be the best ones.
+        # Omitting failed runs favours an algorithm.
         is_whole = evaluated == len(trials)
         some_lost |= not is_whole
         note = "" if is_whole else f"{evaluated}/{len(trials)}"

@@ -1,4 +1,4 @@
-"""What a worker does: evaluate one run, just as `trajeval evaluate` would."""
+"""The work of a worker: evaluating one run, like `trajeval evaluate`."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _POINTS = 900  # of a line in a report
 
 @dataclass(frozen=True)
 class Task:
-    """A run to be evaluated.
+    """A run to evaluate.
 
     Attributes:
-        run: Which one.
-        request: What to compute.
+        run: The run.
+        request: The evaluation.
         inputs: Fingerprints of groundtruth and estimate.
     """
 
@@ -44,7 +44,7 @@ class Task:
 
     @functools.cached_property
     def key(self) -> str:
-        """Hash of all that its numbers depend on, the program included."""
+        """Hash of everything that its numbers depend on, including the program."""
         hints = dataclasses.astuple(self.run.hints)
         parts = (hash_of_numbers(), self.request.fingerprint, self.run.name, self.inputs, hints)
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
@@ -57,7 +57,7 @@ class WorkerResult:
     Attributes:
         entry: Its encoded record; None if it failed.
         reason: Why it failed, in one sentence; "" if it did not.
-        fetched_bytes: What was read from remote stores, for failed runs too.
+        fetched_bytes: Bytes read from remote stores, also of a failed run.
     """
 
     entry: bytes | None
@@ -105,13 +105,13 @@ def _groundtruth(
     fingerprint: str,  # noqa: ARG001 - a part of the key
     hints: TextHints,
 ) -> Trajectory:
-    """Read what the trials of a sequence share once."""
+    """Read a groundtruth; trials of a sequence share it."""
     groundtruth = read_trajectory(source, covariances=False, hints=hints)
     return dataclasses.replace(groundtruth, name="groundtruth")
 
 
 def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floats]:
-    """Return what is pooled over trials, and what is drawn."""
+    """Return the columns for statistics over trials and for figures."""
     columns = {}
     for length, segment in zip(lengths, evaluation.segments or (), strict=True):
         columns[f"{length}.position_m"] = segment.errors.position_m
