@@ -133,7 +133,7 @@ def test_limits_of_other_sources_are_refused(
     path = tmp_path / "limits.yaml"
     assert main(["watch", f"{good}:/odom", "--learn", str(path), "--quiet"]) == 0
     said = fails([*watched_sources(good), "--limits", str(path)], capsys)
-    assert "learned without an IMU, which this run has" in said
+    assert "learned without the second estimate, which this run has" in said
 
 
 def test_limits_of_another_robot_are_refused(
