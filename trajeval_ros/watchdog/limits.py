@@ -107,11 +107,16 @@ class WatchLimits:
         compared = 0
         for name in self.healthy.keys() & signals.keys():
             values, learned = signals[name].values, self.healthy[name].typical
-            here_now = float(np.median(values)) if len(values) >= _FEWEST else 0.0
-            if min(learned, here_now) > 0.0:
+            if len(values) < _FEWEST or not learned:
+                continue
+            # A fault is in a part of the run, and another robot in all of it.
+            quarters = [float(np.median(part)) for part in np.array_split(values, 4)]
+            if max(quarters) > 0.0:
                 compared += 1
-                if not 1.0 / _ANOTHER_ROBOT < here_now / learned < _ANOTHER_ROBOT:
-                    off[name] = learned, here_now
+                if min(quarters) >= _ANOTHER_ROBOT * learned:
+                    off[name] = learned, min(quarters)
+                elif max(quarters) <= learned / _ANOTHER_ROBOT:
+                    off[name] = learned, max(quarters)
         if compared and 2 * len(off) >= compared:
             name, (learned, here_now) = min(off.items())
             raise InputError(
