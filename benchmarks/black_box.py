@@ -154,7 +154,7 @@ def alarm(folder: Path, alarms: int) -> None:
         box.tick()
         if count < alarms and time.monotonic() >= alarm_at:
             alarm_at = time.monotonic() + BEFORE_S + AFTER_S + 0.2
-            box.trigger(Notice("alarm", ERROR, "an alarm", "test"), {})
+            box.trigger(Notice("alarm", ERROR, "an alarm", "test"), dict)
             count += 1
         time.sleep(0.05)
     box.conclude()

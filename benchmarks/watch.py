@@ -27,7 +27,7 @@ from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.engine import Watchdog
 from trajeval_ros.watchdog.limits import WatchLimits
 from trajeval_ros.watchdog.recording import WatchedRun, feed
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals
+from trajeval_ros.watchdog.signals import Readings, Signals, source_of
 
 HORIZON_S = 30.0
 WITH_FAULTS = ("vio_mono/V2_03",)
@@ -73,8 +73,8 @@ def _part(run: WatchedRun, begin: int, end: int) -> WatchedRun:
         rows = (imu.stamps >= begin) & (imu.stamps < end)
         assert imu.accelerations is not None
         imu = InertialReadings(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
-    partner = None if run.partner is None else cut(run.partner)
-    return WatchedRun(cut(run.estimate), run.twist, imu, partner)
+    partners = {name: cut(each) for name, each in run.partners.items()}
+    return WatchedRun(cut(run.estimate), run.twist, imu, partners)
 
 
 def learned(name: str, run: WatchedRun) -> Healthy:
@@ -95,7 +95,7 @@ def _of(signals: Signals, needs: str, since_s: float) -> dict[str, Readings]:
     """Return the readings of one set from a time on."""
     found = {}
     for name, (seconds, values) in signals.items():
-        if SIGNAL_NAMED[name].needs == needs:
+        if source_of(name) == needs:
             rows = seconds >= since_s
             found[name] = Readings(seconds[rows], values[rows])
     return found

@@ -5,39 +5,19 @@ A fault of the estimator is in its twist, too, as it would be; a fault of the tw
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-
-Fault = Callable[[Trajectory, int, np.random.Generator], Trajectory]
-
-
-def _since(estimate: Trajectory, onset: int) -> tuple[int, Floats]:
-    """Return the first state at or after the onset, and the time since it, s, of all states."""
-    tau = np.maximum(estimate.stamps - onset, 0) / NANOSECONDS
-    return int(np.searchsorted(estimate.stamps, onset)), tau
-
-
-def _turned(about_z: Floats) -> Floats:
-    """Return rotations (N, 4) about z by angles (N,), rad."""
-    zero = np.zeros_like(about_z)
-    return np.stack([zero, zero, np.sin(0.5 * about_z), np.cos(0.5 * about_z)], axis=1)
-
-
-def _direction(generator: np.random.Generator) -> Floats:
-    vector = generator.normal(size=3) * [1.0, 1.0, 0.3]
-    return np.asarray(vector / np.linalg.norm(vector))
+from trajeval_ros.visual_inertial.odometry_faults import Fault, diverge, freeze, jump, since, yaw
 
 
 def scale(estimate: Trajectory, onset: int, _: np.random.Generator, *, share: float) -> Trajectory:
     """Let the scale grow by a share within 10 s."""
-    tau = _since(estimate, onset)[1]
+    tau = since(estimate, onset)[1]
     factor = 1.0 + share * np.minimum(tau / 10.0, 1.0)
     steps = np.diff(estimate.positions, axis=0) * factor[1:, None]
     positions = estimate.positions[0] + np.concatenate(
@@ -49,50 +29,11 @@ def scale(estimate: Trajectory, onset: int, _: np.random.Generator, *, share: fl
     return replace(estimate, positions=positions, velocities=velocities)
 
 
-def yaw(
-    estimate: Trajectory, onset: int, _: np.random.Generator, *, rate_deg: float
-) -> Trajectory:
-    """Let the yaw drift at a rate, deg/s."""
-    tau = _since(estimate, onset)[1]
-    turn = _turned(np.radians(rate_deg) * tau)
-    steps = lie.rotate(turn[1:], np.diff(estimate.positions, axis=0))
-    positions = estimate.positions[0] + np.concatenate(
-        [np.zeros((1, 3)), np.cumsum(steps, axis=0)]
-    )
-    assert estimate.quaternions is not None
-    velocities = estimate.velocities
-    if velocities is not None:
-        velocities = lie.rotate(turn, velocities)
-    return replace(
-        estimate,
-        positions=positions,
-        quaternions=lie.normalized(lie.multiply(turn, estimate.quaternions)),
-        velocities=velocities,
-    )
-
-
-def jump(
-    estimate: Trajectory, onset: int, generator: np.random.Generator, *, metres: float
-) -> Trajectory:
-    """Move all positions from the onset on."""
-    first = _since(estimate, onset)[0]
-    positions = estimate.positions.copy()
-    positions[first:] += metres * _direction(generator)
-    return replace(estimate, positions=positions)
-
-
-def freeze(estimate: Trajectory, onset: int, _: np.random.Generator) -> Trajectory:
-    """Repeat the pose and twist of the onset for ever."""
-    first = _since(estimate, onset)[0]
-    held = np.minimum(np.arange(len(estimate)), first)
-    return replace(estimate[held], stamps=estimate.stamps)
-
-
 def jitter(
     estimate: Trajectory, onset: int, generator: np.random.Generator, *, sigma_s: float
 ) -> Trajectory:
     """Delay stamps at random; those that are overtaken are dropped."""
-    first = _since(estimate, onset)[0]
+    first = since(estimate, onset)[0]
     stamps = estimate.stamps.copy()
     delays = np.abs(generator.normal(0.0, sigma_s, len(stamps) - first))
     stamps[first:] += np.rint(delays * NANOSECONDS).astype(np.int64)
@@ -105,28 +46,15 @@ def late(
     estimate: Trajectory, onset: int, _: np.random.Generator, *, delay_s: float
 ) -> Trajectory:
     """Delay all stamps by the same."""
-    first = _since(estimate, onset)[0]
+    first = since(estimate, onset)[0]
     stamps = estimate.stamps.copy()
     stamps[first:] += round(delay_s * NANOSECONDS)
     return replace(estimate, stamps=stamps)
 
 
-def diverge(
-    estimate: Trajectory, onset: int, generator: np.random.Generator, *, mps2: float
-) -> Trajectory:
-    """Accelerate away from the truth."""
-    tau = _since(estimate, onset)[1]
-    along = _direction(generator)
-    velocities = estimate.velocities
-    if velocities is not None:
-        velocities = velocities + mps2 * tau[:, None] * along
-    positions = estimate.positions + 0.5 * mps2 * tau[:, None] ** 2 * along
-    return replace(estimate, positions=positions, velocities=velocities)
-
-
 def coast(estimate: Trajectory, onset: int, _: np.random.Generator, *, turns: bool) -> Trajectory:
     """Go on at constant velocity; the rotation goes on by the gyro, or stops."""
-    first, tau = _since(estimate, onset)
+    first, tau = since(estimate, onset)
     back = max(first - max(2, int(0.3 / np.median(np.diff(estimate.seconds)))), 0)
     span = estimate.seconds[first] - estimate.seconds[back]
     velocity = (estimate.positions[first] - estimate.positions[back]) / span
@@ -146,7 +74,7 @@ def twist_scale(
     estimate: Trajectory, onset: int, _: np.random.Generator, *, factor: float
 ) -> Trajectory:
     """Stretch the twist alone."""
-    first = _since(estimate, onset)[0]
+    first = since(estimate, onset)[0]
     assert estimate.velocities is not None
     velocities = estimate.velocities.copy()
     velocities[first:] *= factor
@@ -155,7 +83,7 @@ def twist_scale(
 
 def twist_in_world(estimate: Trajectory, onset: int, _: np.random.Generator) -> Trajectory:
     """Give the twist in the world's axes, as if they were the body's."""
-    first = _since(estimate, onset)[0]
+    first = since(estimate, onset)[0]
     assert estimate.velocities is not None
     assert estimate.quaternions is not None
     velocities = estimate.velocities.copy()

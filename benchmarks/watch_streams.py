@@ -15,6 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.watched_sources import read_watched
 from trajeval_ros.watchdog.recording import WatchedRun
 from trajeval_ros.watchdog.rotations_over_time import between, slerp_at
+from trajeval_ros.watchdog.signals import PAIR
 
 _STEP_S = 0.005
 _SKIPPED = 1  # vio_mono's files begin with a placeholder
@@ -65,15 +66,15 @@ def streams(data: Path) -> dict[str, WatchedRun]:
         f"vio_mono/{name}": WatchedRun(each[_SKIPPED:], imu=imus[name])
         for name, each in zip(flights, mono, strict=True)
     }
-    found["vio_mono/MH_01"] = replace(found["vio_mono/MH_01"], partner=openvins)
-    found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partner=openvins)
-    found["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partner=vins)
+    found["vio_mono/MH_01"] = replace(found["vio_mono/MH_01"], partners={PAIR: openvins})
+    found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partners={PAIR: openvins})
+    found["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partners={PAIR: vins})
     nav2 = str(data / "bags/nav2_turtlebot.mcap")
-    found["nav2/odom"], _ = read_watched(f"{nav2}:/odom", None, f"{nav2}:/amcl_pose", None)
+    found["nav2/odom"], _ = read_watched(f"{nav2}:/odom", partners={PAIR: f"{nav2}:/amcl_pose"})
     husky = str(data / "gnss/husky_outdoor.bag")
-    found["husky/odom"], _ = read_watched(husky, f"{husky}:/imu/data", None, None)
+    found["husky/odom"], _ = read_watched(husky, f"{husky}:/imu/data")
     example = str(data / "bags/ROS_example.bag")
     for own, other in (("ORB-SLAM", "S-PTAM"), ("S-PTAM", "ORB-SLAM")):
-        run, _ = read_watched(f"{example}:/{own}", None, f"{example}:/{other}", None)
+        run, _ = read_watched(f"{example}:/{own}", partners={PAIR: f"{example}:/{other}"})
         found[f"ros_example/{own}"] = run
     return found

@@ -180,7 +180,9 @@ def test_an_alarm_becomes_a_clip_of_what_was_before_and_after_it(tmp_path: Path)
     writer = ClipWriter(settings(tmp_path), clock)
     feed(writer, clock, 60)
     alarm_ns = clock.now_ns
-    writer.trigger(CAUSE, {"signals": {"a": 1}, "parameters": {"b": 2}})
+    seen = {"a": 1}
+    writer.trigger(CAUSE, lambda: {"signals": dict(seen), "parameters": {"b": 2}})
+    seen["a"] = 3  # what comes until the clip ends stands in it
     feed(writer, clock, 9)
     assert not list(tmp_path.glob("2*"))
     feed(writer, clock, 2)
@@ -190,7 +192,7 @@ def test_an_alarm_becomes_a_clip_of_what_was_before_and_after_it(tmp_path: Path)
         {"kind": "alarm", "level": WARN, "subject": "pair_m_1s", "text": CAUSE.text, "value": 1.0}
     ]
     assert (about["alarm_ns"], about["signals"], about["parameters"]) == (
-        alarm_ns, {"a": 1}, {"b": 2},
+        alarm_ns, {"a": 3}, {"b": 2},
     )  # fmt: skip
     topics = about["topics"]
     assert isinstance(topics, dict)
@@ -208,12 +210,12 @@ def test_a_flood_of_alarms_makes_one_clip_and_is_counted(tmp_path: Path) -> None
     writer = ClipWriter(settings(tmp_path), clock)
     feed(writer, clock, 5)
     for _ in range(5):  # the clip waits for its last second: they join it
-        writer.trigger(CAUSE, {})
+        writer.trigger(CAUSE, dict)
     feed(writer, clock, 12)
     for _ in range(100):  # sooner than the pause
-        writer.trigger(CAUSE, {})
+        writer.trigger(CAUSE, dict)
     feed(writer, clock, 100)
-    writer.trigger(CAUSE, {})
+    writer.trigger(CAUSE, dict)
     writer.renew(at_end=True)
     first, second = about_of(tmp_path)
     assert len(list(first["causes"])) == 5  # type: ignore[call-overload]
@@ -227,7 +229,7 @@ def test_the_oldest_clips_go_when_the_folder_is_full(tmp_path: Path) -> None:
     writer = ClipWriter(settings(tmp_path, pause_s=0.0, disk=8_000), clock)
     for _ in range(6):
         feed(writer, clock, 20)
-        writer.trigger(CAUSE, {})
+        writer.trigger(CAUSE, dict)
         feed(writer, clock, 11)
         writer.renew(at_end=True)
     clips_left = sorted(tmp_path.glob("2*"))
@@ -249,16 +251,16 @@ def test_a_full_disk_is_one_sentence_and_the_next_clip_is_written(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr(clips, "_to_disk", full)
+        patched.setattr(clips, "_write_messages", full)
         feed(writer, clock, 5)
-        writer.trigger(CAUSE, {})
+        writer.trigger(CAUSE, dict)
         feed(writer, clock, 11)
         writer.renew(at_end=True)
     [(said, warn)] = writer.news
     assert warn
     assert said.endswith("can't be written: no space left on device")
     assert list(tmp_path.iterdir()) == []
-    writer.trigger(CAUSE, {})
+    writer.trigger(CAUSE, dict)
     writer.renew(at_end=True)
     assert len(about_of(tmp_path)) == 1
 

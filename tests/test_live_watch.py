@@ -13,19 +13,23 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
-from watched_flights import SECOND, learned_limits, watched_bag, watched_sources
+from watched_flights import SECOND, all_sources, learned_limits, watched_bag
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags.write_clip import ClipTopic, write_clip
 from trajeval_ros.io.requests.limits_file import read_limits
+from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.notices import ERROR, OK, Notice
 from trajeval_ros.ros.live_watch import LiveWatch, WatchedMessages, WatchReport
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.subscriptions import ReceivedMessages
+from trajeval_ros.ros.transform_stream import TransformStream
 from trajeval_ros.watchdog.alarm_book import WatchAlarm
 from trajeval_ros.watchdog.limits import WatchLimits
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+from trajeval_ros.watchdog.signals import source_of
 
+PAIRS = {"pair.vio": "/vio", "pair.wheel": "/wheel"}
 FAULTS_SEEN = ("jump 0.3 m", "yaw 1 deg/s")
 
 
@@ -40,9 +44,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory, limits: Path) -> list[tuple[A
     folder = tmp_path_factory.mktemp("runs")
     found = []
     for seed, fault in enumerate(FAULTS_SEEN, start=4):
-        bag = watched_bag(folder, str(seed), seed, fault)
+        bag = watched_bag(folder, str(seed), seed, fault, correction_m=0.4)
         output = folder / f"{seed}.json"
-        command = ["watch", *watched_sources(bag), "--limits", str(limits)]
+        command = ["watch", *all_sources(bag, "/tf:map.odom"), "--limits", str(limits)]
         assert main([*command, "--json", str(output), "--quiet"]) == 0
         found.append((recorded(bag), json.loads(output.read_text())))
     return found
@@ -57,11 +61,10 @@ def recorded(bag: Path) -> list[tuple[str, str, int, bytes]]:
         ]
 
 
-def live_watch(
-    limits: WatchLimits, *, has_partner: bool = True, has_imu: bool = True
-) -> LiveWatch:
-    partner = PoseStream("/vio") if has_partner else None
-    return LiveWatch(limits, 2.0, PoseStream("/odom"), partner, has_imu=has_imu)
+def live_watch(limits: WatchLimits, *, has_imu: bool = True) -> LiveWatch:
+    others = {source: PoseStream(topic) for source, topic in PAIRS.items()}
+    others["map"] = TransformStream("/tf", "map", "odom")
+    return LiveWatch(limits, 2.0, PoseStream("/odom"), others, has_imu=has_imu)
 
 
 def batch_of(messages: Sequence[tuple[str, str, int, bytes]], topic: str) -> Any:
@@ -87,7 +90,9 @@ def looks(
         end = int(np.searchsorted(times, time, side="right"))
         some = messages[begin:end]
         imu = [each[3] for each in some if each[0] == "/imu"]
-        seen(watch.look(WatchedMessages(batch_of(some, "/odom"), batch_of(some, "/vio"), imu)))
+        others = {source: batch_of(some, topic) for source, topic in PAIRS.items()}
+        others["map"] = batch_of(some, "/tf")
+        seen(watch.look(WatchedMessages(batch_of(some, "/odom"), others, imu)))
         begin = end
 
 
@@ -119,7 +124,7 @@ def test_alarms_of_any_ticks_are_those_of_the_recording(
         (each["signal"], each["begin_ns"], each["is_over"], each["peak"])
         for each in offline["alarms"]
     )
-    assert expected
+    assert {"map_correction_m_1s", "map_correction_m_20s"} <= {each[0] for each in expected}
     assert [each[0] for each in found] == [each[0] for each in expected]
     assert [each[2] for each in found] == [each[2] for each in expected]
     begins, peaks = (np.array([each[column] for each in found]) for column in (1, 3))
@@ -169,11 +174,9 @@ def test_before_the_arming_it_says_for_how_long_the_robot_has_moved(
 
 def test_limits_without_a_source_that_is_there_are_refused_at_once(limits: Path) -> None:
     known = read_limits(limits)
-    healthy = {
-        name: each for name, each in known.healthy.items() if SIGNAL_NAMED[name].needs != "imu"
-    }
+    healthy = {name: each for name, each in known.healthy.items() if source_of(name) != "imu"}
     alone = WatchLimits(healthy, known.hours)
-    with pytest.raises(InputError, match="learned without an IMU"):
+    with pytest.raises(InputError, match="learned without the IMU"):
         live_watch(alone)
     live_watch(alone, has_imu=False)
 
@@ -196,3 +199,66 @@ def test_limits_of_another_robot_are_refused_with_the_reason(tmp_path: Path, lim
     looks(healthy, messages, partial(float, 1.0), reports.append)
     assert not reports[-1].notices
     assert not reports[-1].begun
+
+
+@pytest.mark.slow
+def test_a_clip_shows_what_the_watch_saw(
+    runs: list[tuple[Any, Any]],
+    limits: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    messages, offline = runs[0]
+    watch = live_watch(read_limits(limits))
+    reports: list[WatchReport] = []
+    looks(watch, messages, partial(float, 0.5), reports.append)
+    causes = [each for report in reports for each in report.begun]
+    about = {
+        "causes": [{"subject": each.subject, **each.values} for each in causes],
+        "signals": {"estimate": "/odom", **reports[-1].history},
+    }
+    _, kind, times, payloads = zip(*(each for each in messages if each[0] == "/odom"), strict=True)
+    clip = tmp_path / "clip"
+    write_clip(clip, [ClipTopic("/odom", kind[0], times, payloads)], about)
+    output, picture = tmp_path / "watch.json", tmp_path / "clip.rrd"
+    command = ["watch", str(clip), "--json", str(output)]
+    assert main([*command, "--fail-on", "alarm"]) == 1
+    assert "(95 %, 3/hours)" in capsys.readouterr().out
+    found = json.loads(output.read_text())
+    assert found["evidence"] == offline["evidence"]
+    expected = {each["signal"]: each for each in offline["alarms"]}
+    assert {each["signal"] for each in found["alarms"]} == expected.keys()
+    for each in found["alarms"]:
+        alarm = expected[each["signal"]]
+        assert each["begin_ns"] == pytest.approx(alarm["begin_ns"], abs=1)
+        assert each["peak"] == pytest.approx(alarm["peak"])
+        assert each["limit"] == pytest.approx(alarm["limit"])
+    assert main([*command, "--limits", str(limits)]) == 2
+    assert "is a clip of the black box" in capsys.readouterr().err
+    pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
+    from rrd import Rrd
+
+    assert main([*command, "--rrd", str(picture), "--quiet"]) == 0
+    drawn = Rrd(picture)
+    assert {"watch/pair/pair_m_1s.vio", "watch/map/map_correction_m_1s"} <= drawn.entities
+    ends, _ = drawn.strips("world/watched/path")
+    assert ends[-1] == read_trajectory(f"{clip}/clip.mcap:/odom").stamps[-1]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "is damaged"),
+        ('{"schema": "trajeval-clip/9"}', "has schema trajeval-clip/9"),
+        ('{"schema": "trajeval-clip/1", "signals": {}}', "its cause is a limit of the evaluation"),
+        ('{"schema": "trajeval-clip/1", "signals": {"second_0_ns": 1}}', "is damaged"),
+    ],
+)
+def test_a_folder_that_is_no_clip_of_a_watch(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "clip.json").write_text(text)
+    assert main(["watch", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from ros_processes import Peer, evaluating, parameters, run_evaluator
-from watched_flights import learned_limits, watched_bag, watched_sources
+from watched_flights import all_sources, learned_limits, watched_bag
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.formatting.topic_names import part_of_topic
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -20,7 +21,11 @@ pytest.importorskip("sensor_msgs", reason="sensor_msgs is missing; `make ros-env
 pytestmark = pytest.mark.ros
 
 RATE = 9.0
-WATCHED = {"estimates": ["/odom"], "watch_with": "/vio", "imu_topic": "/imu"}
+WATCHED = {
+    "estimates": ["/odom"], "watch_with": ["/vio", "/wheel"], "imu_topic": "/imu",
+    "map_to_odom": "/map_to_odom",
+}  # fmt: skip
+HEARD = {"/odom": 1, "/vio": 1, "/wheel": 1, "/imu": 1, "/map_to_odom": 1}
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +35,15 @@ def limits(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def diverging(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return watched_bag(tmp_path_factory.mktemp("run"), "bag", 4, "diverging 1 m/s2")
+    folder = tmp_path_factory.mktemp("run")
+    return watched_bag(folder, "bag", 4, "diverging 1 m/s2", correction_m=0.4)
 
 
 @pytest.fixture(scope="module")
 def offline(diverging: Path, limits: Path) -> Any:
     """What `trajeval watch` says of the run."""
     path = diverging.with_name("watch.json")
-    command = ["watch", *watched_sources(diverging), "--limits", str(limits), "--quiet"]
+    command = ["watch", *all_sources(diverging), "--limits", str(limits), "--quiet"]
     assert main([*command, "--json", str(path)]) == 0
     return json.loads(path.read_text())
 
@@ -69,12 +75,12 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
     expected: dict[str, int] = {}
     for each in sorted(offline["alarms"], key=lambda each: each["begin_ns"]):
         expected.setdefault(each["signal"], each["begin_ns"])
-    assert {"pair_m_1s", "pair_m_5s"} <= expected.keys()
+    assert {"pair_m_1s.vio", "pair_m_1s.wheel", "map_correction_m_1s"} <= expected.keys()
     events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
     diagnostics = peer.hear("/diagnostics", DiagnosticArray)
     values: dict[str, Any] = {**WATCHED, "groundtruth": "", "watch": str(limits)}
     with evaluating(tmp_path / "out", environment, **values) as evaluator:
-        peer.play(diverging, {"/odom": 1, "/vio": 1, "/imu": 1}, ["evaluator"], RATE)
+        peer.play(diverging, HEARD, ["evaluator"], RATE)
         peer.until(lambda: alarms_of(events).keys() >= expected.keys(), "all alarms")
         peer.until(
             lambda: any(
@@ -107,8 +113,8 @@ def test_it_watches_beside_an_evaluation(
     diagnostics = peer.hear("/diagnostics", DiagnosticArray)
     values: dict[str, Any] = {**WATCHED, "groundtruth": "/truth", "watch": str(limits)}
     with evaluating(tmp_path / "out", environment, **values) as evaluator:
-        peer.play(diverging, {"/odom": 2, "/vio": 1, "/imu": 1, "/truth": 1}, ["evaluator"], RATE)
-        peer.until(lambda: "pair_m_1s" in alarms_of(events), "an alarm of pair_m_1s")
+        peer.play(diverging, {**HEARD, "/odom": 2, "/truth": 1}, ["evaluator"], RATE)
+        peer.until(lambda: "pair_m_1s.vio" in alarms_of(events), "an alarm of pair_m_1s.vio")
         peer.until(
             lambda: any(
                 {each.name for each in array.status}
@@ -127,7 +133,7 @@ def test_it_watches_beside_an_evaluation(
         ({"watch": "none.yaml"}, "none.yaml"),
         ({"watch": "", "imu_topic": "/imu"}, "parameter imu_topic needs the parameter watch"),
         ({"watch": "", "groundtruth_topic": ""}, "without groundtruth, set watch to a file"),
-        ({"watch": "ALONE", "imu_topic": "/imu"}, "the limits were learned without an IMU"),
+        ({"watch": "ALONE", "imu_topic": "/imu"}, "the limits were learned without the IMU"),
     ],
 )
 def test_what_it_lacks_is_one_sentence(
@@ -161,21 +167,26 @@ def test_an_alarm_leaves_a_clip_that_can_be_evaluated(
         "black_box_folder": str(tmp_path / "clips"),
     }  # fmt: skip
     with evaluating(tmp_path / "out", environment, **values) as evaluator:
-        peer.play(diverging, {"/odom": 3, "/vio": 2, "/imu": 2, "/truth": 2}, ["evaluator"], RATE)
+        twice = dict.fromkeys(HEARD, 2)
+        peer.play(diverging, {**twice, "/odom": 3, "/truth": 2}, ["evaluator"], RATE)
         evaluator.wait_for("clip of ")
         assert evaluator.end() == 0
     [clip] = (tmp_path / "clips").iterdir()
     about = json.loads((clip / "clip.json").read_text())
-    assert about["causes"][0]["subject"] in clip.name
+    assert clip.name.endswith(part_of_topic(about["causes"][0]["subject"]))
     assert "(95 %, 3/hours)" in about["causes"][0]["evidence"]
     assert about["parameters"]["black_box"] == "4s+0.5s"
     assert about["signals"]["largest_by_second"]["jump_m"]
-    assert about["topics"].keys() == {"/odom", "/vio", "/imu", "/truth"}
+    assert about["topics"].keys() == {*HEARD, "/truth"}
     assert about["left_out"] == []
     file, output = clip / "clip.mcap", tmp_path / "clip.json"
     sources = ["-g", f"{file}:/truth", "-e", f"{file}:/odom"]
     assert main(["evaluate", *sources, "--json", str(output), "--quiet"]) == 0
     assert json.loads(output.read_text())["runs"][0]["association"]["pairs"] > 100
+    assert main(["watch", str(clip), "--json", str(output), "--quiet"]) == 0
+    begun = {each["signal"]: each["begin_ns"] for each in json.loads(output.read_text())["alarms"]}
+    for cause in about["causes"]:
+        assert begun[cause["subject"]] == pytest.approx(cause["stamp_ns"], abs=1)
 
 
 def test_a_failed_limit_of_the_evaluation_leaves_a_clip(
@@ -195,3 +206,48 @@ def test_a_failed_limit_of_the_evaluation_leaves_a_clip(
     assert about["causes"][0]["limit"] == 5.0
     assert about["topics"].keys() == {"/odom", "/truth"}
     assert main(["info", str(clip / "clip.mcap")]) == 0
+    assert main(["watch", str(clip)]) == 2  # nothing was watched
+
+
+@pytest.mark.parametrize("has_room", [True, False])
+def test_an_alarm_calls_the_snapshot_service_once(
+    peer: Peer, environment: dict[str, str], diverging: Path, tmp_path: Path, *, has_room: bool
+) -> None:
+    services = pytest.importorskip(
+        "rosbag2_interfaces.srv",
+        reason="rosbag2_interfaces is missing; `make test-ros` builds it with a compiler",
+    )
+    calls: list[Any] = []
+
+    def take(request: Any, response: Any) -> Any:
+        calls.append(request)
+        response.success = has_room
+        return response
+
+    service = peer.node.create_service(services.Snapshot, "/recorder/snapshot", take)
+    values: dict[str, Any] = {
+        "groundtruth": "/truth", "estimates": ["/odom"], "error_position_error_m": 5.0,
+        "error_rotation_error_deg": 0.001, "snapshot_service": "/recorder/snapshot",
+    }  # fmt: skip
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 1, "/truth": 1}, ["evaluator"], RATE)
+        answer = "snapshot taken by " if has_room else "no snapshot: "
+        said = f"{answer}/recorder/snapshot"
+        peer.until(lambda: said in evaluator.said, said)
+        assert evaluator.end() == 0
+    peer.node.destroy_service(service)
+    assert len(calls) == 1
+
+
+def test_a_snapshot_service_that_is_not_there_is_one_sentence(
+    peer: Peer, environment: dict[str, str], diverging: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("rosbag2_interfaces")
+    values: dict[str, Any] = {
+        "groundtruth": "/truth", "estimates": ["/odom"], "error_position_error_m": 5.0,
+        "snapshot_service": "/recorder/snapshot",
+    }  # fmt: skip
+    with evaluating(tmp_path / "out", environment, **values) as evaluator:
+        peer.play(diverging, {"/odom": 1, "/truth": 1}, ["evaluator"], RATE)
+        evaluator.wait_for("no snapshot: no service /recorder/snapshot; start ros2 bag record")
+        assert evaluator.end() == 0

@@ -15,6 +15,7 @@ from trajeval_ros.io.bags.encode_messages import encode_imu
 from trajeval_ros.io.bags.rate_messages import decode_rates, read_rates
 from trajeval_ros.io.requests.limits_file import read_limits
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.visual_inertial.odometry_faults import FAULTS
 from trajeval_ros.visual_inertial.simulated_imu import readings_of
 
 
@@ -133,7 +134,7 @@ def test_limits_of_other_sources_are_refused(
     path = tmp_path / "limits.yaml"
     assert main(["watch", f"{good}:/odom", "--learn", str(path), "--quiet"]) == 0
     said = fails([*watched_sources(good), "--limits", str(path)], capsys)
-    assert "learned without an IMU, which this run has" in said
+    assert "learned without the second estimate, which this run has" in said
 
 
 def test_limits_of_another_robot_are_refused(
@@ -266,3 +267,32 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(limits: Path, tmp_p
     ends, strips = drawn.strips("world/watched/path")
     assert ends[-1] == read_trajectory(f"{bad}:/odom").stamps[-1]
     assert sum(map(len, strips)) > 100
+
+
+@pytest.mark.slow
+def test_faults_of_simulated_flights_are_alarms(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The way of docs/watchdog.md: learn from one simulated flight, and watch others."""
+
+    def flown(name: str, *options: str) -> list[str]:
+        bag = tmp_path / name
+        assert main(["simulate", str(bag), "--duration", "90", *options]) == 0
+        return ["watch", f"{bag}:/vio/odometry", "--imu", f"{bag}:/imu"]
+
+    limits, output = tmp_path / "limits.yaml", tmp_path / "watch.json"
+    good = flown("good", "--seed", "1")
+    assert main([*good, "--learn", str(limits), "-g", f"{tmp_path}/good:/groundtruth/pose"]) == 0
+    judged = ["--limits", str(limits), "--fail-on", "alarm", "--json", str(output), "--quiet"]
+    assert main([*flown("healthy", "--seed", "2"), *judged]) == 0
+    for fault in FAULTS:
+        command = flown(fault, "--seed", "2", "--fault", fault)
+        assert "; from 60 s on" in capsys.readouterr().out
+        assert main([*command, *judged]) == 1
+        begins = [each["begin_ns"] for each in json.loads(output.read_text())["alarms"]]
+        onset = read_trajectory(f"{tmp_path}/good:/vio/odometry").stamps[0] + 60 * SECOND
+        assert 0 <= min(begins) - onset < 5 * SECOND
+    assert main(["simulate", str(tmp_path / "no"), "--fault", "flood"]) == 2
+    assert f"must be one of {', '.join(FAULTS)}" in capsys.readouterr().err
+    assert main(["simulate", str(tmp_path / "no"), "--fault", "yaw", "--profile", "euroc"]) == 2
+    assert "--fault need the drift model" in capsys.readouterr().err

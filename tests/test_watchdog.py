@@ -9,47 +9,20 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from watched_flights import SECOND, flight
 
 from benchmarks.watch_faults import FAULTS
-from trajeval_ros import Trajectory, simulate
+from trajeval_ros import Trajectory
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.inertial import InertialReadings
-from trajeval_ros.visual_inertial.simulated_imu import readings_of
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.engine import Watchdog
 from trajeval_ros.watchdog.limits import HealthyValues, WatchLimits
 from trajeval_ros.watchdog.pair_signals import body_difference
 from trajeval_ros.watchdog.recording import Watched, WatchedRun, watched
 from trajeval_ros.watchdog.signals import Readings, Signals, joined
-
-SECOND = 1_000_000_000
-
-
-@cache
-def flight(seed: int = 3, duration_s: float = 75.0) -> WatchedRun:
-    """Return a simulated estimate without a gap, its IMU, and a second estimate with other noise.
-
-    The second one is the groundtruth, thinned and turned: a partner of another rate and frame.
-    """
-    simulated = simulate(seed, duration_s)
-    truth = simulated.groundtruth
-    generator = np.random.default_rng(seed)
-    own = truth[::10]
-    walk = np.cumsum(generator.normal(0.0, 5e-4, own.positions.shape), axis=0)
-    assert own.quaternions is not None
-    tilt = lie.from_rotation_vector(generator.normal(0.0, 5e-4, own.positions.shape))
-    estimate = dataclasses.replace(
-        own,
-        positions=own.positions + walk,
-        quaternions=lie.normalized(lie.multiply(own.quaternions, tilt)),
-        name="odometry",
-    )
-    noise = np.cumsum(generator.normal(0.0, 5e-4, truth[5::20].positions.shape), axis=0)
-    partner = truth[5::20]
-    partner = dataclasses.replace(partner, positions=partner.positions + noise, velocities=None)
-    return WatchedRun(estimate, imu=readings_of(truth, seed), partner=partner)
 
 
 @cache
@@ -69,10 +42,11 @@ def assert_same(found: Signals, expected: Signals, tolerance: float = 1e-9) -> N
 def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
     """Feed a watchdog portion by portion, sources in turn, as arrival may have it."""
     watchdog = Watchdog(int(run.estimate.stamps[0]))
-    imu, partner, estimate = run.imu, run.partner, run.estimate
+    imu, partner, estimate = run.imu, run.partners["pair"], run.estimate
+    corrections = run.corrections
     assert imu is not None
     assert imu.accelerations is not None
-    assert partner is not None
+    assert corrections is not None
     assert partner.quaternions is not None
     assert estimate.quaternions is not None
     assert estimate.velocities is not None
@@ -80,6 +54,10 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
     columns = {
         "imu": (watchdog.add_inertial, (imu.stamps, imu.rates, imu.accelerations)),
         "pair": (watchdog.add_partner, (partner.stamps, partner.positions, partner.quaternions)),
+        "map": (
+            watchdog.add_corrections,
+            (corrections.stamps, corrections.positions, corrections.quaternions),
+        ),
         "states": (
             watchdog.add_states,
             (estimate.stamps, estimate.positions, estimate.quaternions, body),
@@ -102,11 +80,11 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
 def test_portions_and_arrival_change_nothing(data: st.DataObject) -> None:
     run = flight()
     assert run.imu is not None
-    assert run.partner is not None
     ends = {}
     for name, count in (
         ("imu", len(run.imu)),
-        ("pair", len(run.partner)),
+        ("pair", len(run.partners["pair"])),
+        ("map", len(run.corrections or [])),
         ("states", len(run.estimate)),
     ):
         cuts = data.draw(st.lists(st.integers(1, count), max_size=12, unique=True), label=name)
@@ -122,7 +100,8 @@ def test_portions_of_a_live_timer_change_nothing() -> None:
         name: [*range(step, count, step), count]
         for name, count, step in (
             ("imu", len(run.imu or []), 10),
-            ("pair", len(run.partner or []), 1),
+            ("pair", len(run.partners["pair"]), 1),
+            ("map", len(run.corrections or []), 3),
             ("states", len(run.estimate), 1),
         )
     }
@@ -168,15 +147,14 @@ def test_gauge_body_and_scale_of_the_partner_change_nothing(
     frame: Floats, body: Floats, lever: Floats, scale: float
 ) -> None:
     run = flight()
-    assert run.partner is not None
     turned = moved(
-        run.partner,
+        run.partners["pair"],
         lie.from_rotation_vector(frame),
         lie.from_rotation_vector(body),
         lever,
         scale,
     )
-    found = watched(WatchedRun(run.estimate, partner=turned)).signals
+    found = watched(WatchedRun(run.estimate, partners={"pair": turned})).signals
     for name, (_, values) in found.items():
         if name.startswith("pair_angle"):
             np.testing.assert_allclose(values, seen().signals[name].values, atol=1e-9)
@@ -187,15 +165,14 @@ def test_gauge_body_and_scale_of_the_partner_change_nothing(
 
 def test_frame_and_scale_of_the_partner_change_nothing_to_the_digit() -> None:
     run = flight()
-    assert run.partner is not None
     turned = moved(
-        run.partner,
+        run.partners["pair"],
         lie.from_rotation_vector(np.array([0.3, -1.0, 2.0])),
         np.array([0.0, 0.0, 0.0, 1.0]),
         np.zeros(3),
         3.0,
     )
-    found = watched(WatchedRun(run.estimate, partner=turned)).signals
+    found = watched(WatchedRun(run.estimate, partners={"pair": turned})).signals
     for name, (_, values) in found.items():
         if name.startswith("pair"):
             np.testing.assert_allclose(values, seen().signals[name].values, atol=1e-9)
@@ -352,10 +329,10 @@ def test_an_imu_of_another_robot_is_not_compared() -> None:
 
 def test_sources_of_another_clock_are_said() -> None:
     run = flight()
-    assert run.partner is not None
-    early = dataclasses.replace(run.partner, stamps=run.partner.stamps - 3600 * SECOND)
+    partner = run.partners["pair"]
+    early = dataclasses.replace(partner, stamps=partner.stamps - 3600 * SECOND)
     imu = imu_in(np.eye(3), -3600 * SECOND)
-    found = watched(WatchedRun(run.estimate, imu=imu, partner=early))
+    found = watched(WatchedRun(run.estimate, imu=imu, partners={"pair": early}))
     for words in ("no data of the IMU", "no data of the second estimate"):
         assert any(words in each for each in found.notices)
     assert not any(name.startswith(("pair", "gyro")) for name in found.signals)

@@ -24,6 +24,7 @@ FIX_TOPIC, FIX_TYPE = "/fix", "sensor_msgs/msg/NavSatFix"
 RECEIVERS = ("rtk", "consumer")
 IMU_TOPIC = "/imu"
 _DRIFT = "drift"
+_FAULTS = ("yaw", "jump", "freeze", "divergence")
 # What a marker differs by from the body that it is on: m, rad, s.
 _LEVER_M = (0.1, -0.05, 0.2)
 _TURN = (0.6, -1.0, 1.5)
@@ -94,6 +95,14 @@ def simulate(
             "correlated over minutes, and there are outages. For drift only.",
         ),
     ] = None,
+    fault: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(_FAULTS),
+            help="Fault of the odometry after two thirds of the flight, to try "
+            "`trajeval watch`. For drift only.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -131,12 +140,23 @@ def simulate(
             )
         if marker and gnss is not None:
             raise SettingsError("--marker and --gnss exclude each other; give one of them")
+        if fault is not None and fault not in _FAULTS:
+            raise SettingsError(f"--fault must be one of {', '.join(_FAULTS)}, not {fault!r}")
         _write_drift(
-            output, seed, duration, storage, marker=marker, gnss=gnss, overwrite=overwrite
+            output,
+            seed,
+            duration,
+            storage,
+            marker=marker,
+            gnss=gnss,
+            fault=fault,
+            overwrite=overwrite,
         )
     else:
-        if marker or gnss is not None:
-            raise SettingsError("--marker and --gnss need the drift model; remove --profile")
+        if marker or gnss is not None or fault is not None:
+            raise SettingsError(
+                "--marker, --gnss and --fault need the drift model; remove --profile"
+            )
         _write_runs(output, seed, duration, storage, profile, runs, overwrite=overwrite)
 
 
@@ -227,6 +247,7 @@ def _write_drift(
     *,
     marker: bool,
     gnss: str | None,
+    fault: str | None,
     overwrite: bool,
 ) -> None:
     """Write a flight with the kinematic drift model."""
@@ -238,33 +259,49 @@ def _write_drift(
     _make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     groundtruth, more, options = simulated.groundtruth, "", ""
-    topics = _topics(groundtruth, simulated.estimate)
+    estimate = simulated.estimate
+    if fault is not None:
+        estimate, more = _with_fault(estimate, fault, seed)
+    topics = _topics(groundtruth, estimate)
     if gnss is not None:
         from trajeval_ros.visual_inertial.gnss_receiver import ANTENNA_M, receive
 
         fixes = receive(groundtruth, gnss, seed)
         write_bag(output, topics | {FIX_TOPIC: (fixes, FIX_TYPE)}, storage=storage.value)
-        more = f", {counted(len(fixes), 'fix', 'fixes')} of a {gnss} receiver on {FIX_TOPIC}"
+        more += f", {counted(len(fixes), 'fix', 'fixes')} of a {gnss} receiver on {FIX_TOPIC}"
         options = f" --lever-arm {','.join(f'{each:g}' for each in ANTENNA_M)}"
         options += " --max-fix-sigma 0.05" if gnss == "rtk" else ""
-        _say([output], groundtruth, simulated.estimate, more, options, FIX_TOPIC)
+        _say([output], groundtruth, estimate, more, options, FIX_TOPIC)
         return
     if marker:
         groundtruth = _marked(groundtruth)
         lever = " ".join(f"{each:g}" for each in _LEVER_M)
         angle_deg = math.degrees(math.hypot(*_TURN))
-        more = (
+        more += (
             f"; the groundtruth is the pose of a marker, {lever} m from the body and rotated by "
             f"{angle_deg:.1f} deg, with a clock {1e3 * _AHEAD_S:g} ms ahead"
         )
         options = " --time-offset auto --hand-eye auto"
     write_bag(
         output,
-        _topics(groundtruth, simulated.estimate),
+        _topics(groundtruth, estimate),
         storage=storage.value,
         inertial={IMU_TOPIC: readings_of(simulated.groundtruth, seed)},
     )
-    _say([output], groundtruth, simulated.estimate, more, options)
+    _say([output], groundtruth, estimate, more, options)
+
+
+def _with_fault(estimate: Trajectory, fault: str, seed: int) -> tuple[Trajectory, str]:
+    """Return the estimate with a fault after two thirds of the time, and words about it."""
+    import numpy as np
+
+    from trajeval_ros.visual_inertial.odometry_faults import FAULTS
+
+    words, apply = FAULTS[fault]
+    after_s = round(estimate.duration_s * 2.0 / 3.0)
+    onset = int(estimate.stamps[0]) + after_s * 10**9
+    bad = apply(estimate, onset, np.random.default_rng(seed))
+    return bad, f"; from {after_s} s on {words}"
 
 
 def _marked(groundtruth: Trajectory) -> Trajectory:

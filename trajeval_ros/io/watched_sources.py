@@ -1,6 +1,9 @@
-"""SOURCEs of a watchdog: an estimate, an IMU, a second estimate."""
+"""SOURCEs of a watchdog: an estimate, an IMU, second estimates, a map's corrections."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.inertial import InertialReadings
@@ -11,9 +14,11 @@ from trajeval_ros.watchdog.recording import WatchedRun
 
 def read_watched(
     estimate: str,
-    imu: str | None,
-    partner: str | None,
-    groundtruth: str | None,
+    imu: str | None = None,
+    partners: Mapping[str, str] = MappingProxyType({}),
+    groundtruth: str | None = None,
+    *,
+    corrections: str | None = None,
     advance: Advance | None = None,
 ) -> tuple[WatchedRun, Trajectory | None]:
     """Read what is watched, and groundtruth where it is named.
@@ -21,20 +26,23 @@ def read_watched(
     Args:
         estimate: SOURCE of the estimate; of an odometry in a bag its turn rates are read, too.
         imu: SOURCE of IMU messages in a bag.
-        partner: SOURCE of a second estimate.
+        partners: SOURCEs of second estimates, by their names as sources (`pair_sources`).
         groundtruth: SOURCE of groundtruth.
+        corrections: SOURCE of transforms from the map to the estimate's frame.
         advance: Called with what is done and all there is, now and then.
 
     Raises:
         InputError: One can't be read.
     """
-    poses = [each for each in (estimate, partner, groundtruth) if each is not None]
+    asked = (estimate, *partners.values(), corrections, groundtruth)
+    poses = [each for each in asked if each is not None]
     read = dict(zip(poses, read_many(poses, advance=advance, covariances=False), strict=True))
     run = WatchedRun(
         read[estimate],
         _twist_of(estimate),
         None if imu is None else _imu_of(imu),
-        None if partner is None else read[partner],
+        {name: read[each] for name, each in partners.items()},
+        None if corrections is None else read[corrections],
     )
     return run, None if groundtruth is None else read[groundtruth]
 

@@ -13,14 +13,20 @@ from trajeval_ros.report import canvas
 from trajeval_ros.report.line_thinning import thinned
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.recording import Watched
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+from trajeval_ros.watchdog.signals import signal_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _PANEL_IN, _BELOW_IN = 1.4, 0.4
-_PANELS = {"pair": "second estimate", "imu": "IMU", "twist": "twist", "": "only poses"}
+_PANELS = {
+    "pair": "second estimate",
+    "imu": "IMU",
+    "twist": "twist",
+    "map": "map",
+    "": "only poses",
+}
 _LEAST = 1e-2
 _GAP_S = 2.0
 _MOST_CURVES = 6
@@ -36,7 +42,7 @@ def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
         name: Name of the estimate in the figure.
     """
     judged = [name for name in seen.signals if book.limits.limit(name, book.factor) is not None]
-    kinds = [kind for kind in _PANELS if any(SIGNAL_NAMED[s].needs == kind for s in judged)]
+    kinds = [kind for kind in _PANELS if any(signal_of(s).needs == kind for s in judged)]
     title = f"{name}, {counted(len(book.alarms), 'alarm')} in {3600 * seen.hours:.0f} s"
     figure = canvas.new_figure(_PANEL_IN * len(kinds) + _BELOW_IN, title)
     if not kinds:
@@ -44,9 +50,7 @@ def watch_figure(seen: Watched, book: AlarmBook, name: str) -> Figure:
     rows = 0
     panels = figure.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
     for axes, kind in zip(panels, kinds, strict=True):
-        _draw(
-            axes, seen, book, [signal for signal in judged if SIGNAL_NAMED[signal].needs == kind]
-        )
+        _draw(axes, seen, book, [signal for signal in judged if signal_of(signal).needs == kind])
         axes.set_ylabel(f"{_PANELS[kind]}\nvalue / limit")
         rows += canvas.legend_above(axes)
     panels[-1].set_xlim(0.0, seen.end_s)

@@ -6,7 +6,7 @@ from trajeval_ros.formatting.numbers import NOTHING, counted, four_digits
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.limits import RULE_OF_THREE, WatchLimits
 from trajeval_ros.watchdog.recording import Watched
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, SIGNALS
+from trajeval_ros.watchdog.signals import in_order, signal_of
 
 ALARM_WORDS = ("alarm", "level")
 ALARM_NUMBERS = ("begin s", "lasts s", "largest", "limit", "unit")
@@ -24,7 +24,7 @@ def alarm_rows(book: AlarmBook) -> list[tuple[str, ...]]:
             f"{alarm.last_s - alarm.begin_s:.2f}" + ("" if alarm.is_over else " +"),
             four_digits(alarm.peak),
             four_digits(alarm.limit),
-            SIGNAL_NAMED[alarm.signal].unit,
+            signal_of(alarm.signal).unit,
         )
         for alarm in sorted(book.alarms, key=lambda alarm: alarm.begin_s)
     ]
@@ -33,22 +33,22 @@ def alarm_rows(book: AlarmBook) -> list[tuple[str, ...]]:
 def signal_rows(seen: Watched, book: AlarmBook) -> list[tuple[str, ...]]:
     """Return a row per signal that has values."""
     rows: list[tuple[str, ...]] = []
-    for signal in SIGNALS:
-        if signal.name not in seen.signals or not len(seen.signals[signal.name].values):
+    for name in in_order(seen.signals):
+        seconds, values = seen.signals[name]
+        if not len(values):
             continue
-        seconds, values = seen.signals[signal.name]
-        limit = book.limits.limit(signal.name, book.factor)
+        limit = book.limits.limit(name, book.factor)
         place = int(values.argmax())
-        healthy = book.limits.healthy.get(signal.name)
+        healthy = book.limits.healthy.get(name)
         rows.append(
             (
-                signal.name,
+                name,
                 four_digits(float(values[place])),
                 f"{seconds[place]:.2f}",
                 NOTHING if healthy is None else four_digits(healthy.largest),
                 NOTHING if limit is None else four_digits(limit),
-                signal.unit,
-                str(sum(alarm.signal == signal.name for alarm in book.alarms)),
+                signal_of(name).unit,
+                str(sum(alarm.signal == name for alarm in book.alarms)),
             )
         )
     return rows

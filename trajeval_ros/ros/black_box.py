@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 MEGABYTE = 1_000_000
 _MOST_CLIPS = 100
 _MOST_CAUSES = 100  # that one clip names
+# Returns what a JSON file says.
+About = Callable[[], Mapping[str, Any]]
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)s\+(\d+(?:\.\d+)?)s")
 
 
@@ -67,8 +69,9 @@ class BlackBoxSettings:
                 f"30s+10s, not {text!r}"
             )
         require_clip_libraries()
-        own = [values["groundtruth_topic"], values["watch_with"], values["imu_topic"]]
-        named = values["black_box_topics"] or [*values["estimate_topics"], *own]
+        own = [values["groundtruth_topic"], values["imu_topic"], values["map_to_odom"]]
+        all_own = [*values["estimate_topics"], *values["watch_with"], *own]
+        named = values["black_box_topics"] or all_own
         topics = dict.fromkeys(each.partition(":")[0] for each in named if each)
         if "/tf" in topics:
             topics["/tf_static"] = None
@@ -89,7 +92,8 @@ class _Due:
 
     at_ns: int
     causes: list[Notice]
-    about: dict[str, Any] = field(default_factory=dict)
+    alarm_ns: int
+    about: About
 
 
 class ClipWriter:
@@ -120,7 +124,7 @@ class ClipWriter:
         self._without = 0  # alarms since the last clip that got none
         self._task: BackgroundTask[tuple[str, bool]] = BackgroundTask(1.0)
 
-    def trigger(self, cause: Notice, about: Mapping[str, Any]) -> None:
+    def trigger(self, cause: Notice, about: About) -> None:
         """Have a clip written about an alarm.
 
         One that comes while another one's last seconds are awaited is named in that clip. One
@@ -128,7 +132,7 @@ class ClipWriter:
 
         Args:
             cause: The alarm.
-            about: What stands in the JSON file beside it.
+            about: Returns what stands in the JSON file beside it; called at the clip's end.
         """
         now_ns = self._now_ns()
         if self._due is not None:
@@ -139,7 +143,7 @@ class ClipWriter:
         else:
             after_ns = round(self._settings.after_s * NANOSECONDS)
             self._free_at_ns = now_ns + round(self._settings.pause_s * NANOSECONDS)
-            self._due = _Due(now_ns + after_ns, [cause], {"alarm_ns": now_ns, **about})
+            self._due = _Due(now_ns + after_ns, [cause], now_ns, about)
 
     def renew(self, *, at_end: bool = False) -> None:
         """Forget what is old, and write the clip that is due.
@@ -155,16 +159,17 @@ class ClipWriter:
         if self._due is None or not (at_end or is_due):
             return
         due, self._due = self._due, None
-        begin_ns = due.about["alarm_ns"] - round(self._settings.before_s * NANOSECONDS)
+        begin_ns = due.alarm_ns - round(self._settings.before_s * NANOSECONDS)
         topics = self.ring.between(begin_ns, due.at_ns)
         about = {
+            "alarm_ns": due.alarm_ns,
             "causes": [_as_mapping(each) for each in due.causes],
             "alarms_without_clip_before": self._without,
             "messages_forgotten_for_memory": self.ring.forgotten,
-            **due.about,
+            **due.about(),
         }
         self._without = 0
-        path = self._folder.new_clip(due.about["alarm_ns"], due.causes[0].subject)
+        path = self._folder.new_clip(due.alarm_ns, due.causes[0].subject)
 
         def write() -> tuple[str, bool]:
             try:
@@ -219,14 +224,14 @@ class BlackBox:
         self._take()
         self._writer.renew()
 
-    def trigger(self, cause: Notice, history: Mapping[str, Any]) -> None:
+    def trigger(self, cause: Notice, history: About) -> None:
         """Have a clip written about an alarm.
 
         Args:
             cause: The alarm.
-            history: The signals of the last minute; empty where nothing is watched.
+            history: Returns the signals of the last minute; empty where nothing is watched.
         """
-        self._writer.trigger(cause, {"signals": history, "parameters": self._values})
+        self._writer.trigger(cause, lambda: {"signals": history(), "parameters": self._values})
 
     def conclude(self) -> list[tuple[str, bool]]:
         """Write what waits, since the node ends; returns what to tell."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.bags.rate_messages import IMU_TYPE, ODOMETRY_TYPE, decode_rates
+from trajeval_ros.io.requests.limits_file import limits_mapping
 from trajeval_ros.online.notices import ERROR, OK, WARN, Notice
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY
 from trajeval_ros.report.watch_lines import evidence_line
@@ -26,7 +28,7 @@ from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
 from trajeval_ros.watchdog.limits import WatchLimits
 from trajeval_ros.watchdog.recording import rates_at
 from trajeval_ros.watchdog.signal_history import SignalHistory
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals, joined
+from trajeval_ros.watchdog.signals import Readings, Signals, joined, signal_of, source_of
 from trajeval_ros.watchdog.unseen import unseen
 
 # So long after the arming, typical values say whether the limits are of this robot.
@@ -44,12 +46,13 @@ class WatchedMessages(NamedTuple):
 
     Attributes:
         estimate: Messages of the estimate that is watched.
-        partner: Messages of the second estimate.
+        others: Messages of second estimates and of map corrections, by source (`pair`,
+            `pair.NAME`, `map`).
         imu: Messages of the IMU.
     """
 
     estimate: Batches = ()
-    partner: Batches = ()
+    others: Mapping[str, Batches] = MappingProxyType({})
     imu: Sequence[bytes] = ()
 
 
@@ -85,7 +88,7 @@ class LiveWatch:
         limits: WatchLimits,
         factor: float,
         estimate: PoseStream,
-        partner: PoseStream | None = None,
+        others: Mapping[str, PoseStream] = MappingProxyType({}),
         *,
         has_imu: bool = False,
     ) -> None:
@@ -95,19 +98,19 @@ class LiveWatch:
             limits: Learned of a healthy run.
             factor: A limit is so many times the largest healthy value.
             estimate: Decodes the messages of the estimate.
-            partner: Decodes those of a second estimate, if there is one.
+            others: Decode those of second estimates and of map corrections, by source (`pair`,
+                `pair.NAME`, `map`).
             has_imu: Whether there is an IMU.
 
         Raises:
             InputError: The limits were learned without one of these sources.
         """
-        self.book, self.watchdog = AlarmBook(limits, factor), Watchdog()
-        self._estimate, self._partner = estimate, partner
-        self._needs = {
-            need for need, is_there in (("imu", has_imu), ("pair", partner)) if is_there
-        }
-        limits.require_sources(self._needs)
-        self._evidence = evidence_line(limits, factor)
+        self.book = AlarmBook(limits, factor)
+        self.watchdog = Watchdog(pairs=[each for each in others if each != "map"])
+        self._estimate, self._others = estimate, others
+        self._needs = {*others, *(["imu"] if has_imu else [])}
+        limits.require_sources(sorted(self._needs))
+        self._evidence, self._limits = evidence_line(limits, factor), limits_mapping(limits)
         self._history = SignalHistory()
         self._first: list[Signals] | None = []
         self._refused = ""
@@ -134,6 +137,8 @@ class LiveWatch:
             {
                 "second_0_ns": self.watchdog.origin,
                 "largest_by_second": self._history.by_second,
+                "factor": self.book.factor,
+                "limits": self._limits,
             },
         )
 
@@ -141,7 +146,11 @@ class LiveWatch:
         """Return the alarms that begin."""
         restarts = self.watchdog.restarts
         parts = [self._take_imu(messages.imu)]
-        parts += [self._take_partner(*each) for each in messages.partner]
+        parts += [
+            self._take_other(source, *each)
+            for source, batches in messages.others.items()
+            for each in batches
+        ]
         parts += [self._take_estimate(*each) for each in messages.estimate]
         signals = joined(parts)
         self._history.add(signals)
@@ -162,9 +171,13 @@ class LiveWatch:
             readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
         )
 
-    def _take_partner(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
-        assert self._partner is not None
-        return self.watchdog.add_partner(*_poses(self._partner, kind, taken, arrived)[:3])
+    def _take_other(
+        self, source: str, kind: str, taken: ReceivedMessages, arrived: Stamps
+    ) -> Signals:
+        columns = _poses(self._others[source], kind, taken, arrived)[:3]
+        if source == "map":
+            return self.watchdog.add_corrections(*columns)
+        return self.watchdog.add_partner(*columns, source=source)
 
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
         stamps, positions, quaternions, velocities = _poses(self._estimate, kind, taken, arrived)
@@ -209,7 +222,7 @@ class LiveWatch:
         seen: dict[str, Readings] = joined(self._first)
         self._first = None
         self.book.limits.require_of(seen)
-        there = {SIGNAL_NAMED[name].needs for name in seen}
+        there = {source_of(name) for name in seen}
         self._unseen = [*unseen(self._needs, there, self.watchdog.notices)]
 
     def _news(self) -> list[str]:
@@ -227,7 +240,7 @@ class LiveWatch:
             yield Notice("watch", OK, f"arming: {moved_s:.0f} of {ARMING_S:g} s of motion")
 
     def _notice(self, alarm: WatchAlarm) -> Notice:
-        signal = SIGNAL_NAMED[alarm.signal]
+        signal = signal_of(alarm.signal)
         peak, limit = (with_unit(each, signal.unit) for each in (alarm.peak, alarm.limit))
         begin_ns = self.watchdog.origin + round(alarm.begin_s * NANOSECONDS)
         return Notice(

@@ -246,15 +246,21 @@ PARAMETERS = (
     ),
     NodeParameter(
         "watch_with",
-        "",
-        "Topic of a second estimate of the same robot, to compare with the first one. Its frame, "
-        "body and scale may differ.",
+        [""],
+        "Topics of second estimates of the same robot, to compare with the first one. Frame, body "
+        "and scale may differ.",
     ),
     NodeParameter(
         "imu_topic",
         "",
         "Topic of the robot's IMU (sensor_msgs/Imu), to compare with the first estimate. Its axes "
         "may differ.",
+    ),
+    NodeParameter(
+        "map_to_odom",
+        "",
+        "Transform from the map to the frame of the first estimate, as in /tf:map.odom, or a "
+        "topic of it. Its corrections are monitored.",
     ),
     NodeParameter(
         "watch_factor",
@@ -296,8 +302,14 @@ PARAMETERS = (
     NodeParameter(
         "black_box_pause",
         60.0,
-        "Minimum time between two alarms with a clip, in seconds.",
+        "Minimum time between two alarms with a clip or a snapshot, in seconds.",
         (0.0, 86400.0),
+    ),
+    NodeParameter(
+        "snapshot_service",
+        "",
+        "Service of rosbag2's recorder in snapshot mode, as /rosbag2_recorder/snapshot, called on "
+        "an alarm. Needs rosbag2_interfaces. Empty: off.",
     ),
     *(
         NodeParameter(

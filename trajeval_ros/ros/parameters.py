@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-_OF_WATCH = ("watch_with", "imu_topic")
+_OF_WATCH = ("watch_with", "imu_topic", "map_to_odom")
 
 
 def declare(node: Node) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The topics of a live watch: an estimate, a second one, and an IMU."""
+"""The topics of a live watch: an estimate, second ones, map corrections, and an IMU."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from trajeval_ros.ros.live_watch import Batches, WatchedMessages
 from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.subscriptions import TopicInput
+from trajeval_ros.watchdog.signals import pair_sources
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +24,7 @@ class WatchedTopics:
 
     Attributes:
         estimate: The one that is watched.
-        partner: The second one, if there is one.
+        others: Second estimates, and transforms from the map, by source.
     """
 
     def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
@@ -34,11 +35,16 @@ class WatchedTopics:
             values: The parameters.
 
         Raises:
-            SettingsError: A name means nothing, or messages of an IMU can't be received.
+            SettingsError: A name means nothing, two second estimates have the same one, or
+                messages of an IMU can't be received.
         """
-        first, other, imu = values["estimate_topics"][0], values["watch_with"], values["imu_topic"]
-        self.estimate = Side(node, first)
-        self.partner = Side(node, other) if other else None
+        imu, corrections = values["imu_topic"], values["map_to_odom"]
+        self.estimate = Side(node, values["estimate_topics"][0])
+        partners = [Side(node, each) for each in values["watch_with"]]
+        sources = pair_sources([each.name for each in partners])
+        self.others = dict(zip(sources, partners, strict=True))
+        if corrections:
+            self.others["map"] = Side(node, corrections)
         if imu and not is_installed(IMU_TYPE):
             raise SettingsError(
                 f"imu_topic {imu} needs sensor_msgs; install ros-$ROS_DISTRO-sensor-msgs, or "
@@ -46,12 +52,12 @@ class WatchedTopics:
             )
         self._imu = TopicInput(node, imu, [IMU_TYPE]) if imu else None
         self._estimates: list[Any] = []
-        self._partners: list[Any] = []
+        self._of_others: dict[str, list[Any]] = {each: [] for each in self.others}
         self._readings: list[bytes] = []
 
     @property
     def _sides(self) -> list[Side]:
-        return [self.estimate] if self.partner is None else [self.estimate, self.partner]
+        return [self.estimate, *self.others.values()]
 
     def match(self) -> list[Notice]:
         """Connect to the publishers that there are now; returns what to tell."""
@@ -65,14 +71,14 @@ class WatchedTopics:
         """Take what has arrived."""
         if self._imu is not None:
             self._readings += self._imu.take().payloads
-        if self.partner is not None:
-            self._partners += self.partner.take(None)
+        for source, each in self.others.items():
+            self._of_others[source] += each.take(None)
         self._estimates += self.estimate.take(None)
 
     def gathered(self) -> WatchedMessages:
         """Return what was gathered since the last call."""
         estimates: Batches
         estimates, self._estimates = self._estimates, []
-        partners, self._partners = self._partners, []
+        others, self._of_others = self._of_others, {each: [] for each in self.others}
         readings, self._readings = self._readings, []
-        return WatchedMessages(estimates, partners, readings)
+        return WatchedMessages(estimates, others, readings)

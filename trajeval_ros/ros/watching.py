@@ -1,4 +1,4 @@
-"""What goes on beside the evaluation of a run, or without one: a watch, and a black box."""
+"""What goes on beside the evaluation of a run, or without one: a watch, a black box, snapshots."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.black_box import BlackBox, BlackBoxSettings
 from trajeval_ros.ros.events import EventTopic
 from trajeval_ros.ros.live_watch import LiveWatch, WatchReport
+from trajeval_ros.ros.snapshots import Snapshots
 from trajeval_ros.ros.status_message import status_message
 from trajeval_ros.ros.watched_topics import WatchedTopics
 
@@ -49,12 +50,11 @@ class EstimateWatch:
         limits = read_limits(Path(values["watch"]).expanduser())
         self._node_name = node.get_fully_qualified_name()
         self._topics = WatchedTopics(node, values)
-        partner = self._topics.partner
         self._watch = LiveWatch(
             limits,
             values["watch_factor"],
             self._topics.estimate.stream,
-            None if partner is None else partner.stream,
+            {source: each.stream for source, each in self._topics.others.items()},
             has_imu=bool(values["imu_topic"]),
         )
         self._task: BackgroundTask[WatchReport] = BackgroundTask(_MOST_SHARE)
@@ -85,6 +85,11 @@ class EstimateWatch:
         self._task.close()
         return [self.report] if running is None else [running, self.report]
 
+    @property
+    def history(self) -> dict[str, Any]:
+        """The signals of the last minute with their limits, for the JSON file of a clip."""
+        return {"estimate": self._topics.estimate.source, **self.report.history}
+
     def status(self) -> Any:
         """Return the status, as `diagnostic_msgs/DiagnosticStatus`."""
         notices = gravest_first([*self._about_silence(), *self.report.notices])
@@ -107,7 +112,7 @@ class EstimateWatch:
 
 
 class Watching:
-    """The watch and the black box, as far as the parameters ask for them."""
+    """The watch, the black box and rosbag2's snapshots, as far as the parameters ask for them."""
 
     def __init__(
         self, node: Node, values: Mapping[str, Any], events: EventTopic, log: Log
@@ -123,12 +128,15 @@ class Watching:
         Raises:
             InputError: A file can't be read, a folder not made, or the limits were learned
                 without a source that is there.
-            SettingsError: A parameter means nothing.
+            SettingsError: A parameter means nothing, or the service's type is not installed.
         """
         self._events, self._log = events, log
         kept = BlackBoxSettings.of(values)
         self._watch = EstimateWatch(node, values) if values["watch"] else None
         self._box = None if kept is None else BlackBox(node, kept, values)
+        service = values["snapshot_service"]
+        pause_s = values["black_box_pause"]
+        self._snapshots = Snapshots(node, service, pause_s) if service else None
         self._standing = Standing()
 
     def match(self) -> None:
@@ -146,6 +154,8 @@ class Watching:
             self._tell(report)
         if self._box is not None:
             self._box.tick()
+        if self._snapshots is not None and (told := self._snapshots.renew()) is not None:
+            self._log(*told)
 
     def see(self, notices: Iterable[Notice]) -> None:
         """Take what has begun or ended in the evaluation: failed limits have a clip written."""
@@ -177,4 +187,9 @@ class Watching:
 
     def _trigger(self, cause: Notice) -> None:
         if self._box is not None:
-            self._box.trigger(cause, {} if self._watch is None else self._watch.report.history)
+            self._box.trigger(cause, self._history)
+        if self._snapshots is not None:
+            self._snapshots.trigger()
+
+    def _history(self) -> dict[str, Any]:
+        return {} if self._watch is None else self._watch.history

@@ -18,11 +18,17 @@ from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.recording import Watched
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+from trajeval_ros.watchdog.signals import signal_of
 
 PATH, POSE = f"{scene_entities.WORLD}/watched/path", f"{scene_entities.WORLD}/watched/pose"
 _PLOTS = "watch"
-_KINDS = {"pair": "Second estimate", "imu": "IMU", "twist": "Twist", "": "Only poses"}
+_KINDS = {
+    "pair": "Second estimate",
+    "imu": "IMU",
+    "twist": "Twist",
+    "map": "Map corrections",
+    "": "Only poses",
+}
 _LIMIT = "limit"
 _MOST_POINTS, _MOST_ROWS, _MOST_NUMBERS = 50_000, 2000, 20_000
 _MOST_POSES = 3000
@@ -45,7 +51,7 @@ def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook
         for name, readings in seen.signals.items()
         if (limit := book.limits.limit(name, book.factor)) and len(readings.values)
     }
-    kinds = [kind for kind in _KINDS if any(SIGNAL_NAMED[each].needs == kind for each in ratios)]
+    kinds = [kind for kind in _KINDS if any(signal_of(each).needs == kind for each in ratios)]
 
     def draw(recording: Any) -> None:
         _draw_path(recording, estimate, seen, ratios)
@@ -92,7 +98,7 @@ def _draw_path(
 
 def _draw_signal(recording: Any, name: str, stamps: Stamps, values: Floats) -> None:
     rerun, _ = sdk()
-    entity = _entity(SIGNAL_NAMED[name].needs, name)
+    entity = _entity(signal_of(name).needs, name)
     recording.log(entity, rerun.SeriesLines(names=[name]), static=True)
     some = peaks(values, _MOST_NUMBERS)
     entity_data.numbers(values[some]).send(recording, entity, stamps[some])
@@ -120,7 +126,7 @@ def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
         say(seen.armed_s, notice, warn=False)
     say(seen.armed_s, "armed", warn=False)
     for alarm in book.alarms:
-        unit = SIGNAL_NAMED[alarm.signal].unit
+        unit = signal_of(alarm.signal).unit
         level = "error" if book.is_error(alarm) else "warning"
         peak, limit = (with_unit(each, unit) for each in (alarm.peak, alarm.limit))
         said = f"{level}: {alarm.signal} up to {peak}, limit {limit}"

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.watchdog.limits import WatchLimits
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals
+from trajeval_ros.watchdog.signals import Readings, Signals, source_of
 
 # An alarm ends when its signal has been below this share of the limit for so long.
 _CALM_SHARE, _CALM_S = 0.7, 5.0
-# An alarm is an error from this multiple of its limit on, when it lasts, or when another kind of
-# signal alarms at the same time.
+# An alarm is an error from this multiple of its limit on, when it lasts, or when a signal of
+# another source alarms at the same time.
 _GRAVE, _LASTING_S, _TOGETHER_S = 1.5, 5.0, 5.0
 
 
@@ -105,10 +105,9 @@ class AlarmBook:
         """Whether an alarm is more than a warning, by what is known so far."""
         if alarm.peak > _GRAVE * alarm.limit or alarm.last_s - alarm.begin_s >= _LASTING_S:
             return True
-        needs = SIGNAL_NAMED[alarm.signal].needs
+        source = source_of(alarm.signal)
         return any(
-            SIGNAL_NAMED[other.signal].needs != needs
-            and abs(other.begin_s - alarm.begin_s) <= _TOGETHER_S
+            source_of(other.signal) != source and abs(other.begin_s - alarm.begin_s) <= _TOGETHER_S
             for other in self.alarms
         )
 

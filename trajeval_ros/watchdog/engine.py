@@ -6,12 +6,13 @@ time and before. So a recording and a live run give the same values, whatever ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.watchdog.correction_signals import CorrectionSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
@@ -19,6 +20,7 @@ from trajeval_ros.watchdog.pose_signals import PoseSignals
 from trajeval_ros.watchdog.recent import (
     POSE_WIDTH,
     POSITION,
+    REMEMBERED_S,
     SINCE,
     STATE_WIDTH,
     TIME,
@@ -27,13 +29,11 @@ from trajeval_ros.watchdog.recent import (
     Recent,
     lengths,
 )
-from trajeval_ros.watchdog.signals import Readings, Signals, joined
+from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined
 from trajeval_ros.watchdog.twist_signals import TwistSignals
 
 ARMING_S = 30.0
 _MOVING_MPS = 0.1
-# What came so long before the arming decides nothing any more.
-_REMEMBERED_S = 600.0
 # An estimate whose stamps step back so far began anew.
 RESTART_S = 1.0
 _BLOCK = 1024
@@ -43,7 +43,7 @@ class Watchdog:
     """Watches one estimate.
 
     Nothing is judged until the robot has moved for 30 s in sum. What was seen until then says how
-    a twist, an IMU and a second estimate relate to the estimate.
+    a twist, an IMU and second estimates relate to the estimate.
 
     Attributes:
         moved_s: For how long the robot has moved so far, while it isn't armed.
@@ -62,27 +62,31 @@ class Watchdog:
         True
     """
 
-    def __init__(self, origin: int | None = None) -> None:
+    def __init__(self, origin: int | None = None, pairs: Sequence[str] = (PAIR,)) -> None:
         """Create it without a message.
 
         Args:
             origin: Stamp, ns, from which seconds are counted; that of the first message if None.
+            pairs: The second estimates, as `pair_sources` names them.
         """
         self.restarts = 0
         self._origin = origin
         self._told: list[str] = []
+        self._pair_names = tuple(pairs)
         self._begin()
 
     def _begin(self) -> None:
         self.moved_s = 0.0
         self.armed_s: float | None = None
-        self._feeds = {"states": Feed(), "imu": Feed(), "pair": Feed()}
+        widths = {"imu": IMU_WIDTH, **dict.fromkeys(("map", *self._pair_names), POSE_WIDTH)}
+        self._feeds = {name: Feed() for name in ("states", *widths)}
         self._states = Recent(STATE_WIDTH)
-        self._waiting = {"imu": Recent(IMU_WIDTH), "pair": Recent(POSE_WIDTH)}
+        self._waiting = {name: Recent(width) for name, width in widths.items()}
         self._pose: PoseSignals | None = None
         self._twist: TwistSignals | None = None
         self._inertial: InertialSignals | None = None
-        self._pair: PairSignals | None = None
+        self._corrections: CorrectionSignals | None = None
+        self._pairs: dict[str, PairSignals] = {}
         self._counted_s = -np.inf
 
     @property
@@ -93,7 +97,7 @@ class Watchdog:
     @property
     def notices(self) -> list[str]:
         """What was found about the sources, one sentence each."""
-        groups = (self._twist, self._inertial, self._pair)
+        groups = (self._twist, self._inertial, *self._pairs.values())
         found = [each for group in groups if group is not None for each in group.notices]
         return [*self._told, *found]
 
@@ -159,7 +163,7 @@ class Watchdog:
             return self._judged(rows)
         self._states.append(rows)
         if not self._arms():
-            self._states.forget(rows[-1, TIME] - _REMEMBERED_S)
+            self._states.forget(rows[-1, TIME] - REMEMBERED_S)
             return {}
         kept = self._states.rows.copy()
         self._states = Recent(STATE_WIDTH)
@@ -186,20 +190,23 @@ class Watchdog:
     def _judged_from(self, kept: Floats) -> Signals:
         """Start to judge, by what came before the arming."""
         assert self.armed_s is not None
-        oldest = self.armed_s - _REMEMBERED_S
+        oldest = self.armed_s - REMEMBERED_S
         kept = kept[kept[:, TIME] >= oldest]
         before = kept[kept[:, TIME] < self.armed_s]
         period_s = float(np.median(np.diff(before[:, TIME])))
         self._pose = PoseSignals(period_s)
         self._inertial = InertialSignals(period_s, self.armed_s)
-        self._pair = PairSignals(period_s, self.armed_s)
+        self._corrections = CorrectionSignals()
+        self._pairs = {
+            name: PairSignals(name, period_s, self.armed_s) for name in self._pair_names
+        }
         velocities = before[:, VELOCITY]
         if np.isfinite(velocities).all() and velocities.any():
             self._twist = TwistSignals(before, period_s)
-        for each in self._waiting.values():
-            each.forget(oldest)
-        parts = [self._by_inertial(self._waiting["imu"].rows)]
-        parts.append(self._by_partner(self._waiting["pair"].rows))
+        parts = []
+        for name, each in self._waiting.items():
+            each.forget_until(oldest)
+            parts.append(self._by_source(name, each.rows))
         self._waiting = {}
         return joined([*parts, self._judged(kept)])
 
@@ -207,14 +214,15 @@ class Watchdog:
         parts: list[Signals] = []
         assert self._pose is not None
         assert self._inertial is not None
-        assert self._pair is not None
+        assert self._corrections is not None
         for begin in range(0, len(rows), _BLOCK):
             some = rows[begin : begin + _BLOCK]
             parts.append(self._pose.add(some))
             if self._twist is not None and self._twist.usable:
                 parts.append(self._twist.add(some))
             parts.append(self._inertial.add(some))
-            parts.append(self._pair.add(some))
+            parts.append(self._corrections.add(some))
+            parts += [each.add(some) for each in self._pairs.values()]
         return self._since_armed(joined(parts))
 
     def _since_armed(self, signals: Signals) -> Signals:
@@ -235,36 +243,51 @@ class Watchdog:
             rates: (N, 3), rad/s, in the IMU's axes.
             accelerations: (N, 3), m/s^2, specific force in the same axes.
         """
-        return self._add_source("imu", self._by_inertial, stamps, rates, accelerations)
+        return self._add_source("imu", stamps, rates, accelerations)
 
-    def add_partner(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Take states of the second estimate, and return the signals that are known by them.
+    def add_partner(
+        self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
+    ) -> Signals:
+        """Take states of a second estimate, and return the signals that are known by them.
 
         Args:
             stamps: (N,), ns.
             positions: (N, 3), in whatever frame and scale.
             quaternions: (N, 4), xyzw, unit.
+            source: Which of the second estimates.
         """
-        return self._add_source("pair", self._by_partner, stamps, positions, quaternions)
+        return self._add_source(source, stamps, positions, quaternions)
 
-    def _add_source(
-        self, name: str, judge: Callable[[Floats], Signals], stamps: Stamps, *columns: Floats
-    ) -> Signals:
+    def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
+        """Take transforms from the map to the estimate's frame, and return what is known by them.
+
+        Args:
+            stamps: (N,), ns.
+            positions: (N, 3), metres: the origin of the estimate's frame in the map.
+            quaternions: (N, 4), xyzw, unit.
+        """
+        return self._add_source("map", stamps, positions, quaternions)
+
+    def _add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
         if not len(stamps):
             return {}
         rows = self._feeds[name].rows(self._seconds(stamps), *columns)
         if self.armed_s is not None:
-            return self._since_armed(judge(rows))
+            return self._since_armed(self._by_source(name, rows))
         self._waiting[name].append(rows)
         # No estimate may ever come.
         latest = max(self.last_s, self._feeds[name].last)
-        self._waiting[name].forget(latest - _REMEMBERED_S)
+        self._waiting[name].forget_until(latest - REMEMBERED_S)
         return {}
 
-    def _by_inertial(self, rows: Floats) -> Signals:
+    def _by_source(self, name: str, rows: Floats) -> Signals:
+        """Return the signals that are known by rows of a source, once the robot is armed."""
+        if not len(rows):
+            return {}
+        if name in self._pairs:
+            return self._pairs[name].add_partner(rows)
         assert self._inertial is not None
-        return self._inertial.add_inertial(rows) if len(rows) else {}
-
-    def _by_partner(self, rows: Floats) -> Signals:
-        assert self._pair is not None
-        return self._pair.add_partner(rows) if len(rows) else {}
+        assert self._corrections is not None
+        if name == "imu":
+            return self._inertial.add_inertial(rows)
+        return self._corrections.add_transforms(rows)

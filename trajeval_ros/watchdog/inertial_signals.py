@@ -19,6 +19,7 @@ from trajeval_ros.watchdog.recent import (
     POSE_WIDTH,
     POSITION,
     QUATERNION,
+    REMEMBERED_S,
     SINCE,
     TIME,
     Recent,
@@ -75,17 +76,23 @@ class InertialSignals:
 
     def add_inertial(self, rows: Floats) -> Signals:
         """Return the signals at states that the IMU has reached by rows (N, 8)."""
+        if not self.usable:
+            return {}
         self._raw.append(rows)
+        self._raw.forget(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
         """Return the signals at states (N, 9 or more) that the IMU has reached."""
+        if not self.usable:
+            return {}
         self._waiting.append(rows[:, :POSE_WIDTH])
+        self._waiting.forget(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
 
     def _advance(self) -> Signals:
         states, raw = self._waiting.rows, self._raw.rows
-        if not self.usable or not len(states) or len(raw) < 2:
+        if not len(states) or len(raw) < 2:
             return {}
         if self._mounting is None:
             late = self._armed_s + 2.0 * FARTHEST_S

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Signals
+from trajeval_ros.watchdog.signals import Signals, in_order, signal_of, source_of, source_words
 
 DEFAULT_FACTOR = 2.0
 # Typical values of one robot and estimator differ by less from run to run.
@@ -71,7 +71,7 @@ class WatchLimits:
         """Return the limit of a signal, in its unit; None if nothing was learned of it."""
         if name not in self.healthy:
             return None
-        signal = SIGNAL_NAMED[name]
+        signal = signal_of(name)
         return max(factor, signal.least_factor) * max(self.healthy[name].largest, signal.floor)
 
     @property
@@ -79,21 +79,21 @@ class WatchLimits:
         """Below this rate false alarms are, at 95 %, by the healthy hours that had none."""
         return RULE_OF_THREE / self.hours
 
-    def require_sources(self, needs: Container[str]) -> None:
+    def require_sources(self, needs: Iterable[str]) -> None:
         """Refuse limits that know nothing of a source.
 
         Args:
-            needs: The sources that there are: `twist`, `imu`, `pair`.
+            needs: The sources that there are, such as `twist`, `imu`, `pair`, `pair.wheel`, `map`.
 
         Raises:
             InputError: One was not there when the limits were learned.
         """
-        there = {SIGNAL_NAMED[name].needs for name in self.healthy}
-        for each, words in (("imu", "an IMU"), ("pair", "a second estimate"), ("twist", "twist")):
-            if each in needs and each not in there:
+        there = {source_of(name) for name in self.healthy}
+        for each in needs:
+            if each and each not in there:
                 raise InputError(
-                    f"the limits were learned without {words}, which this run has; learn them "
-                    "again from a run with the same sources, or remove it"
+                    f"the limits were learned without the {source_words(each)}, which this run "
+                    "has; learn them again from a run with the same sources, or remove it"
                 )
 
     def require_of(self, signals: Signals) -> None:
@@ -102,16 +102,21 @@ class WatchLimits:
         Raises:
             InputError: A source of this run was not there, or typical values are of another size.
         """
-        self.require_sources({SIGNAL_NAMED[name].needs for name in signals})
+        self.require_sources(source_of(name) for name in in_order(signals))
         off = {}
         compared = 0
         for name in self.healthy.keys() & signals.keys():
             values, learned = signals[name].values, self.healthy[name].typical
-            here_now = float(np.median(values)) if len(values) >= _FEWEST else 0.0
-            if min(learned, here_now) > 0.0:
+            if len(values) < _FEWEST or not learned:
+                continue
+            # A fault is in a part of the run, and another robot in all of it.
+            quarters = [float(np.median(part)) for part in np.array_split(values, 4)]
+            if max(quarters) > 0.0:
                 compared += 1
-                if not 1.0 / _ANOTHER_ROBOT < here_now / learned < _ANOTHER_ROBOT:
-                    off[name] = learned, here_now
+                if min(quarters) >= _ANOTHER_ROBOT * learned:
+                    off[name] = learned, min(quarters)
+                elif max(quarters) <= learned / _ANOTHER_ROBOT:
+                    off[name] = learned, max(quarters)
         if compared and 2 * len(off) >= compared:
             name, (learned, here_now) = min(off.items())
             raise InputError(

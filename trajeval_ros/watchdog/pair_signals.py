@@ -13,6 +13,7 @@ from trajeval_ros.watchdog.recent import (
     POSE_WIDTH,
     POSITION,
     QUATERNION,
+    REMEMBERED_S,
     SINCE,
     TIME,
     Recent,
@@ -22,7 +23,7 @@ from trajeval_ros.watchdog.recent import (
     window_begins,
 )
 from trajeval_ros.watchdog.rotations_over_time import angles_deg, between, slerp_at
-from trajeval_ros.watchdog.signals import WINDOWS_S, Signals, finite
+from trajeval_ros.watchdog.signals import PAIR, WINDOWS_S, Signals, finite, source_words
 from trajeval_ros.watchdog.turning_axis import only_axis
 
 _CALIBRATION_S = 2.0
@@ -61,13 +62,15 @@ class PairSignals:
         usable: Whether the two can be compared.
     """
 
-    def __init__(self, period_s: float, armed_s: float) -> None:
+    def __init__(self, source: str, period_s: float, armed_s: float) -> None:
         """Create it; the body difference is found when the partner has reached the arming.
 
         Args:
+            source: The second estimate, `pair` or `pair.NAME`; its signals are named likewise.
             period_s: Usual time between states of the estimate.
             armed_s: When the robot had moved enough; what comes later decides nothing.
         """
+        self._source, self._suffix = source, source.removeprefix(PAIR)
         self.notices: list[str] = []
         self.usable = True
         self._armed_s = armed_s
@@ -80,17 +83,23 @@ class PairSignals:
 
     def add_partner(self, rows: Floats) -> Signals:
         """Return the signals at states that the partner has reached by rows (N, 9)."""
+        if not self.usable:
+            return {}
         self._partner.append(rows)
+        self._partner.forget(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
         """Return the signals at states (N, 9 or more) that the partner has reached."""
+        if not self.usable:
+            return {}
         self._states.append(rows[:, :POSE_WIDTH])
+        self._states.forget(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
 
     def _advance(self) -> Signals:
         states, partner = self._states.rows, self._partner.rows
-        if not self.usable or not len(states) or len(partner) < 2:
+        if not len(states) or len(partner) < 2:
             return {}
         first = int(np.searchsorted(states[:, TIME], self._done, side="right"))
         ready = int(np.searchsorted(states[:, TIME], partner[-1, TIME], side="right"))
@@ -124,8 +133,8 @@ class PairSignals:
                 return True
         self.usable = False
         self.notices.append(
-            "too little data of the second estimate during the motion before arming: it is not "
-            "compared"
+            f"too little data of the {source_words(self._source)} during the motion before "
+            "arming: it is not compared"
         )
         return False
 
@@ -163,12 +172,14 @@ class PairSignals:
                 ("pair_deg", angles_deg(between(expected, turn))),
                 ("pair_angle_deg", angle),
             ):
-                signals[f"{stem}_{window_s:g}s"] = finite(times, only(values, known))
+                signals[f"{stem}_{window_s:g}s{self._suffix}"] = finite(times, only(values, known))
         begins, known = window_begins(rows, first, _SCALE_S)
         own, other = (rows[first:, each] - rows[begins, each] for each in (_PATH, _OTHER_PATH))
         enough = np.minimum(own, other) > self._least_path_m
         ratio = np.abs(np.log(np.maximum(own, 1e-9) / np.maximum(other, 1e-9)))
-        signals["pair_scale"] = finite(times, only(np.where(enough, ratio, 0.0), known))
+        signals[f"pair_scale{self._suffix}"] = finite(
+            times, only(np.where(enough, ratio, 0.0), known)
+        )
         return signals
 
 

@@ -13,10 +13,12 @@ TIME, SINCE = 0, 1
 # the message has none.
 POSITION, QUATERNION, VELOCITY, RATE = slice(2, 5), slice(5, 9), slice(9, 12), slice(12, 15)
 POSE_WIDTH, STATE_WIDTH = 9, 15
+# Sources wait for each other for so long, s. What came so long before the arming decides nothing.
+REMEMBERED_S = 600.0
 # Longer silences, s, end all windows: nothing is compared across them.
 GAP_S = 2.0
 # Half a nanosecond, so that comparisons of seconds decide as those of whole nanoseconds do.
-_HALF_NS = 0.5 / NANOSECONDS
+HALF_NS = 0.5 / NANOSECONDS
 _FEWEST = 1024
 
 
@@ -49,6 +51,11 @@ class Recent:
     def forget(self, before: float) -> None:
         """Forget the rows before a time, s."""
         self._begin += int(np.searchsorted(self.rows[:, TIME], before))
+
+    def forget_until(self, time: float) -> None:
+        """Forget the rows before the latest one that is not after a time, s."""
+        latest = int(np.searchsorted(self.rows[:, TIME], time, side="right")) - 1
+        self._begin += max(latest, 0)
 
 
 class Feed:
@@ -92,10 +99,10 @@ def window_begins(rows: Floats, first: int, window_s: float) -> tuple[Indices, B
         lies within the recording, without a gap.
     """
     asked = rows[first:]
-    wanted = asked[:, TIME] - window_s - _HALF_NS
+    wanted = asked[:, TIME] - window_s - HALF_NS
     begins = np.searchsorted(rows[:, TIME], wanted)
-    known = (wanted + 2.0 * _HALF_NS >= asked[:, SINCE]) & (
-        wanted + 2.0 * _HALF_NS >= rows[0, TIME] if len(rows) else False
+    known = (wanted + 2.0 * HALF_NS >= asked[:, SINCE]) & (
+        wanted + 2.0 * HALF_NS >= rows[0, TIME] if len(rows) else False
     )
     return begins, known
 

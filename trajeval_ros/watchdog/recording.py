@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED, Readings, Signals, joined
+from trajeval_ros.watchdog.signals import Readings, Signals, joined, source_of
 from trajeval_ros.watchdog.unseen import unseen
 
 _SLICE_S = 10.0
@@ -29,13 +30,22 @@ class WatchedRun:
         estimate: The states that are watched, in order of arrival.
         twist: Angular velocities of the estimate's own messages, where they have them.
         imu: Readings of the robot's IMU.
-        partner: A second estimate of the same robot, of any frame, body and scale.
+        partners: Second estimates of the same robot, of any frame, body and scale, by source (see
+            `pair_sources`).
+        corrections: Transforms from the map to the estimate's frame.
     """
 
     estimate: Trajectory
     twist: InertialReadings | None = None
     imu: InertialReadings | None = None
-    partner: Trajectory | None = None
+    partners: Mapping[str, Trajectory] = field(default_factory=dict)
+    corrections: Trajectory | None = None
+
+    @property
+    def others(self) -> list[Trajectory]:
+        """The trajectories beside the estimate."""
+        corrections = [] if self.corrections is None else [self.corrections]
+        return [*self.partners.values(), *corrections]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +88,18 @@ def watched(run: WatchedRun) -> Watched:
     name = run.estimate.name or "the estimate"
     if not len(run.estimate):
         raise InputError(f"{name} has no usable pose")
-    for each in (run.estimate, run.partner):
-        if each is not None and not each.stamped:
+    for each in (run.estimate, *run.others):
+        if not each.stamped:
             raise InputError(
                 f"{each.name or 'an estimate'} has no timestamps, which watch needs; give a "
                 "recording with timestamps"
             )
-        if each is not None and each.quaternions is None:
+        if each.quaternions is None:
             raise InputError(
                 f"{each.name or 'an estimate'} has no orientations, which watch needs; give a "
                 "topic with poses"
             )
-    watchdog = Watchdog(int(run.estimate.stamps[0]))
+    watchdog = Watchdog(int(run.estimate.stamps[0]), tuple(run.partners))
     signals = feed(watchdog, run)
     if watchdog.armed_s is None:
         raise InputError(
@@ -101,11 +111,12 @@ def watched(run: WatchedRun) -> Watched:
         for need, source in (
             ("twist", run.estimate.velocities),
             ("imu", run.imu),
-            ("pair", run.partner),
+            ("map", run.corrections),
+            *run.partners.items(),
         )
         if source is not None
     }
-    there = {SIGNAL_NAMED[name].needs for name in signals}
+    there = {source_of(name) for name in signals}
     notices = [*watchdog.notices, *unseen(needs, there, watchdog.notices)]
     if watchdog.out_of_order:
         notices.append(
@@ -122,26 +133,28 @@ def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
 
 def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources slice by slice of time, as they came, and yield the signals."""
-    estimate, imu, partner = run.estimate, run.imu, run.partner
+    estimate, imu = run.estimate, run.imu
     velocities = _body_velocities(estimate)
     rates = None if run.twist is None else rates_at(estimate.stamps, run.twist)
-    sources = [estimate.stamps, *(each.stamps for each in (imu, partner) if each is not None)]
+    takers: list[Callable[[Stamps, Floats, Floats], Signals]] = [
+        partial(watchdog.add_partner, source=each) for each in run.partners
+    ]
+    if run.corrections is not None:
+        takers.append(watchdog.add_corrections)
+    sources = [estimate.stamps, *(each.stamps for each in run.others)]
+    if imu is not None:
+        sources.append(imu.stamps)
     first = min(int(each.min()) for each in sources)
     slices = [_slices(each, first) for each in sources]
-    count = max(map(len, slices))
     empty = np.empty(0, dtype=np.int64)
-    for number in range(count):
-        own = [each[number] if number < len(each) else empty for each in slices]
+    for own in itertools.zip_longest(*slices, fillvalue=empty):
         if imu is not None:
-            rows = own[1]
+            rows = own[-1]
             assert imu.accelerations is not None
             yield watchdog.add_inertial(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
-        if partner is not None:
-            rows = own[-1]
-            assert partner.quaternions is not None
-            yield watchdog.add_partner(
-                partner.stamps[rows], partner.positions[rows], partner.quaternions[rows]
-            )
+        for take, other, rows in zip(takers, run.others, own[1:], strict=False):
+            assert other.quaternions is not None
+            yield take(other.stamps[rows], other.positions[rows], other.quaternions[rows])
         rows = own[0]
         assert estimate.quaternions is not None
         yield watchdog.add_states(

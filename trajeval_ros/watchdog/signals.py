@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats
 
 WINDOWS_S = (1.0, 5.0, 20.0)
+# A second estimate, and what stands before its name where there are several.
+PAIR, _OF = "pair", "."
+_SOURCES = {
+    "twist": "twist",
+    "imu": "IMU",
+    PAIR: "second estimate",
+    "map": "map-to-odom transform",
+}
 
 
 class Signal(NamedTuple):
@@ -18,7 +27,7 @@ class Signal(NamedTuple):
     Attributes:
         name: As in limits, tables and topics.
         unit: Of its values; "" for ratios.
-        needs: The source it needs beside poses: "", `twist`, `imu` or `pair`.
+        needs: The source it needs beside poses: "", `twist`, `imu`, `pair` or `map`.
         floor: The least healthy value that a limit is taken of: an idle robot learns nothing.
         least_factor: Below this multiple of the healthy value it is worth no alarm.
         words: What it is.
@@ -63,13 +72,13 @@ def _windowed(stem: str, needs: str, words: str, windows: tuple[float, ...]) -> 
 
 
 SIGNALS: tuple[Signal, ...] = (
-    *_windowed("pair_m", "pair", "translation, difference of two estimates", WINDOWS_S),
-    *_windowed("pair_deg", "pair", "rotation, difference of two estimates", WINDOWS_S),
-    *_windowed("pair_angle_deg", "pair", "angle turned, difference of two estimates", WINDOWS_S),
+    *_windowed("pair_m", PAIR, "translation, difference of two estimates", WINDOWS_S),
+    *_windowed("pair_deg", PAIR, "rotation, difference of two estimates", WINDOWS_S),
+    *_windowed("pair_angle_deg", PAIR, "angle turned, difference of two estimates", WINDOWS_S),
     Signal(
         "pair_scale",
         "",
-        "pair",
+        PAIR,
         0.02,
         "log ratio of the path lengths of two estimates in 10 s",
         3.0,
@@ -91,8 +100,53 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("gravity_mps2_5s", "m/s2", "imu", 0.05, "gravity vector in 5 s"),
     Signal("speed", "", "", 1.0, "speed over the largest speed until 5 s ago"),
     Signal("standstill_m", "m", "imu", 0.005, "motion in 1 s while the IMU is at rest"),
+    *_windowed("map_correction_m", "map", "translation by map corrections", WINDOWS_S),
+    *_windowed("map_correction_deg", "map", "rotation by map corrections", WINDOWS_S),
 )
 SIGNAL_NAMED = {signal.name: signal for signal in SIGNALS}
+
+
+def pair_sources(names: Sequence[str]) -> list[str]:
+    """Return the second estimates as sources: one has no name, several have their own.
+
+    Args:
+        names: Of the second estimates, of letters, digits and underscores.
+
+    Raises:
+        SettingsError: Two have the same name.
+
+    Example:
+        >>> from trajeval_ros.watchdog.signals import pair_sources
+        >>> pair_sources(["vio"]), pair_sources(["vio", "wheel"])
+        (['pair'], ['pair.vio', 'pair.wheel'])
+    """
+    if len(set(names)) < len(names):
+        twice = next(each for each in names if names.count(each) > 1)
+        raise SettingsError(f"two second estimates have the name {twice}; remove one of them")
+    return [PAIR] if len(names) == 1 else [f"{PAIR}{_OF}{name}" for name in names]
+
+
+def signal_of(name: str) -> Signal:
+    """Return the signal of a name such as `pair_m_1s` or `pair_m_1s.wheel`."""
+    return SIGNAL_NAMED[name.partition(_OF)[0]]
+
+
+def source_of(name: str) -> str:
+    """Return the source of a signal, such as `imu`, `pair` or `pair.wheel`."""
+    stem, of, partner = name.partition(_OF)
+    return SIGNAL_NAMED[stem].needs + of + partner
+
+
+def source_words(source: str) -> str:
+    """Return a source in words: `IMU`, `second estimate`, `second estimate wheel`."""
+    kind, _, partner = source.partition(_OF)
+    return f"{_SOURCES[kind]} {partner}".rstrip()
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Return the names of signals in the order of `SIGNALS`."""
+    places = {name: place for place, name in enumerate(SIGNAL_NAMED)}
+    return sorted(names, key=lambda name: places[name.partition(_OF)[0]])
 
 
 def finite(seconds: Floats, values: Floats) -> Readings:

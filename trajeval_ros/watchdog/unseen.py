@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from trajeval_ros.watchdog.engine import ARMING_S
+from trajeval_ros.watchdog.signals import PAIR, source_words
+
+_SEES = {"imu": "yaw drift and clock slip", PAIR: "slow divergence", "map": "map corrections"}
 
 
-def unseen(needs: Container[str], there: Container[str], notices: Sequence[str]) -> Iterator[str]:
+def unseen(
+    needs: Collection[str], there: Collection[str], notices: Sequence[str]
+) -> Iterator[str]:
     """Yield what can't be seen, one sentence for each source.
 
     Args:
-        needs: The sources that were given: `twist`, `imu`, `pair`.
+        needs: The sources that were given: `twist`, `imu`, `pair`, `pair.NAME`, `map`.
         there: The sources that gave signals.
         notices: What was found about the sources, which may say why one gave none.
     """
     if "twist" not in needs:
         yield "no twist: disagreement of pose and velocity is not detected"
-    for need, words, what in (
-        ("imu", "IMU", "yaw drift and clock slip"),
-        ("pair", "second estimate", "slow divergence"),
-    ):
-        if need not in needs:
-            yield f"no {words}: {what} not detected"
-        elif need not in there and not any(words in each for each in notices):
+    kinds = {each.partition(".")[0] for each in needs}
+    for kind in ("imu", PAIR):
+        if kind not in kinds:
+            yield f"no {source_words(kind)}: {_SEES[kind]} not detected"
+    for each in sorted(set(needs) - {"twist"} - set(there)):
+        words = source_words(each)
+        if not any(words in notice for notice in notices):
             yield (
-                f"no data of the {words} after arming ({ARMING_S:g} s of motion), so {what} not "
-                "detected; check its clock"
+                f"no data of the {words} after arming ({ARMING_S:g} s of motion), so "
+                f"{_SEES[each.partition('.')[0]]} not detected; check its clock"
             )

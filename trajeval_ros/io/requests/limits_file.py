@@ -12,7 +12,7 @@ from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.watchdog.limits import HealthyValues, WatchLimits
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+from trajeval_ros.watchdog.signals import SIGNAL_NAMED, signal_of
 
 SCHEMA = "trajeval-limits/1"
 _KNOWN = ("schema", "evidence", "healthy")
@@ -36,7 +36,7 @@ def write_limits(path: Path, limits: WatchLimits) -> None:
         "healthy:",
     ]
     for name, values in limits.healthy.items():
-        unit = SIGNAL_NAMED[name].unit
+        unit = signal_of(name).unit
         lines.append(
             f"  {name}: {{largest: {values.largest:.6g}, typical: {values.typical:.6g}}}"
             + (f"  # {unit}" if unit else "")
@@ -50,12 +50,35 @@ def read_limits(path: Path) -> WatchLimits:
     Raises:
         InputError: It can't be read, or what it says means nothing.
     """
-    found = read_mapping(path, "limits")
+    return limits_in(read_mapping(path, "limits"), path)
+
+
+def limits_mapping(limits: WatchLimits) -> dict[str, Any]:
+    """Return limits as their file has them, for a JSON file."""
+    return {
+        "schema": SCHEMA,
+        "evidence": {
+            "hours": limits.hours, "checked": limits.checked, "sources": dict(limits.sources),
+        },
+        "healthy": {
+            name: {"largest": each.largest, "typical": each.typical}
+            for name, each in limits.healthy.items()
+        },
+    }  # fmt: skip
+
+
+def limits_in(found: dict[str, Any], path: Path) -> WatchLimits:
+    """Return the limits in the mapping of a file.
+
+    Raises:
+        InputError: What it says means nothing.
+    """
     require_schema(path, found.get("schema"), SCHEMA, "file with limits", _MEND)
     require_known(found, _KNOWN, str(path))
     evidence, healthy = (_mapping(path, found, name) for name in ("evidence", "healthy"))
     require_known(evidence, ("hours", "checked", "sources"), f"{path}: evidence")
-    require_known(healthy, SIGNAL_NAMED, f"{path}: healthy")
+    stems = {str(name).partition(".")[0]: each for name, each in healthy.items()}
+    require_known(stems, SIGNAL_NAMED, f"{path}: healthy")
     hours = _number(path, "hours", evidence.get("hours"))
     if hours <= 0.0 or not healthy:
         raise InputError(f"{path} has no healthy hours or no values; {_MEND}")

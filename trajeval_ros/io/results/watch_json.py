@@ -7,7 +7,7 @@ from typing import Any
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.recording import Watched
-from trajeval_ros.watchdog.signals import SIGNAL_NAMED
+from trajeval_ros.watchdog.signals import signal_of
 
 SCHEMA = "trajeval-watch/1"
 
@@ -32,7 +32,7 @@ def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
         signals.append(
             {
                 "name": name,
-                "unit": SIGNAL_NAMED[name].unit,
+                "unit": signal_of(name).unit,
                 "largest": float(values[row]),
                 "stamp_ns": stamp(float(seconds[row])),
                 "limit": book.limits.limit(name, book.factor),

@@ -1,0 +1,131 @@
+"""The watchdog's sources: map corrections, several second estimates, and those that never come."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from watched_flights import SECOND, all_sources, flight, watched_bag, watched_sources
+
+from benchmarks.watch_faults import FAULTS
+from trajeval_ros import Trajectory
+from trajeval_ros.cli.app import main
+from trajeval_ros.geometry import lie
+from trajeval_ros.io.requests.limits_file import read_limits
+from trajeval_ros.watchdog.alarm_book import AlarmBook
+from trajeval_ros.watchdog.engine import Watchdog
+from trajeval_ros.watchdog.limits import WatchLimits
+from trajeval_ros.watchdog.recording import WatchedRun, watched
+from trajeval_ros.watchdog.signals import joined, source_of
+
+
+def test_corrections_are_of_the_robot_not_of_the_map_s_origin() -> None:
+    run = flight()
+    stamps = run.estimate.stamps[::4]
+    late = stamps - stamps[0] >= 50 * SECOND
+    turn_deg, moved = 2.0, np.array([0.3, -0.1, 0.0])
+    turns = np.outer(np.where(late, np.radians(turn_deg), 0.0), [0.0, 0.0, 1.0])
+    corrections = Trajectory(stamps, late[:, None] * moved, lie.from_rotation_vector(turns))
+    found = watched(WatchedRun(run.estimate, corrections=corrections)).signals
+    first = int(np.argmax(late))
+    robot = run.estimate.positions[4 * first]
+    expected = lie.rotate(lie.from_rotation_vector(turns[first])[None], robot[None])[0]
+    expected_m = np.linalg.norm(expected + moved - robot)
+    for window_s in (1.0, 5.0, 20.0):
+        seconds, values = found[f"map_correction_m_{window_s:g}s"]
+        over = values > 1e-6
+        assert values[over][0] == pytest.approx(expected_m, rel=1e-6)
+        span = seconds[over]
+        assert span[0] == pytest.approx((stamps[first] - run.estimate.stamps[0]) / SECOND)
+        assert np.ptp(span) == pytest.approx(window_s, abs=0.25)
+        angles = found[f"map_correction_deg_{window_s:g}s"].values
+        np.testing.assert_allclose(angles, np.where(over, turn_deg, 0.0), atol=1e-4)
+
+
+@pytest.mark.parametrize("portions", [1, 7])
+def test_a_transform_holds_until_the_next_one(portions: int) -> None:
+    estimate = flight().estimate
+    assert estimate.quaternions is not None
+    stamps = estimate.stamps[0] + np.array([5, 52]) * SECOND + 30_000_000
+    watchdog = Watchdog(int(estimate.stamps[0]))
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    assert not watchdog.add_corrections(stamps, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)
+    parts = [
+        watchdog.add_states(
+            estimate.stamps[rows], estimate.positions[rows], estimate.quaternions[rows]
+        )
+        for rows in np.array_split(np.arange(len(estimate)), portions)
+    ]
+    found = joined(parts)
+    for name in ("map_correction_m_1s", "map_correction_m_20s"):
+        seconds, values = found[name]
+        np.testing.assert_allclose(seconds, [52.03])
+        np.testing.assert_allclose(values, [0.7])
+
+
+def test_alarms_of_several_pairs_tell_which_estimate_is_wrong() -> None:
+    run = flight()
+    vio = run.partners["pair"]
+    generator = np.random.default_rng(9)
+    walk = np.cumsum(generator.normal(0.0, 5e-4, vio.positions.shape), axis=0)
+    wheel = dataclasses.replace(vio, positions=vio.positions + walk)
+    both = {"pair.vio": vio, "pair.wheel": wheel}
+    healthy = watched(dataclasses.replace(run, partners=both))
+    limits = WatchLimits.learned(healthy.signals, healthy.hours, {}, "")
+    onset = int(run.estimate.stamps[0]) + 50 * SECOND
+
+    def accused(**changed: object) -> set[str]:
+        bad = dataclasses.replace(run, **{"partners": both, **changed})  # type: ignore[arg-type]
+        alarms = AlarmBook(limits, 2.0).add(watched(bad).signals)
+        return {source_of(each.signal) for each in alarms} & both.keys()
+
+    fault = FAULTS["diverging 1 m/s2"]
+    assert accused() == set()
+    assert accused(estimate=fault(run.estimate, onset, generator)) == both.keys()
+    assert accused(partners={**both, "pair.wheel": fault(wheel, onset, generator)}) == {
+        "pair.wheel"
+    }
+
+
+def test_a_source_that_never_comes_takes_no_memory() -> None:
+    """An hour is watched in vain for a second estimate, an IMU and corrections."""
+    sizes = []
+    watchdog = Watchdog()
+    for minute in range(60):
+        stamps = minute * 60 * SECOND + np.arange(0, 60 * SECOND, SECOND // 20)
+        seconds = stamps / SECOND
+        places = np.stack([np.sin(seconds), np.cos(seconds), 0.0 * seconds], axis=1)
+        watchdog.add_states(stamps, places, np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1)))
+        sizes.append(len(pickle.dumps(watchdog)))
+    assert max(sizes[20:]) <= 1.1 * max(sizes[:20])
+
+
+@pytest.mark.slow
+def test_each_source_has_limits_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = watched_bag(tmp_path, "good", 3)
+    limits, output = tmp_path / "limits.yaml", tmp_path / "watch.json"
+    sources = all_sources(good, "/tf:map.odom")
+    assert main(["watch", *sources, "--learn", str(limits), "--quiet"]) == 0
+    known = read_limits(limits)
+    assert {"pair_m_1s.vio", "pair_scale.wheel", "map_correction_m_1s"} <= known.healthy.keys()
+    assert "pair_m_1s" not in known.healthy
+    assert known.sources["pair.wheel"] == f"{good}:/wheel"
+    assert known.sources["map"] == f"{good}:/tf:map.odom"
+    bad = watched_bag(tmp_path, "bad", 4, correction_m=0.4)
+    # From a topic of poses as from /tf.
+    command = ["watch", *all_sources(bad), "--limits", str(limits), "--json", str(output)]
+    assert main([*command, "--quiet", "--fail-on", "alarm"]) == 1
+    alarms = {each["signal"]: each for each in json.loads(output.read_text())["alarms"]}
+    assert alarms.keys() == {f"map_correction_m_{window}s" for window in (1, 5, 20)}
+    for each in alarms.values():
+        assert each["peak"] == pytest.approx(0.4, abs=0.01)
+        assert 0 <= each["begin_ns"] - 1_700_000_060 * SECOND < SECOND // 5
+    capsys.readouterr()
+    assert main(["watch", *watched_sources(bad), "--limits", str(limits)]) == 2
+    assert "learned without the second estimate, which this run has" in capsys.readouterr().err
