@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse
 from consistency_runs import (
     ALIGNMENTS,
@@ -35,6 +36,7 @@ from trajeval_ros.consistency.s_transformation import (
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import at_arms
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.gauge_covariance import (
@@ -188,16 +190,19 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
     each = STransformation.of_alignment(gauge, states, truth, moved)
-    variances = np.repeat([0.002**2, np.radians(0.1) ** 2], 3) if noisy else None
+    noise = None
     turned = carried(poses_of(covariance), similarity)
-    if variances is not None:
-        turned += np.diag(np.tile(variances, len(truth)))
+    if noisy:  # of another marker for each state, to tell their blocks apart
+        variances = np.repeat([0.002**2, np.radians(0.1) ** 2], 3)
+        independent = np.broadcast_to(np.diag(variances), (len(truth), 6, 6))
+        noise = at_arms(independent, np.random.default_rng(4).normal(size=(len(truth), 3)))
+        turned += scipy.linalg.block_diag(*noise)
     # What the conditions leave open to second order is no part of the comparison.
     errors = (_dense(each) @ errors_of(truth, moved).ravel()).reshape(-1, 6)
     dense = joint_nees(errors, each.covariance(turned), each.normals)
     sparse = carried_information(scipy.sparse.csr_matrix(information), similarity, 9)
     extra = extra_directions(each)
-    assert joint_nees_by_information(errors, sparse, extra, variances) == pytest.approx(
+    assert joint_nees_by_information(errors, sparse, extra, noise) == pytest.approx(
         dense, rel=1e-6
     )
 

@@ -64,6 +64,25 @@ def test_each_reason_counts_by_itself() -> None:
     assert found.dropped == {"no_fix": 3, "not_finite": 2, "no_height": 1}
 
 
+def test_fixes_without_height_have_a_place_in_the_plane_alone() -> None:
+    positions = np.arange(18.0).reshape(-1, 3)
+    places = places_of(positions)
+    places[[0, 3], 2] = np.nan
+    read = trajectory_of_rows("x", np.arange(6), places, quality(6))
+    spatial = FixRule(datum=DATUM).applied(read)
+    assert spatial.stamps.tolist() == [1, 2, 4, 5]
+    assert spatial.dropped == {"no_height": 2}
+    np.testing.assert_allclose(spatial.positions, positions[[1, 2, 4, 5]], atol=1e-8)
+    planar = FixRule(datum=DATUM).applied(read, level=True)
+    assert planar.stamps.tolist() == list(range(6))
+    assert planar.dropped == {}
+    np.testing.assert_allclose(planar.positions[:, :2], positions[:, :2], atol=1e-4)
+    # The first fix that is used is the origin; the height of no fix is 0.
+    first = FixRule().applied(read, level=True)
+    assert first.fixes is not None
+    assert first.fixes.datum == Datum(places[0, 0], places[0, 1], 0.0)
+
+
 def test_gates_are_the_fix_s_own() -> None:
     rows = quality(6)
     rows[:2, 0] = 0

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from marker_flights import MOUNTED, write_mounting
-from ros_bags import ODOM, POINT
+import scipy.sparse
+from marker_flights import MOUNTED, of_marker, write_mounting
+from ros_bags import ODOM, POINT, POSE, messages_of
 from test_live_marker import uncertain_messages
 from test_live_nees import sides
-from test_live_run import Live
+from test_live_run import ESTIMATE, TRUTH, Live
 
 from trajeval_ros import CovarianceRequest, Protocol, Request, Trajectory, run
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.consistency.joint_covariance import JointCovariance
+from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -141,3 +147,93 @@ def test_a_live_run_moves_them_as_offline(
     np.testing.assert_allclose(newest[2], offline.covariances[-1, :3, :3], rtol=1e-9)
     assert live.finish("--covariance", "message") == 2
     assert "to be about the body's axes; set rotation_covariance_frame" in capsys.readouterr().err
+
+
+NOISE = 0.002, 0.5
+
+
+def marked(seed: int, count: int) -> tuple[Trajectory, Trajectory]:
+    """Return noisy groundtruth of the marker, and a nearly perfect estimate of the body."""
+    random = np.random.default_rng(seed)
+    body = Trajectory(
+        np.arange(1, count + 1) * 10**7,
+        np.cumsum(random.normal(size=(count, 3)), axis=0),
+        lie.from_rotation_vector(random.normal(size=(count, 3))),
+    )
+    marker = of_marker(body)
+    assert marker.quaternions is not None
+    turns = lie.from_rotation_vector(np.radians(NOISE[1]) * random.normal(size=(count, 3)))
+    noisy = dataclasses.replace(
+        marker,
+        positions=marker.positions + NOISE[0] * random.normal(size=(count, 3)),
+        quaternions=lie.multiply(turns, marker.quaternions),
+    )
+    small = np.diag([1e-5**2] * 3 + [1e-5**2] * 3)
+    return noisy, dataclasses.replace(body, covariances=np.tile(small, (count, 1, 1)))
+
+
+def judged(sides: tuple[Trajectory, Trajectory], request: CovarianceRequest) -> Consistency:
+    calibration = CalibrationRequest(known=MOUNTED)
+    protocol = Protocol(gauge="none", lengths=())
+    request_ = Request(protocol, covariances=request, calibration=calibration)
+    [found] = run(sides[0], sides[1:], request_).runs
+    assert found.consistency is not None
+    return found.consistency
+
+
+def test_noise_of_the_marker_s_rotation_moves_the_body() -> None:
+    count = 20_000
+    found = judged(marked(5, count), CovarianceRequest("message", groundtruth_noise=NOISE))
+    assert found.per_pose is not None
+    # NEES of N independent poses is chi-square with 6 N degrees of freedom: five deviations.
+    assert found.per_pose.mean == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (6 * count)))
+    assert found.covariances is not None
+    assert found.errors is not None
+    spread = np.cov(found.errors[:, :3].T).trace()
+    variance = 3.0 * NOISE[0] ** 2 + 2.0 * np.radians(NOISE[1]) ** 2 * LEVER_M @ LEVER_M
+    assert spread == pytest.approx(variance, rel=0.03)
+    np.testing.assert_allclose(
+        found.covariances[:, :3, :3].trace(axis1=1, axis2=2), variance + 3e-10, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("kind", ["covariance", "information"])
+def test_the_joint_nees_of_independent_poses_is_the_sum_of_theirs(kind: str) -> None:
+    sides = marked(7, 25)
+    estimate, size = sides[1], 6 * 25
+    single = judged(sides, CovarianceRequest("message", groundtruth_noise=NOISE))
+    assert estimate.quaternions is not None
+    known: dict[str, Any] = {
+        "covariance": 1e-10 * np.eye(size),
+        "information": scipy.sparse.csr_matrix(1e10 * np.eye(size)),
+    }
+    joint = JointCovariance(
+        estimate.stamps, estimate.positions, estimate.quaternions, 6, **{kind: known[kind]}
+    )
+    request = CovarianceRequest("joint", joint, "joint.npz", groundtruth_noise=NOISE)
+    found = judged(sides, request)
+    assert found.joint is not None
+    assert single.per_pose is not None
+    assert found.joint.nees == pytest.approx(size * single.per_pose.mean, rel=1e-6)
+
+
+def test_finish_and_the_node_take_the_noise_at_the_marker(tmp_path: Path) -> None:
+    sides = marked(6, 300)
+    request = CovarianceRequest("message", groundtruth_noise=NOISE)
+    expected = judged(sides, request)
+    file = str(write_mounting(tmp_path))
+    body = MarkerBody(file, known_hand_eye(file))
+    live = Live(tmp_path / "live", ODOM, body=body, covariances=request, gauge="none")
+    feed = [*messages_of(sides[0], TRUTH, POSE), *messages_of(sides[1], ESTIMATE, ODOM)]
+    live.feed(sorted(feed, key=lambda each: each[2]))
+    live.end()
+    seen = live.run.estimates[0].snapshot().nees
+    assert seen is not None
+    assert expected.per_pose is not None
+    assert seen.mean == pytest.approx(expected.per_pose.mean, rel=1e-9)
+    for options in ((), ("--covariance", "message", "--groundtruth-noise", "0.002,0.5")):
+        again = tmp_path / "again.json"
+        assert live.finish(*options, "--json", str(again)) == 0
+        [found] = json.loads(again.read_text())["runs"]
+        mean = found["consistency"]["per_pose"]["mean"]
+        assert mean == pytest.approx(expected.per_pose.mean, rel=1e-9)

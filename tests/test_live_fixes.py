@@ -16,7 +16,9 @@ from ros_processes import assert_same, offline
 from test_live_run import ESTIMATE, TRUTH, Live
 
 from trajeval_ros import simulate
+from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
@@ -175,6 +177,46 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
     assert found[0]["association"]["dropped"]["in_estimate_gap"] > 0
 
 
+@pytest.mark.parametrize("missing", ["some", "all"])
+@pytest.mark.parametrize("gauge", ["planar", "yaw"])
+def test_fixes_without_height_are_used_as_offline(
+    missing: str, gauge: str, tmp_path: Path
+) -> None:
+    fixes = antenna()
+    assert fixes.fixes is not None
+    fixes.fixes.places[slice(None, None, 3 if missing == "some" else 1), 2] = np.nan
+    feed = [*fix_messages(fixes, TRUTH), *messages_of(FLIGHT.estimate, ESTIMATE, ODOM)]
+    feed.sort(key=lambda each: each[2])
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, gauge=gauge, lever_m=LEVER)
+    live.truth.stream.fixes = LiveFixes(gauge=Gauge.of(gauge))
+    for begin in range(0, len(feed), 7):
+        live.feed(feed[begin : begin + 7])
+    live.end()
+    if (missing, gauge) == ("all", "yaw"):
+        assert "the fixes have no height; use gauge:=planar" in live.truth.stream.trouble
+        assert live.run.estimates[0].evaluator.pairs == 0
+        return
+    found = live.result
+    expected = recorded(tmp_path / "recorded", feed, "--gauge", gauge)
+    assert_same(found, expected)
+    assert_same(found["groundtruth"]["fixes"], expected["groundtruth"]["fixes"])
+    dropped = len(fixes) - len(fixes) * 2 // 3 if gauge == "yaw" else 0
+    assert found["groundtruth"]["fixes"]["dropped"].get("no_height", 0) == dropped
+
+
+def test_a_sparse_estimate_that_bends_is_told_live_as_offline(tmp_path: Path) -> None:
+    keyframes = FLIGHT.estimate[::8]  # 0.4 s apart
+    feed = messages(keyframes)
+    live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, lever_m=LEVER)
+    for begin in range(0, len(feed), 7):
+        live.feed(feed[begin : begin + 7])
+    live.end()
+    expected = recorded(tmp_path / "recorded", feed, *YAW)
+    assert_same(live.result, expected)
+    [run] = expected["runs"]
+    assert any("linear interpolation between" in each for each in run["warnings"])
+
+
 def test_a_datum_on_another_continent_is_told(tmp_path: Path) -> None:
     live = fed(tmp_path / "live", 0.0, FixRule(datum=Datum(8.5, 47.4, 430.0)))
     assert "5477 km away from the first fix" in live.truth.stream.trouble
@@ -184,7 +226,7 @@ def test_a_datum_on_another_continent_is_told(tmp_path: Path) -> None:
 
 def test_gauge_none_wants_a_datum(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM, truth_kind=FIX_TYPE, gauge="none")
-    live.truth.stream.fixes = LiveFixes(wants_datum=True)
+    live.truth.stream.fixes = LiveFixes(gauge=Gauge.NONE)
     live.feed(messages())
     assert "give the origin of the estimate's frame with datum:=" in live.truth.stream.trouble
 
@@ -217,6 +259,17 @@ def test_what_was_paired_outlives_a_kill(tmp_path: Path) -> None:
     (run,) = live.result["runs"]
     assert run["association"]["method"] == "groundtruth-stamps"
     assert run["association"]["pairs"] > 80
+
+
+def test_finish_does_not_ask_for_a_gauge(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    live = fed(tmp_path / "live", 0.0, FixRule(), lever_m=LEVER)
+    live.end()
+    assert main(["finish", str(live.folder)]) == 0
+    said = capsys.readouterr().out
+    assert "aligned by yaw" in said
+    assert "--modality" not in said
 
 
 def test_fixes_that_are_none_are_counted_and_told(tmp_path: Path) -> None:

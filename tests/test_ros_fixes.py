@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fix_runs import DATUM, fix_messages, fixes_of, later, quality
@@ -59,6 +61,36 @@ def test_fixes_that_come_late(peer: Peer, environment: dict[str, str], tmp_path:
         assert run["own_error"] is not None
     assert "the alignment uses gauge yaw" in done["plain"].said
     assert done["gated"].result["groundtruth"]["fixes"]["datum"] == asdict(DATUM)
+
+
+def test_a_wheeled_robot_s_bag(
+    peer: Peer,
+    environment: dict[str, str],
+    shared_data: Path,
+    reference: Callable[[str], Any],
+    tmp_path: Path,
+) -> None:
+    """Of a real robot: 989 fixes of a receiver, and odometry of its wheels."""
+    pytest.importorskip("sensor_msgs")
+    bag, odometry = shared_data / "gnss" / "husky_outdoor.bag", "/husky_velocity_controller/odom"
+    husky = reference("gnss")["husky"]
+    datum = ",".join(map(repr, husky["datum"]))
+    common = {"groundtruth": "/fix", "estimates": [odometry], "lengths": "20,40,80"}
+    nodes = {
+        "planar": {**common, "gauge": "planar", "datum": datum},
+        "plain": {**common, "datum": datum},
+    }
+    done = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=27.0)
+    for name, gauge in {"planar": "planar", "plain": "yaw"}.items():
+        words = ["--gauge", gauge, "--lengths", "20,40,80", "--datum", datum]
+        recorded = offline(bag, tmp_path, "/fix", [odometry], *words)
+        found = done[name].result
+        assert_same(found, recorded)
+        assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
+        [run] = found["runs"]
+        known = husky["wheel_odometry"][f"{gauge}/none"]
+        assert run["association"]["pairs"] == husky["wheel_odometry"]["pairs"]
+        assert run["ate"]["position_m"]["rmse"] == pytest.approx(known["ate_3d"]["rmse"], rel=1e-9)
 
 
 def test_surveyed_points(peer: Peer, environment: dict[str, str], tmp_path: Path) -> None:

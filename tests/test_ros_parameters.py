@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from ros_processes import Peer, evaluating, parameters, run_evaluator
+from watched_flights import learned_limits
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -73,6 +74,16 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
     assert [each.name for each in (tmp_path / "out_2").iterdir()] == ["v.pairs"]
 
 
+def test_a_node_that_only_watches_names_unknown_parameters(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    limits = learned_limits(tmp_path)
+    values = {"watch": str(limits), "watch_facto": 3.0, "estimates": ["/odom"]}
+    with evaluating(tmp_path / "out", environment, groundtruth="", **values) as evaluator:
+        evaluator.wait_for("unknown parameter watch_facto; did you mean watch_factor?")
+        assert evaluator.end() == 0
+
+
 def test_a_topic_without_poses_is_named_with_what_it_carries(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -92,13 +103,19 @@ def test_the_log_and_diagnostics_show_control_characters(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
+    from std_srvs.srv import Trigger
 
     heard = peer.hear("/diagnostics", DiagnosticArray)
     folder, shown = tmp_path / "out\x1b[31m\u202e", rf"{tmp_path}/out\x1b[31m\u202e"
     with evaluating(folder, environment, groundtruth="/truth") as evaluator:
         evaluator.wait_for(f"output folder: {shown}")
         peer.until(lambda: any(each.status for each in heard), "diagnostics")
+        answer = peer.ask("/evaluator/reset", Trigger).message
+        [refused] = peer.set("/evaluator", window="\x1b[31m")
         assert evaluator.end() == 2
+    assert shown in answer
+    assert r"\x1b[31m" in refused.reason
     values = [value.value for array in heard for status in array.status for value in status.values]
     assert shown in values
-    assert not {"\x1b", "\u202e"} & set(evaluator.said + "".join(values))
+    said = [evaluator.said, answer, refused.reason, *values]
+    assert not {"\x1b", "\u202e"} & set("".join(said))

@@ -298,6 +298,19 @@ def test_two_hours_stay_few_rows(tmp_path: Path) -> None:
     assert rows <= 1500
 
 
+def test_a_sparse_stream_is_a_line_and_not_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LivePath, "_draw", lambda *_: None)
+    path = LivePath(scene_entities.PathEntities.below("world/x"), lambda *_: None)
+    seconds = [*np.arange(0.0, 20.0), *np.arange(40.0, 60.0), *np.arange(60.0, 70.0, 0.1)]
+    seconds += [*np.arange(70.0, 90.0)]
+    gaps_s = [path.add(round(1e9 * each), np.zeros(3)) / 1e9 for each in seconds]
+    told = {round(at, 1): gap for at, gap in zip(seconds, gaps_s, strict=True) if gap}
+    # Fixes once a second have one gap. Where a faster stream becomes so sparse, it soon is a line.
+    assert told[40.0] == 21.0
+    assert all(gap == 1.0 for at, gap in told.items() if at >= 70.0)
+    assert len(told) <= 4
+
+
 @needs_rerun
 def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
     from rrd import Rrd

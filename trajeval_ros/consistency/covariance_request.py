@@ -11,6 +11,7 @@ from trajeval_ros.geometry import lie
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.joint_covariance import JointCovariance
+    from trajeval_ros.geometry.marker import HandEye
     from trajeval_ros.geometry.trajectory import Trajectory
 
 SOURCES = ("none", "message", "joint")
@@ -29,6 +30,8 @@ class CovarianceRequest:
             `body`.
         groundtruth_noise: Standard deviations of groundtruth positions (m) and rotations (deg);
             None for exact groundtruth.
+        marker_lever_m: Position of the marker in the body, metres, if the groundtruth was
+            measured at the marker and moved to the body; None if it was measured at the body.
 
     Example:
         >>> from trajeval_ros import CovarianceRequest, Request
@@ -41,6 +44,7 @@ class CovarianceRequest:
     name: str = ""
     rotation_frame: str = "world"
     groundtruth_noise: tuple[float, float] | None = None
+    marker_lever_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what means nothing, or nothing together.
@@ -88,6 +92,11 @@ class CovarianceRequest:
         rotations = lie.to_matrix(estimate.quaternions)
         turned = world_from_body_rotations(estimate.covariances, rotations)
         return replace(estimate, covariances=turned)
+
+    def of_moved_groundtruth(self, hand_eye: HandEye) -> CovarianceRequest:
+        """Return the request for groundtruth that was moved from a marker to the body."""
+        x, y, z = hand_eye.lever_m.tolist()
+        return replace(self, marker_lever_m=(x, y, z))
 
     @property
     def once_turned(self) -> CovarianceRequest:

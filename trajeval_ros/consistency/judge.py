@@ -11,7 +11,10 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
 from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.marker import at_arms
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 
 
@@ -79,15 +82,28 @@ def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     estimate = dataclasses.replace(pairs.estimate, stamps=pairs.estimate.stamps - offset)
     estimate = request.about_world(estimate)
-    variances = None
-    if request.groundtruth_noise is not None:
-        position_m, rotation_deg = request.groundtruth_noise
-        variances = np.square([position_m] * 3 + [math.radians(rotation_deg)] * 3)
     return Aligned(
         groundtruth=pairs.groundtruth,
         estimate=estimate,
         similarity=evaluation.alignment.similarity,
         gauge=protocol.gauge,
         states=protocol.align_states,
-        variances=variances,
+        noise=_noise(pairs.groundtruth, request),
     )
+
+
+def _noise(groundtruth: Trajectory, request: CovarianceRequest) -> Floats | None:
+    """Return covariances (N, 6, 6) of the groundtruth's errors; None if it has none.
+
+    Groundtruth of the body is p_M - R l if that of its marker is p_M: errors of the rotation move
+    it by s_R^2 (|l|^2 I - a a'), a = R l, and are correlated with that.
+    """
+    if request.groundtruth_noise is None:
+        return None
+    position_m, rotation_deg = request.groundtruth_noise
+    variances = np.square([position_m] * 3 + [math.radians(rotation_deg)] * 3)
+    noise: Floats = np.broadcast_to(np.diag(variances), (len(groundtruth), 6, 6))
+    if request.marker_lever_m is None or groundtruth.quaternions is None:
+        return noise
+    arms = lie.rotate(groundtruth.quaternions, np.array(request.marker_lever_m))
+    return at_arms(noise, -arms)

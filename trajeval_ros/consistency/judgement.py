@@ -67,7 +67,8 @@ class Aligned:
         similarity: The alignment.
         gauge: What it could change.
         states: By how many states, 1 for the first; None for all.
-        variances: (6,) of the groundtruth's own noise, m^2 and rad^2; None for none.
+        noise: (N, 6, 6), covariances of the groundtruth's own errors, m^2 and rad^2; None for
+            none.
     """
 
     groundtruth: Trajectory
@@ -75,7 +76,7 @@ class Aligned:
     similarity: Similarity
     gauge: Gauge
     states: int | None
-    variances: Floats | None = None
+    noise: Floats | None = None
 
     def transformation(self) -> STransformation:
         """Return the S-transformation into the alignment's gauge.
@@ -122,8 +123,10 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
     per_pose, nees, blocks = None, None, None
     if covariance.is_dense:
         turned = carried(covariance.pose_covariance(rows), aligned.similarity)
-        if aligned.variances is not None:
-            turned[np.diag_indices(len(turned))] += np.tile(aligned.variances, len(errors))
+        if aligned.noise is not None:
+            count, each = len(errors), np.arange(len(errors))
+            blocks_of = turned.reshape(count, POSE_DOF, count, POSE_DOF)
+            blocks_of[each, :, each] += aligned.noise
         projected = transformation.covariance(turned)
         value = joint_nees(errors, projected, transformation.normals)
         first = aligned.first_with_nees
@@ -138,7 +141,7 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
             errors,
             carried_information(covariance.information, aligned.similarity, covariance.block),
             extra_directions(transformation) if open_ else transformation.orbit,
-            aligned.variances,
+            aligned.noise,
             covariance.pose_rows(rows),
         )
         banded = covariance.banded()
@@ -146,8 +149,8 @@ def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> C
             blocks = _blocks_of_banded(
                 banded, covariance, rows, aligned.similarity, transformation
             )
-            if aligned.variances is not None:
-                blocks = blocks + independent_noise(transformation, aligned.variances)
+            if aligned.noise is not None:
+                blocks = blocks + independent_noise(transformation, aligned.noise)
             nees = _nees_by_pose(errors, blocks, aligned.first_with_nees)
             per_pose = summary_of(nees)
     joint = Joint(value, transformation.dof, chi_square_band(transformation.dof))
@@ -217,9 +220,9 @@ def judge_marginals(
     if statement == BOUND_STATEMENT:
         exactness, blocks = "bound", upper_bounds(blocks, transformation)
     in_gauge = exactness != "as published"
-    if aligned.variances is not None:
-        own = independent_noise(transformation, aligned.variances)
-        blocks = blocks + (own if in_gauge else np.diag(aligned.variances))
+    if aligned.noise is not None:
+        noise = aligned.noise
+        blocks = blocks + (independent_noise(transformation, noise) if in_gauge else noise)
     known = 0 if (sigmas_of(blocks[:1]) > 0.0).all() else 1
     nees = _nees_by_pose(errors, blocks, max(aligned.first_with_nees * in_gauge, known))
     per_pose = summary_of(nees, in_gauge=in_gauge)

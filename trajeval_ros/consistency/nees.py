@@ -68,7 +68,7 @@ def joint_nees_by_information(
     errors: Floats,
     information: scipy.sparse.csr_matrix,
     extra: Floats,
-    groundtruth_variances: Floats | None = None,
+    noise: Floats | None = None,
     seen: NDArray[np.int64] | None = None,
 ) -> float:
     """Return the same for an information matrix, sparse, without ever inverting it.
@@ -83,7 +83,8 @@ def joint_nees_by_information(
         extra: (N, 6, j), directions of the alignment's gauge in which the information is not
             zero: for SE(3) two rotations, for Sim(3) the scale as well; for all of the gauge's
             directions of an estimator with a prior.
-        groundtruth_variances: (6,) per state, or None for perfect groundtruth.
+        noise: (N, 6, 6), covariances of the groundtruth's own errors, or None for perfect
+            groundtruth.
         seen: (6N,), rows of the information that the errors belong to; by default n = 9N, and
             position and rotation come first of each nine.
     """
@@ -92,16 +93,14 @@ def joint_nees_by_information(
         seen = np.arange(size).reshape(len(errors), -1)[:, :6].ravel()
     unseen = np.setdiff1d(np.arange(size), seen)
     columns = np.concatenate([errors[:, :, None], extra], axis=2).reshape(len(seen), -1)
-    if groundtruth_variances is None:
+    if noise is None:
         square = columns.T @ (information[seen][:, seen] @ columns)
         inner, pull = information[unseen][:, unseen], information[unseen][:, seen] @ columns
     else:
-        weights = np.tile(1.0 / groundtruth_variances, len(errors))
-        weighted = columns * weights[:, None]
+        weights = np.asarray(np.linalg.inv(noise), dtype=np.float64)
+        weighted = (weights @ columns.reshape(len(errors), 6, -1)).reshape(columns.shape)
         square = columns.T @ weighted
-        added = np.zeros(size)
-        added[seen] = weights
-        inner = information + scipy.sparse.diags(added)
+        inner = information + _at_rows(weights, seen.reshape(-1, 6), size)
         pull = np.zeros((size, columns.shape[1]))
         pull[seen] = weighted
     if inner.shape[0]:
@@ -112,6 +111,16 @@ def joint_nees_by_information(
         square = square - pull.T @ factor.solve(pull)
     of_error, of_extra = square[0, 1:], square[1:, 1:]
     return float(square[0, 0] - of_error @ np.linalg.solve(of_extra, of_error))
+
+
+def _at_rows(blocks: Floats, rows: NDArray[np.int64], size: int) -> scipy.sparse.csr_matrix:
+    """Return a matrix (size, size) that has blocks (N, 6, 6) at rows and columns (N, 6)."""
+    across = np.broadcast_to(rows[:, None, :], blocks.shape)
+    down = np.broadcast_to(rows[:, :, None], blocks.shape)
+    entries = blocks.ravel(), (down.ravel(), across.ravel())
+    found = scipy.sparse.csr_matrix(entries, shape=(size, size))
+    found.eliminate_zeros()
+    return found
 
 
 def pose_nees(errors: Floats, covariances: Floats) -> Floats:

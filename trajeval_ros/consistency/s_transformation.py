@@ -183,15 +183,14 @@ def carried_information(
     return (blocks @ information @ blocks.T).tocsr()
 
 
-def independent_noise(transformation: STransformation, variances: Floats) -> Floats:
+def independent_noise(transformation: STransformation, noise: Floats) -> Floats:
     """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
 
     Args:
         transformation: Q, of N states.
-        variances: (6,), of position (m^2) and rotation (rad^2); G has them for every state.
+        noise: (N, 6, 6), the blocks of G, of position (m^2) and rotation (rad^2).
     """
-    own = np.diag(variances)
-    return transformation.blocks(own, transformation.pull @ own)
+    return transformation.blocks(noise, transformation.pull @ noise)
 
 
 def errors_of(groundtruth: Trajectory, aligned: Trajectory) -> Floats:

@@ -10,7 +10,6 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -28,7 +27,7 @@ _EXTENT_M = 5000.0
 # Geoid and ellipsoid are up to 100 m apart; a receiver's heights hardly step by this much.
 _GEOID_STEP_M = 8.0
 _STEP_FIXES = 10  # on both sides of a step
-# Linear interpolation is off by an eighth of a second difference: too much beside the ATE.
+# The error of linear interpolation that is too much, relative to the ATE.
 _INTERPOLATION_SHARE = 0.1
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
@@ -196,19 +195,13 @@ def _height_step(errors: Floats) -> float | None:
 
 
 def _about_interpolation(evaluation: Evaluation) -> list[str]:
-    estimate, position = evaluation.estimate, evaluation.ate["position_m"]
-    step_s = float(np.median(np.diff(estimate.stamps))) / NANOSECONDS if len(estimate) > 1 else 0.0
-    pairs = evaluation.association
-    if len(estimate) < 3 or position is None or not pairs.is_at_groundtruth:
+    found, position = evaluation.association.interpolation, evaluation.ate["position_m"]
+    if found is None or position is None:
         return []
-    if np.array_equal(estimate.stamps, pairs.estimate.stamps):
-        return []  # none is between; or of a live run the others aren't known
-    curved = np.linalg.norm(np.diff(estimate.positions, n=2, axis=0), axis=1)
-    # A jump of the estimate is no curve.
-    off_m = float(np.percentile(curved, 99.0)) * evaluation.alignment.similarity.scale / 8.0
+    off_m = found.off_m * evaluation.alignment.similarity.scale
     if off_m <= _INTERPOLATION_SHARE * position.rmse:
         return []
     return [
-        f"linear interpolation between the estimate's states, {step_s:.2g} s apart, adds an "
+        f"linear interpolation between the estimate's states, {found.step_s:.2g} s apart, adds an "
         f"error of up to {off_m:.2g} m to the ATE; use an estimate with a higher rate"
     ]

@@ -40,6 +40,8 @@ class Fixes:
             known, 3 known.
         covariances: (N, 3, 3), m^2, about east, north and up at the fix.
         datum: Origin of the east-north-up frame; None before one is chosen.
+        flat: Timestamps (M,) and fixes of the same receiver without height, which are not among
+            these: only gauge planar can use them. None if there are none.
     """
 
     places: Floats
@@ -47,6 +49,7 @@ class Fixes:
     covariance_types: Indices
     covariances: Floats
     datum: Datum | None = None
+    flat: tuple[Stamps, Fixes] | None = None
 
     def __len__(self) -> int:
         """Return the number of fixes."""
@@ -92,13 +95,18 @@ class Fixes:
         sigma[known] = np.sqrt(self.covariances[known, 2, 2])
         return sigma
 
-    def positions(self) -> Floats:
-        """Return positions in the datum's frame, (N, 3), metres; height 0 without heights."""
+    def positions(self, *, level: bool = False) -> Floats:
+        """Return positions in the datum's frame, (N, 3), metres.
+
+        Args:
+            level: Use the datum's height for a fix without height; else all fixes have heights.
+        """
         assert self.datum is not None
-        if self.have_heights:
-            return east_north_up(self.places, self.datum)
-        level = np.column_stack([self.places[:, :2], np.full(len(self), self.datum.height_m)])
-        return east_north_up(level, self.datum)
+        places = self.places
+        if level:
+            places = places.copy()
+            places[np.isnan(places[:, 2]), 2] = self.datum.height_m
+        return east_north_up(places, self.datum)
 
     def pose_covariances(self) -> Floats:
         """Return pose covariances (N, 6, 6) in the datum's frame; NaN if unknown."""
@@ -169,28 +177,33 @@ class FixRule:
                 f"{self.correlation_s}; a typical value is 100 s"
             )
 
-    def usable(self, fixes: Fixes) -> tuple[Booleans, dict[str, int]]:
-        """Return which fixes are usable, (N,), and how many are not, by reason."""
+    def usable(self, fixes: Fixes, *, level: bool) -> tuple[Booleans, dict[str, int]]:
+        """Return which fixes are usable, (N,), and how many are not, by reason.
+
+        Args:
+            fixes: N fixes.
+            level: Whether fixes without height are usable, as for gauge planar.
+        """
         kept = np.ones(len(fixes), dtype=bool)
         dropped: dict[str, int] = {}
-        for reason, bad in self._faults(fixes):
+        for reason, bad in self._faults(fixes, level=level):
             dropped[reason] = int(np.count_nonzero(kept & bad))
             kept &= ~bad
         return kept, dropped
 
-    def _faults(self, fixes: Fixes) -> list[tuple[str, Booleans]]:
+    def _faults(self, fixes: Fixes, *, level: bool) -> list[tuple[str, Booleans]]:
         """Return the reasons for rejection, with the fixes (N,) that they apply to."""
         known, status, places = fixes.known, fixes.status, fixes.places
-        level = places[:, :2]
-        finite = np.isfinite(level).all(axis=1)
+        horizontal = places[:, :2]
+        finite = np.isfinite(horizontal).all(axis=1)
         on_earth = (np.abs(places[:, 0]) <= 90.0) & (np.abs(places[:, 1]) <= 360.0)
         no_fix = (status == STATUS_NO_FIX) | ((status == STATUS_UNKNOWN) & ~known)
         faults = [
-            ("no_fix", no_fix | (finite & (level == 0.0).all(axis=1))),
+            ("no_fix", no_fix | (finite & (horizontal == 0.0).all(axis=1))),
             ("not_finite", ~(finite & on_earth) | np.isinf(places[:, 2])),
         ]
-        if fixes.have_heights:
-            faults.append(("no_height", ~np.isfinite(places[:, 2])))
+        if not level:
+            faults.append(("no_height", np.isnan(places[:, 2])))
         if self.min_status is not None:
             faults.append(("below_fix_status", status < self.min_status))
         if self.max_sigma_m is not None:
@@ -218,23 +231,34 @@ class FixRule:
             )
         return self.datum
 
-    def applied(self, trajectory: Trajectory) -> Trajectory:
+    def applied(self, trajectory: Trajectory, *, level: bool = False) -> Trajectory:
         """Return the usable fixes of a trajectory, in the frame of the rule's datum.
 
         A trajectory without fixes is returned unchanged.
+
+        Args:
+            trajectory: As `fix_trajectory` returns it.
+            level: Whether to use fixes without height although others have one.
 
         Raises:
             InputError: No fix is usable, or the datum is too far away.
         """
         fixes = trajectory.fixes
-        if fixes is None or (self.datum, self.min_status, self.max_sigma_m) == (None, None, None):
+        if fixes is None:
             return trajectory
-        kept, dropped = self.usable(fixes)
-        return _located(trajectory, fixes, kept, dropped, self)
+        if level and fixes.flat is not None:
+            trajectory, fixes = _with_flat(trajectory, fixes)
+        elif (self.datum, self.min_status, self.max_sigma_m) == (None, None, None):
+            return trajectory
+        level = level or not fixes.have_heights
+        kept, dropped = self.usable(fixes, level=level)
+        return _located(trajectory, fixes, kept, dropped, self, level=level)
 
 
 def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajectory:
     """Return the trajectory of the usable fixes, in the frame of the first; count the others.
+
+    If only some have a height, those without are counted and kept apart, as `Fixes.flat`.
 
     Args:
         stamps: (N,), nanoseconds.
@@ -245,13 +269,46 @@ def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajector
         InputError: No fix is usable, or all are at the same place.
     """
     rule = FixRule()
-    kept, dropped = rule.usable(fixes)
+    usable, _ = rule.usable(fixes, level=True)
+    level = not fixes[usable].have_heights
+    kept, dropped = rule.usable(fixes, level=level)
+    apart = usable & ~kept
+    if apart.any():
+        fixes = dataclasses.replace(fixes, flat=(stamps[apart], fixes[apart]))
     states = Trajectory(stamps, np.zeros((len(stamps), 3)), frame=FRAME, **attributes)
-    return _located(states, fixes, kept, dropped, rule)
+    return _located(states, fixes, kept, dropped, rule, level=level)
+
+
+def _with_flat(trajectory: Trajectory, fixes: Fixes) -> tuple[Trajectory, Fixes]:
+    """Return a trajectory with its fixes without height, and no positions yet; and all fixes."""
+    assert fixes.flat is not None
+    stamps, flat = fixes.flat
+    stamps = np.concatenate([trajectory.stamps, stamps])
+    order = np.argsort(stamps, kind="stable")
+    places, status, types, covariances = (
+        np.concatenate([getattr(fixes, name), getattr(flat, name)])[order]
+        for name in ("places", "status", "covariance_types", "covariances")
+    )
+    joined = Fixes(places, status, types, covariances)
+    states = dataclasses.replace(
+        trajectory,
+        stamps=stamps[order],
+        positions=np.zeros((len(stamps), 3)),
+        covariances=None,
+        fixes=joined,
+        dropped={each: count for each, count in trajectory.dropped.items() if each != "no_height"},
+    )
+    return states, joined
 
 
 def _located(
-    trajectory: Trajectory, fixes: Fixes, kept: Booleans, dropped: dict[str, int], rule: FixRule
+    trajectory: Trajectory,
+    fixes: Fixes,
+    kept: Booleans,
+    dropped: dict[str, int],
+    rule: FixRule,
+    *,
+    level: bool,
 ) -> Trajectory:
     """Return the states whose fixes are kept, at the positions of these fixes.
 
@@ -261,6 +318,7 @@ def _located(
         kept: (N,) which fixes are usable.
         dropped: Number of the other fixes by reason.
         rule: Determines the datum.
+        level: See `Fixes.positions`.
 
     Raises:
         InputError: No fix is kept, all are at the same place, or the datum is too far away.
@@ -280,11 +338,11 @@ def _located(
             f"{used.places[0, 0]:.7f},{used.places[0, 1]:.7f}: the driver repeats its last "
             "fix, or the receiver is set to a fixed position"
         )
-    used = dataclasses.replace(used, datum=rule.datum_of(trajectory.stamps[kept], used))
     states = trajectory[kept]
+    used = dataclasses.replace(used, datum=rule.datum_of(states.stamps, used))
     return dataclasses.replace(
         states,
-        positions=used.positions(),
+        positions=used.positions(level=level),
         covariances=used.pose_covariances(),
         fixes=used,
         dropped=add_counts(trajectory.dropped, dropped),

@@ -135,10 +135,7 @@ class HandEye:
             notes = (*notes, BODYS_VELOCITIES)
         covariances = estimate.covariances
         if covariances is not None:
-            # The perturbation of p + R l by R <- Exp(dphi) R: dp - [R l]x dphi.
-            change = np.broadcast_to(np.eye(6), (len(arm), 6, 6)).copy()
-            change[:, :3, 3:] = -lie.skew(arm)
-            covariances = change @ covariances @ change.swapaxes(1, 2)
+            covariances = at_arms(covariances, arm)
         return dataclasses.replace(
             estimate,
             positions=estimate.positions + arm,
@@ -147,3 +144,17 @@ class HandEye:
             child_frame=marker or estimate.child_frame,
             notes=notes,
         )
+
+
+def at_arms(covariances: Floats, arms: Floats) -> Floats:
+    """Return covariances (N, 6, 6) of poses whose positions are moved by arms fixed to the body.
+
+    Args:
+        covariances: (N, 6, 6), of position and of left perturbations of the rotation.
+        arms: (N, 3), in the frame of the positions, metres.
+    """
+    # The perturbation of p + R l by R <- Exp(dphi) R: dp - [R l]x dphi.
+    change = np.broadcast_to(np.eye(6), (len(arms), 6, 6)).copy()
+    change[:, :3, 3:] = -lie.skew(arms)
+    moved: Floats = change @ covariances @ change.swapaxes(1, 2)
+    return moved

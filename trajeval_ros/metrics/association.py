@@ -27,6 +27,7 @@ from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.evo_association import match
 from trajeval_ros.metrics.frame_association import match_rows
+from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 
 if TYPE_CHECKING:
@@ -113,6 +114,8 @@ class Association:
         groundtruth_rows: (N,) index of the groundtruth state of every pair; None if the
             groundtruth was interpolated.
         from_the_start: Whether the first pair has the first estimated state.
+        interpolation: Of the estimate, for `groundtruth-stamps`; None if no pair is between two of
+            its states.
     """
 
     rule: AssociationRule
@@ -124,6 +127,7 @@ class Association:
     continuous: ContinuousTrajectory | None = None
     groundtruth_rows: Indices | None = None
     from_the_start: bool = True
+    interpolation: Interpolation | None = None
 
     def __len__(self) -> int:
         """Return the number of pairs."""
@@ -259,6 +263,8 @@ def _at_groundtruth(
     dropped = bracket.dropped("estimate")
     if not len(rows):
         raise NoMatchError(explain_no_match(truth, states, rule, dropped))
+    meter = InterpolationMeter()
+    meter.add(states.stamps, states.positions)
     return Association(
         rule=rule,
         groundtruth=truth[rows],
@@ -267,6 +273,7 @@ def _at_groundtruth(
         coverage=completeness(truth, rows),
         dropped=add_counts(estimate.dropped, dropped),
         groundtruth_rows=rows,
+        interpolation=meter.found if bracket.is_between else None,
     )
 
 
@@ -326,6 +333,11 @@ class Bracket:
         """Whether the trajectory has a state at the timestamp, or one on both sides, (N,)."""
         usable: Booleans = ~(self.early | self.late | self.gap)
         return usable
+
+    @property
+    def is_between(self) -> bool:
+        """Whether a usable stamp lies between two states, and not on one."""
+        return bool((self.usable & (self.start != self.end)).any())
 
     def until(self, count: int) -> Bracket:
         """Return the bracket of the first `count` timestamps."""

@@ -264,6 +264,11 @@ class OnlineEvaluator:
         self.settings = self.settings.with_gauge(gauge)
         self._begin_to_align()
 
+    def judge_moved_groundtruth(self, hand_eye: HandEye) -> None:
+        """Judge covariances from now on by groundtruth moved from a marker to the body."""
+        covariances = self.settings.covariances.of_moved_groundtruth(hand_eye)
+        self.settings = dataclasses.replace(self.settings, covariances=covariances)
+
     def _begin_to_align(self) -> None:
         """Reset the alignment and the relative errors."""
         protocol = self.settings.protocol

@@ -18,6 +18,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.trajectory import add_counts, count_up
 from trajeval_ros.metrics.association import Bracket, bracket_stamps, mix
+from trajeval_ros.metrics.interpolation import Interpolation
 from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.online.intake import Intake, Limits
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer
@@ -102,6 +103,11 @@ class Pairing(ABC):
     @abstractmethod
     def groundtruth_path_m(self) -> float:
         """Length of the path through the groundtruth states, metres."""
+
+    @property
+    def interpolation(self) -> Interpolation | None:
+        """How far interpolation of the estimate may be off; None if it isn't interpolated."""
+        return None
 
     @property
     @abstractmethod

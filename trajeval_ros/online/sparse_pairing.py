@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import ClassVar
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import add_counts, travelled_distance
+from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
 from trajeval_ros.metrics.pair_steps import POSE, StampedPoses
 from trajeval_ros.online.intake import Intake, Limits
 from trajeval_ros.online.pairing import Decided, Pairing
@@ -31,6 +33,8 @@ class SparsePairing(Pairing):
         self._first_ns, self._newest_ns = 0, 0
         self._newest = np.empty((0, 3))  # position of the newest state that has passed
         self._path_m = 0.0
+        self._forgotten = InterpolationMeter()
+        self._is_between = False  # whether a pair lies between two estimated states
 
     @classmethod
     def after(cls, before: Pairing) -> SparsePairing:
@@ -80,6 +84,16 @@ class SparsePairing(Pairing):
         return self._path_m
 
     @property
+    def interpolation(self) -> Interpolation | None:
+        """How far interpolation of the estimate may be off; None if no pair needed any."""
+        if not self._is_between:
+            return None
+        whole = deepcopy(self._forgotten)
+        stamps, rows = self._track.held
+        whole.add(stamps, rows[:, POSITION])
+        return whole.found
+
+    @property
     def estimate_count(self) -> int:
         """Number of estimated states so far."""
         return self._track_count
@@ -91,9 +105,15 @@ class SparsePairing(Pairing):
     def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
         return Pairs(stamps, waited, between)
 
+    def _leave(self, count: int) -> None:
+        """Measure the oldest estimated states, which will be forgotten."""
+        stamps, rows = self._track.held
+        self._forgotten.add(stamps[:count], rows[:count, POSITION])
+
     def _pass(self, decided: Decided) -> None:
         """Count the decided groundtruth states, and keep those without a pair."""
         super()._pass(decided)
+        self._is_between |= decided.bracket.is_between
         stamps, rows = decided.stamps, decided.rows
         missing = ~decided.bracket.usable
         if missing.any():

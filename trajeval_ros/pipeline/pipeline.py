@@ -238,6 +238,8 @@ def evaluate_one(
         evaluation = calibrated.evaluation
         if calibrated.hand_eye is not None:  # of another body than what was read
             read = evaluation.groundtruth, evaluation.estimate
+            if not calibrated.of_marker:
+                covariances = covariances.of_moved_groundtruth(calibrated.hand_eye)
     elif pairs is not None:
         evaluation = measuring.evaluate_pairs(pairs, groundtruth, used, protocol)
     else:

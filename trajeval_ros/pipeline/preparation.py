@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.protocol import Protocol
@@ -21,19 +22,22 @@ def with_fixes_placed(
     """Return both sides with their GNSS fixes in one frame, and the request that fits them."""
     exchanged = -1 if request.mends.swap else 1
     truth, *others = [groundtruth, *estimates][::exchanged]
+    level = request.protocol.gauge is Gauge.PLANAR
     with named(truth):
-        truth = request.fixes.applied(truth)
+        truth = request.fixes.applied(truth, level=level)
         request = request.for_trajectories(truth, others)
-    groundtruth, *placed = [truth, *(_in_frame_of(truth, each) for each in others)][::exchanged]
+    placed = [_in_frame_of(truth, each, level=level) for each in others]
+    groundtruth, *placed = [truth, *placed][::exchanged]
     return groundtruth, placed, request
 
 
-def _in_frame_of(groundtruth: Trajectory, estimate: Trajectory) -> Trajectory:
+def _in_frame_of(groundtruth: Trajectory, estimate: Trajectory, *, level: bool) -> Trajectory:
     """Return an estimate of GNSS fixes in the frame of the groundtruth's, where both are."""
-    if groundtruth.fixes is None or estimate.fixes is None:
+    if estimate.fixes is None:
         return estimate
+    datum = None if groundtruth.fixes is None else groundtruth.fixes.datum
     with named(estimate):
-        return FixRule(datum=groundtruth.fixes.datum).applied(estimate)
+        return FixRule(datum=datum).applied(estimate, level=level)
 
 
 def with_up(

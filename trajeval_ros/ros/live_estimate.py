@@ -161,6 +161,7 @@ class LiveEstimate:
         if before.following is not None:
             self.jumps = before.jumps  # what is usual stays so
         self.evaluator.set_offset(before.evaluator.offset_s)
+        self._judge_by_body()
         self.evaluator.groundtruth_up = before.evaluator.groundtruth_up
         self.evaluator.estimate_up = before.evaluator.estimate_up
         self._take_held(before._held_for_next)
@@ -201,11 +202,18 @@ class LiveEstimate:
         """Evaluate what was held, by a clock that is known now, and go on with it."""
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
+        self._judge_by_body()
         self.offset_ns = round(offset_s * NANOSECONDS)
         if self.revised is not None:
             self.revised.states = self._body.estimated(self.revised.states)
         held, self._held = self._held, None
         self._take_held(held.calls)
+
+    def _judge_by_body(self) -> None:
+        """Judge covariances by groundtruth as it is moved."""
+        hand_eye = self._body.hand_eye
+        if hand_eye is not None and not self._body.of_marker:
+            self.evaluator.judge_moved_groundtruth(hand_eye)
 
     def _take_held(self, calls: Sequence[HeldCall]) -> None:
         """Take what was held, up to a jump: what came after it is the next segment's."""
@@ -344,6 +352,7 @@ class LiveEstimate:
         """
         status, evaluator = self.stream.status, self.evaluator
         covariances, buffer = evaluator.settings.covariances, evaluator.buffer
+        between = buffer.interpolation
         state = {
             **state,
             "estimate": {
@@ -355,6 +364,7 @@ class LiveEstimate:
                 "child_frame": status.child_frame,
                 "up": asdict(self.up),
                 "notes": list(status.notes),
+                "interpolation": None if between is None else asdict(between),
             },
             "covariances": {
                 "source": covariances.source,

@@ -9,6 +9,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.io.fix_rows import fixes_of_rows
 
@@ -16,6 +17,9 @@ ORIGIN_UNKNOWN = (
     "gauge none needs a common frame, and the origin of the fixes is arbitrary; give the origin "
     "of the estimate's frame with datum:=LAT,LON,HEIGHT, or use gauge:=yaw"
 )
+
+
+_NO_HEIGHTS = "the fixes have no height; use gauge:=planar"
 
 
 class LiveFixes:
@@ -27,17 +31,27 @@ class LiveFixes:
         refused: Why none is used at all; empty if they are.
     """
 
-    def __init__(self, rule: FixRule | None = None, *, wants_datum: bool = False) -> None:
+    def __init__(self, rule: FixRule | None = None, gauge: Gauge = Gauge.YAW) -> None:
         """Create it.
 
         Args:
             rule: Which fixes are used.
-            wants_datum: Whether the frame must be one that somebody chose.
+            gauge: Of the alignment: `none` requires a datum, `planar` no heights.
         """
         self.rule = rule or FixRule()
         self.datum: Datum | None = None
-        self.refused = ORIGIN_UNKNOWN if wants_datum and self.rule.datum is None else ""
+        needs_datum = gauge is Gauge.NONE and self.rule.datum is None
+        self.refused = ORIGIN_UNKNOWN if needs_datum else ""
+        self._is_level = gauge is Gauge.PLANAR
+        self._lacks_heights = False
         self._antennas: list[str] = []
+
+    @property
+    def why_none(self) -> str:
+        """Why no fix has been used so far, if that is a matter of parameters; else empty."""
+        if self._lacks_heights and self.datum is None:
+            return self.refused or _NO_HEIGHTS
+        return self.refused
 
     def placed(
         self, stamps: Stamps, places: Floats, quality: Floats
@@ -54,11 +68,8 @@ class LiveFixes:
             reason.
         """
         fixes = fixes_of_rows(places, quality)
-        kept, dropped = self.rule.usable(fixes)
-        # Those to come may all have heights.
-        flat = kept & np.isnan(fixes.places[:, 2])
-        dropped["no_height"] = dropped.get("no_height", 0) + int(np.count_nonzero(flat))
-        kept &= ~flat
+        kept, dropped = self.rule.usable(fixes, level=self._is_level)
+        self._lacks_heights |= dropped.get("no_height", 0) > 0
         if kept.any() and self.datum is None and not self.refused:
             try:
                 self.datum = self.rule.datum_of(stamps[kept], fixes[kept])
@@ -69,7 +80,8 @@ class LiveFixes:
             kept = np.zeros(len(kept), dtype=bool)
         if not kept.any():
             return kept, np.empty((0, 3)), dropped
-        return kept, replace(fixes[kept], datum=self.datum).positions(), dropped
+        used = replace(fixes[kept], datum=self.datum)
+        return kept, used.positions(level=self._is_level), dropped
 
     def mixed(self, antennas: list[str]) -> str:
         """Return which receivers take turns on the topic; empty while none do.

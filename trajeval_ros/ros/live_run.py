@@ -48,7 +48,7 @@ class LiveRun:
         groundtruth: Where it comes from.
         finisher: Writes result.json, in a process of its own.
         news: What nobody has been told yet.
-        watch: Is given stamps and states of the groundtruth, to draw them.
+        watch: Receives the states of the groundtruth, to draw them.
         body: The body that is evaluated.
         holds: Whether nothing is evaluated yet, since the clocks' offset, or the marker's pose in
             the body, is to be found first.
@@ -87,7 +87,7 @@ class LiveRun:
         self.groundtruth, self.finisher = groundtruth, Finisher(folder)
         self.words = words
         self._given_up = None if settings.up is None else settings.up[0]
-        self.watch: Callable[[Stamps, Floats], object] | None = None
+        self.watch: Callable[[StateColumns], object] | None = None
         self.body, self._finds_offset = body or MarkerBody(), find_offset
         self.holds, self._about_clocks = find_offset or self.body.is_wanted, ""
         self._is_oriented: bool | None = None  # the groundtruth; None before its first state
@@ -291,7 +291,7 @@ class LiveRun:
         if self.body.leaves_out_velocities_of(poses.states, is_truth=True):
             self.groundtruth.stream.status.note(MARKERS_VELOCITIES)
         if self.watch is not None:
-            self.watch(poses.stamps, self.body.truth(poses.states))
+            self.watch(poses._replace(states=self.body.truth(poses.states)))
 
     def _keep_fixes(self, folder: Path, stamps: Stamps, fixes: Floats) -> None:
         """Have fixes on disk as they were sent: pairs don't tell how good they are."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from difflib import get_close_matches
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -12,7 +11,6 @@ from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
-from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.notices import OK, WARN, Notice
 from trajeval_ros.online.reports import Snapshot, Update
@@ -82,7 +80,6 @@ class EvaluatorNode:
         self._ended: list[Finisher] = []  # of runs before a reset, still writing
         self._complaint = ""
         self._advertise()
-        self._warn_of_unknown_parameters()
         self._log(f"output folder: {self._run.finisher.folder}")
 
     def finish(self) -> bool:
@@ -108,10 +105,8 @@ class EvaluatorNode:
         return self._run.finisher.finish(quiet=False) and not troubles
 
     def _new_run(self) -> LiveRun:
-        fixes = LiveFixes(
-            parameters.fixes_of(self._values),
-            wants_datum=self._settings.protocol.gauge is Gauge.NONE,
-        )
+        gauge = self._settings.protocol.gauge
+        fixes = LiveFixes(parameters.fixes_of(self._values), gauge)
         groundtruth = Side(self._node, self._values["groundtruth_topic"], fixes)
         sides = [Side(self._node, each) for each in self._values["estimate_topics"]]
         name_apart(sides, self._node.get_namespace())
@@ -358,17 +353,14 @@ class EvaluatorNode:
         while self._run.finisher.is_busy:  # with what was there before the newest pairs
             await self._saved
         finisher = self._run.finisher
-        response.message = self._begin_to_save()
-        if response.message:
-            return response
+        if why_not := self._begin_to_save():
+            return _answered(response, why_not)
         await self._saved
         result = finisher.folder / "result.json"
         if finisher is not self._run.finisher:
-            response.message = f"{result}, interrupted by ~/reset, is now written"
-            return response
-        response.success = not finisher.trouble
-        response.message = finisher.trouble or str(result)
-        return response
+            return _answered(response, f"{result}, interrupted by ~/reset, is now written")
+        said = finisher.trouble or str(result)
+        return _answered(response, said, success=not finisher.trouble)
 
     def _reset(self, request: Any, response: Any) -> Any:
         """Answer ~/reset: end this run, whose results stay, and begin another one."""
@@ -376,8 +368,7 @@ class EvaluatorNode:
         try:
             begun = self._new_run()
         except TrajevalError as error:
-            response.message = str(error)
-            return response
+            return _answered(response, str(error))
         ended, self._run = self._run, begun
         ended.conclude(self._time_at)
         for trouble in ended.close():
@@ -394,14 +385,13 @@ class EvaluatorNode:
             ended.finisher.finish_alone()
             self._ended.append(ended.finisher)
         self._tell_saved()
-        response.success = True
-        response.message = (
+        said = (
             f"previous results are in {ended.finisher.folder}, new results in "
             f"{self._run.finisher.folder}"
         )
-        self._log(response.message)
-        self._events.publish("run", Notice("restart", OK, response.message))
-        return response
+        self._log(said)
+        self._events.publish("run", Notice("restart", OK, said))
+        return _answered(response, said, success=True)
 
     def _set(self, changes: list[Any]) -> Any:
         """Answer to parameters that are set while it runs."""
@@ -417,7 +407,7 @@ class EvaluatorNode:
             values = {**self._values, **new}
             settings = parameters.settings_of(values)
         except SettingsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=one_line(str(error)))
         self._values, self._settings = values, settings
         for outputs in self._outputs.values():
             outputs.advertise_lengths(self._lengths)
@@ -460,17 +450,13 @@ class EvaluatorNode:
         self._log(said, warn=True)
         self._events.publish(estimate.name, Notice("jump", WARN, said, values=values))
 
-    def _warn_of_unknown_parameters(self) -> None:
-        """Name what a parameter file sets and nobody declares, a misspelt name above all."""
-        names = [each.name for each in PARAMETERS]
-        for name in getattr(self._node, "_parameter_overrides", {}):
-            if self._node.has_parameter(name) or name.startswith("qos_overrides."):
-                continue
-            near = get_close_matches(name, names, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            self._log(f"unknown parameter {name}{hint}", warn=True)
-
     @property
     def _time_at(self) -> TimeAt | None:
         """What tells simulated times; None where time isn't simulated."""
         return self._simulated_time.at if self._node.get_parameter("use_sim_time").value else None
+
+
+def _answered(response: Any, message: str, *, success: bool = False) -> Any:
+    """Return a `std_srvs/Trigger` response; names from elsewhere can't break its line."""
+    response.success, response.message = success, one_line(message)
+    return response

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,6 +76,18 @@ def declare(node: Node) -> dict[str, Any]:
             "which trajeval watch --learn writes"
         )
     return values
+
+
+def about_unknown(node: Node) -> list[str]:
+    """Return a sentence about each parameter that is set and not declared, such as a typo."""
+    names = [each.name for each in PARAMETERS]
+    found = []
+    for name in getattr(node, "_parameter_overrides", {}):
+        if node.has_parameter(name) or name.startswith("qos_overrides."):
+            continue
+        near = get_close_matches(name, names, n=1)
+        found.append(f"unknown parameter {name}" + (f"; did you mean {near[0]}?" if near else ""))
+    return found
 
 
 def converted(parameter: NodeParameter, value: Any) -> Any:

@@ -269,7 +269,7 @@ class PoseStream:
         if poses:
             self.trouble = ""
         elif self._in_a_row >= _TROUBLE_AFTER:
-            why = self.fixes.refused or reasons(self.status.dropped)
+            why = self.fixes.why_none or reasons(self.status.dropped)
             self.trouble = f"{self._topic}: no message with a valid pose: {why}"
             if not self._is_told:
                 self._is_told = True

@@ -5,15 +5,17 @@ from __future__ import annotations
 import functools
 import uuid
 from collections.abc import Callable
+from dataclasses import replace
 
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.io.fix_rows import fixes_of_rows
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import ServerTarget, sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, give_way
@@ -111,9 +113,13 @@ class RerunOutput:
         stream.end()
         return stream
 
-    def _groundtruth(self, stamps: Stamps, states: Floats) -> None:
-        up = self._run.groundtruth_up
-        self._put(lambda scene: scene.groundtruth(stamps, states, up))
+    def _groundtruth(self, poses: StateColumns) -> None:
+        up, datum = self._run.groundtruth_up, self._run.groundtruth.stream.fixes.datum
+        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up))
+        if poses.fixes is not None and datum is not None:
+            as_sent = fixes_of_rows(poses.fixes[:, :3], poses.fixes[:, 3:])
+            fixes = replace(as_sent, datum=datum)
+            self._put(lambda scene: scene.fixes(poses.stamps, fixes))
 
     def _pairs(self, name: str, pairs: Pairs) -> None:
         self._put(lambda scene: scene.pairs(name, *pairs))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import require_ros
+from trajeval_ros.ros.node_log import log
 from trajeval_ros.viewer.stream import give_way
 
 if TYPE_CHECKING:
@@ -82,6 +83,8 @@ def evaluate_live(arguments: Sequence[str]) -> int:
 def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
     """Return what the node does, as its parameters ask."""
     values = parameters.declare(node)
+    for each in parameters.about_unknown(node):
+        log(node, each, warn=True)
     if values["groundtruth_topic"]:
         from trajeval_ros.ros.node import EvaluatorNode
 

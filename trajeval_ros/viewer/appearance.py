@@ -17,6 +17,7 @@ from trajeval_ros.viewer.scene_entities import (
     ATE_POSITION,
     ATE_ROTATION,
     ERRORS_WITHIN,
+    MAP_FIXES,
     NEES,
     NEES_LIMIT,
     POSITION_ERROR,
@@ -34,6 +35,7 @@ from trajeval_ros.viewer.scene_entities import (
 from trajeval_ros.viewer.sdk import sdk
 
 _AXES_M = 0.4
+_ON_MAP = 2.0
 
 
 def declare(
@@ -99,6 +101,16 @@ def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
             widths=[1.2, 1.6, 1.6],
         )
         recording.log(estimate.metric(quantity), bands, static=True)
+
+
+def declare_map(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
+    """Log once how fixes and estimates look on the map."""
+    rerun, _ = sdk()
+    radii = [rerun.Radius.ui_points(_ON_MAP)]
+    recording.log(MAP_FIXES, rerun.GeoPoints.from_fields(radii=radii), static=True)
+    for each in estimates:
+        looks = rerun.GeoLineStrings.from_fields(colors=[each.colour], radii=radii)
+        recording.log(each.on_map, looks, static=True)
 
 
 def _declare_ellipsoids(recording: Any, entity: str, colour: colours.Colour) -> None:

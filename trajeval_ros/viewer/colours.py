@@ -24,6 +24,12 @@ def of_estimate(place: int) -> Colour:
     return ESTIMATES[place % len(ESTIMATES)]
 
 
+def of_fix(status: int) -> Colour:
+    """Return the colour of a GNSS fix, by the status of its message."""
+    place = palette.FIX_STATUS_PLACES.get(status)
+    return GROUNDTRUTH if place is None else of_estimate(place)
+
+
 def of_errors(errors: Floats, full_m: float) -> Colours:
     """Return the colours (N, 3) of errors (N,) on a scale from 0 to `full_m`."""
     share = np.clip(np.nan_to_num(errors, nan=np.inf) / full_m, 0.0, 1.0)

@@ -103,6 +103,19 @@ def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
     return SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
 
 
+def fixes_on_map(places: Floats, status: Indices) -> EntityData:
+    """Return GNSS fixes at latitudes and longitudes (N, 2), degrees, coloured by status (N,)."""
+    rerun, _ = sdk()
+    colors = [colours.of_fix(each) for each in status.tolist()]
+    return EntityData(rerun.GeoPoints, {"positions": places, "colors": colors})
+
+
+def lines_on_map(strips: Sequence[Floats]) -> EntityData:
+    """Return lines through latitudes and longitudes, each (P, 2), degrees."""
+    rerun, _ = sdk()
+    return EntityData(rerun.GeoLineStrings, {"line_strings": strips})
+
+
 def numbers(values: Sequence[float] | Floats) -> EntityData:
     """Return values (N,) of a series."""
     rerun, _ = sdk()

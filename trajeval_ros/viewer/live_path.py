@@ -61,10 +61,11 @@ class LivePath:
         """Add a pose (3,); returns for how long there was none before, ns, if that is a gap."""
         gap = 0
         step = stamp - self._stamp if self._piece else 0
-        if is_gap(step, self._usual_ns):
+        if self._usual_ns and is_gap(step, self._usual_ns):
             gap = step
             self._end_piece()
             self._piece = []
+            self._usual_ns *= 2.0  # so that a stream that has become sparse is a line again
         elif step:
             self._usual_ns += (step - self._usual_ns) * (0.1 if self._usual_ns else 1.0)
         self._piece.append(point)

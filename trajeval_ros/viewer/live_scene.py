@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -24,7 +25,9 @@ from trajeval_ros.viewer import (
     text_panel,
 )
 from trajeval_ros.viewer.blueprint import blueprint
+from trajeval_ros.viewer.live_map import LiveMap
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
+from trajeval_ros.viewer.map_track import is_on_map
 from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for, pieces
 
 if TYPE_CHECKING:
@@ -80,7 +83,8 @@ class LiveScene:
         self._origin: Floats | None = None
         self._truth_drawn_at = self._begin = _NEVER
         self._full_m: float | None = None
-        self.blueprint = blueprint(self._entities, gauge, is_live=True)
+        self._map = LiveMap(self._log)
+        self.blueprint = self._layout()
 
     def begin(self, recording: Any) -> None:
         """Draw on a recording from now on, and first what came before it."""
@@ -91,6 +95,9 @@ class LiveScene:
             self._draw_origin()
         stamps, points = self._truth_memory.columns()
         self._draw_again(scene_entities.GroundtruthEntities.path.past, stamps, points)
+        if self._map.datum is not None:
+            appearance.declare_map(recording, self._entities)
+            self._map.draw(is_growing=True)
         self._full_m = None  # so that the legend's scale is drawn with the colours
         for each in self._estimates.values():
             each.coloured = 0
@@ -112,7 +119,9 @@ class LiveScene:
             if len(stamps) and each.similarity is not None:
                 self._colour(each, int(stamps[-1]))
                 self._correspond(each, int(stamps[-1]))
+                self._locate(each, int(stamps[-1]), is_growing=False)
                 self._tell(int(stamps[-1]), is_growing=False)
+        self._map.draw(is_growing=False)
         self._frame()
 
     def groundtruth(self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP) -> None:
@@ -145,6 +154,19 @@ class LiveScene:
             self._truth.draw_to(stamp, point)
             pose = entity_data.poses(point[None], states[-1:, 3:7])
             self._log(stamp, scene_entities.GroundtruthEntities.pose, pose.row())
+
+    def fixes(self, stamps: Stamps, fixes: Fixes) -> None:
+        """Take the GNSS fixes of groundtruth that `groundtruth` was given: N > 0, in a frame."""
+        if not is_on_map(fixes, self._up):
+            return
+        is_first = self._map.datum is None
+        if is_first and self._recording is not None:
+            appearance.declare_map(self._recording, self._entities)
+        self._map.add(stamps, fixes)
+        if is_first:
+            self.blueprint = self._layout()
+            if self._recording is not None:
+                self._recording.send_blueprint(self.blueprint)
 
     def pairs(self, name: str, stamps: Stamps, truth: Floats, states: Floats) -> None:
         """Take pairs of an estimate: stamps (N,), groundtruth and estimate (N, 10)."""
@@ -202,6 +224,7 @@ class LiveScene:
                 if len(each.memory) >= _COLOURED_WHEN_GROWN_BY * each.coloured:
                     self._colour(each, stamp)
                 self._correspond(each, stamp)
+                self._locate(each, stamp)
             self._tell(stamp)
 
     def uncertainty(self, name: str, stamp: int, position: Floats, covariance: Floats) -> None:
@@ -308,6 +331,19 @@ class LiveScene:
         )
         self._log(stamp, each.entities.correspondences, joined.row())
 
+    def _locate(self, each: LiveEstimatePicture, stamp: int, *, is_growing: bool = True) -> None:
+        """Draw the aligned estimate on the map."""
+        assert each.similarity is not None
+        assert self._origin is not None
+        stamps, rows = each.memory.columns()
+        aligned = each.similarity.positions(rows[:, 3:]) + self._origin
+        on_map = each.entities.on_map
+        self._map.draw_track(stamp, on_map, stamps, aligned, is_growing=is_growing)
+
+    def _layout(self, bounds: tuple[Floats, Floats] | None = None) -> Any:
+        has_map = self._map.datum is not None
+        return blueprint(self._entities, self._gauge, is_live=True, has_map=has_map, bounds=bounds)
+
     def _frame(self) -> None:
         """Have whoever opens the recording see all of the run."""
         _, truth = self._truth_memory.columns()
@@ -317,7 +353,7 @@ class LiveScene:
             if len(rows) and each.similarity is not None:
                 paths.append(each.similarity.positions(rows[:, 3:]))
         if paths and self._recording is not None:
-            seen = blueprint(self._entities, self._gauge, is_live=True, bounds=bounds_of(paths))
+            seen = self._layout(bounds_of(paths))
             self._recording.send_blueprint(seen, make_active=False)
 
     def _draw_again(self, entity: str, stamps: Stamps, points: Floats) -> None:

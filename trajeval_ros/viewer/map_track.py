@@ -7,21 +7,34 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.formatting.palette import FIX_STATUS_PLACES
-from trajeval_ros.geometry.geodesy import places_at
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes
+from trajeval_ros.geometry.geodesy import Datum, places_at
+from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.viewer import colours, scene_entities
+from trajeval_ros.viewer import appearance, entity_data, scene_entities
+from trajeval_ros.viewer.entity_data import EntityData
 from trajeval_ros.viewer.paths import gaps, spread
-from trajeval_ros.viewer.sdk import sdk
 
-_MOST_POINTS = 5000  # of a track, and fixes
-_DOT, _LINE = 2.0, 2.0
+MOST_POINTS = 5000  # of a track, and fixes
 
 
-def has_map(evaluations: Sequence[Evaluation]) -> bool:
-    """Return whether it is known where on earth the groundtruth is."""
-    truth = evaluations[0].groundtruth
-    return truth.fixes is not None and truth.up.name == "z"
+def is_on_map(fixes: Fixes | None, up: UpAxis) -> bool:
+    """Return whether it is known where on Earth groundtruth is, whose frame has this up axis."""
+    return fixes is not None and up.name == Z_UP.name
+
+
+def track_lines(stamps: Stamps, aligned: Floats, datum: Datum) -> EntityData:
+    """Return an aligned estimate as lines on the map, without those across gaps.
+
+    Args:
+        stamps: (N,) nanoseconds.
+        aligned: (N, 3), metres, in the datum's frame.
+        datum: Origin of the frame of the fixes.
+    """
+    places = places_at(aligned, datum)[:, :2]
+    parts = np.split(places, np.flatnonzero(gaps(stamps)) + 1)
+    return entity_data.lines_on_map([each for each in parts if len(each) > 1])
 
 
 def send_map(
@@ -30,32 +43,16 @@ def send_map(
     estimates: Sequence[scene_entities.EstimateEntities],
 ) -> None:
     """Log the fixes, coloured by status, and the aligned estimates, for all time."""
-    rerun, _ = sdk()
     fixes = evaluations[0].groundtruth.fixes
     assert fixes is not None
     assert fixes.datum is not None
-    some = spread(len(fixes), _MOST_POINTS)
-    coloured = [
-        colours.GROUNDTRUTH
-        if (place := FIX_STATUS_PLACES.get(each)) is None
-        else colours.of_estimate(place)
-        for each in fixes.status[some].tolist()
-    ]
-    points = rerun.GeoPoints(
-        lat_lon=fixes.places[some, :2],
-        colors=coloured,
-        radii=rerun.Radius.ui_points(_DOT),
-    )
-    recording.log(scene_entities.MAP_FIXES, points, static=True)
+    appearance.declare_map(recording, estimates)
+    some = spread(len(fixes), MOST_POINTS)
+    dots = entity_data.fixes_on_map(fixes.places[some, :2], fixes.status[some])
+    recording.log(scene_entities.MAP_FIXES, dots.row(), static=True)
     for evaluation, entities in zip(evaluations, estimates, strict=True):
         estimate = evaluation.estimate
-        some = spread(len(estimate), _MOST_POINTS)
+        some = spread(len(estimate), MOST_POINTS)
         aligned = evaluation.alignment.similarity.positions(estimate.positions[some])
-        track = places_at(aligned, fixes.datum)[:, :2]
-        parts = np.split(track, np.flatnonzero(gaps(estimate.stamps[some])) + 1)
-        lines = rerun.GeoLineStrings(
-            lat_lon=[each for each in parts if len(each) > 1],
-            colors=entities.colour,
-            radii=rerun.Radius.ui_points(_LINE),
-        )
-        recording.log(entities.on_map, lines, static=True)
+        lines = track_lines(estimate.stamps[some], aligned, fixes.datum)
+        recording.log(entities.on_map, lines.row(), static=True)

@@ -24,7 +24,7 @@ from trajeval_ros.viewer import (
 )
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency_bands import send_consistency
-from trajeval_ros.viewer.map_track import has_map, send_map
+from trajeval_ros.viewer.map_track import is_on_map, send_map
 from trajeval_ros.viewer.paths import (
     between_origins,
     bounds_of,
@@ -71,7 +71,7 @@ def write_recording(
         evaluations[0].protocol.gauge,
         is_live=False,
         has_consistency=any(consistencies),
-        has_map=has_map(evaluations),
+        has_map=is_on_map(truth.fixes, truth.up),
         bounds=_bounds(evaluations, origin),
     )
 
@@ -114,7 +114,7 @@ def _draw(
             _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
         name = f"{entities.name}: " if len(estimates) > 1 else ""
         remarks += [f"{name}{each}" for each in said]
-    if has_map(evaluations):
+    if is_on_map(truth.fixes, truth.up):
         send_map(recording, evaluations, estimates)
     if origin.any():
         remarks.append(text_panel.origin_in_words(origin))

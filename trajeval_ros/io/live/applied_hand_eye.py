@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.requests.hand_eye_file import hand_eye_of
@@ -73,6 +74,12 @@ class AppliedHandEye:
             truth["child_frame"], estimate["child_frame"], of_marker=self.of_marker
         )
         return {**truth, "child_frame": names[0]}, {**estimate, "child_frame": names[1]}
+
+    def judging(self, covariances: CovarianceRequest) -> CovarianceRequest:
+        """Return a request for covariances that takes the groundtruth's noise at the marker."""
+        if self.of_marker:
+            return covariances
+        return covariances.of_moved_groundtruth(self.hand_eye)
 
     def told(self, run: RunOutcome) -> RunOutcome:
         """Return a run whose outcome describes the applied transform."""

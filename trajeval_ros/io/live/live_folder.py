@@ -11,7 +11,7 @@ recorded topic. The ATE of the poses as first published is stored as `causal_ate
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, Associ
 from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
 from trajeval_ros.metrics.input_summary import FixSummary, InputSummary, fingerprint
+from trajeval_ros.metrics.interpolation import Interpolation
 from trajeval_ros.metrics.pair_steps import StampedPoses, StepMeter
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.settings import protocol_from
@@ -86,7 +87,8 @@ def evaluate_folder(
         InputError: There is no pair file, or none can be evaluated.
         SettingsError: The request needs data that pairs do not have.
     """
-    request = request or Request()
+    # The gauge is the live run's, also if that was its default.
+    request = dataclasses.replace(request or Request(), gauge_is_default=False)
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     if not paths:
         raise InputError(
@@ -186,18 +188,21 @@ def _evaluate_pairs(
             f"{path.name} is damaged or truncated: the last {counted(recorded.torn, 'byte')} "
             "can't be read"
         )
+    asked_live = _covariances_of(state.get("covariances") or {})
     applied = AppliedHandEye.in_state(state, str(path))
     named = truth, estimate
     if applied is not None:
-        live_covariances = _covariances_of(state.get("covariances") or {})
-        applied.require_no_other(request, live_covariances.rotation_frame)
+        applied.require_no_other(request, asked_live.rotation_frame)
         named = applied.renamed(truth, estimate)
+        judged = applied.judging(request.covariances)
+        request = dataclasses.replace(request, covariances=judged)
+        asked_live = applied.judging(asked_live)
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
         causal = _run(pairs, request, *named, name).evaluation
         live["causal_ate"] = {name: statistics_json(ate) for name, ate in causal.ate.items()}
         pairs, estimate = _revised(pairs, recorded, revised)
-    run, why_not = _judged(pairs, request, *named, name, state.get("covariances"))
+    run, why_not = _judged(pairs, request, *named, name, asked_live)
     if applied is not None:
         run = applied.told(run)
     evaluation = dataclasses.replace(
@@ -295,8 +300,16 @@ def _association(
             {"duplicate_stamp": again, "not_finite": len(recorded.stamps) - len(usable)},
         ),
         from_the_start=is_sparse or first is None or first == int(stamps[0]),
+        interpolation=_interpolation(recorded.state["estimate"].get("interpolation")),
     )
     return pairs, truth_notes, notes
+
+
+def _interpolation(words: Mapping[str, float] | None) -> Interpolation | None:
+    """Return what a state says of the estimate's states; older ones say nothing."""
+    if words is None:
+        return None
+    return Interpolation(float(words["step_s"]), float(words["off_m"]))
 
 
 def _are_states(rows: Floats) -> Booleans:
@@ -398,17 +411,16 @@ def _judged(
     truth: dict[str, Any],
     estimate: dict[str, Any],
     name: str,
-    live: dict[str, Any] | None,
+    asked_live: CovarianceRequest,
 ) -> tuple[RunOutcome, list[str]]:
     """Evaluate the pairs and test covariances as requested now or, otherwise, in the live run.
 
     If a test requested in the live run is not possible, the result has a warning instead.
     """
-    covariances = _covariances_of(live or {})
-    if request.covariances.source != "none" or covariances.source == "none":
+    if request.covariances.source != "none" or asked_live.source == "none":
         return _run(pairs, request, truth, estimate, name), []
     try:
-        asked = dataclasses.replace(request, covariances=covariances)
+        asked = dataclasses.replace(request, covariances=asked_live)
         return _run(pairs, asked, truth, estimate, name), []
     except TrajevalError as error:
         run = _run(pairs, request, truth, estimate, name)
