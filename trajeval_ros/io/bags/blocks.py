@@ -75,11 +75,12 @@ class Block:
         hence several blocks.
         """
         long = np.flatnonzero(self.sizes >= len(_ZSTD))
-        heads = self.buffer[self.begins[long][:, None] + np.arange(len(_ZSTD))]
-        compressed = set(long[(heads == _ZSTD).all(axis=1)].tolist())
-        if not compressed:
+        maybe = long[self.buffer[self.begins[long]] == _ZSTD[0]]
+        if not len(maybe):
             yield self
             return
+        heads = self.buffer[self.begins[maybe][:, None] + np.arange(len(_ZSTD))]
+        compressed = set(maybe[(heads == _ZSTD).all(axis=1)].tolist())
         payloads: list[bytes | memoryview] = []
         begin = size = 0
         for row, payload in enumerate(self.payloads()):
@@ -93,10 +94,11 @@ class Block:
 
     def by_connection(self) -> Iterator[tuple[int, Block]]:
         """Yield the messages of each connection."""
-        ids = np.unique(self.connections).tolist()
-        for connection in ids:
-            own = self if len(ids) == 1 else self[self.connections == connection]
-            yield connection, own
+        if len(self) and (self.connections == self.connections[0]).all():
+            yield int(self.connections[0]), self
+            return
+        for connection in np.unique(self.connections).tolist():
+            yield connection, self[self.connections == connection]
 
     def compact(self) -> Block:
         """Return the same messages in a buffer of their own if most of this one isn't theirs."""
@@ -227,7 +229,7 @@ def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:
         yield connection, log_time, payload
 
 
-def _decompressed(payload: bytes) -> bytes:
+def _decompressed(payload: bytes) -> bytes | memoryview:
     from trajeval_ros.io.bags.compression import decompress, most_of
 
     return decompress("zstd", payload, min(most_of(len(payload), BYTES), _LARGEST_MESSAGE))

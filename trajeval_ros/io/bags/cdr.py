@@ -108,11 +108,12 @@ class CdrPlan:
         rows = everything if large.all() else everything[large]
         kinds = _gather(buffer, begins[rows], _ENCAPSULATION)
         parts = []
-        for kind in sorted(set(kinds.tolist())):
+        are_same = len(kinds) > 0 and _are_same(kinds)
+        for kind in kinds[:1].tolist() if are_same else np.unique(kinds).tolist():
             if kind not in _ENCAPSULATIONS:
                 continue
             order, limit = _ENCAPSULATIONS[kind]
-            some = rows if _are_same(kinds) else rows[kinds == kind]
+            some = rows if are_same else rows[kinds == kind]
             origins = begins[some] + _ENCAPSULATION_SIZE
             batch = _MessageBatch(
                 buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE

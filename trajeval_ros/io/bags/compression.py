@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from trajeval_ros.exceptions import InputError
 
@@ -18,7 +17,7 @@ def most_of(size: int, floor: int) -> int:
     return max(floor, LARGEST_RATIO * size)
 
 
-def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
+def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
     """Return what can be decompressed, `limit` bytes at most; whoever asks checks that it's all.
 
     Args:
@@ -30,7 +29,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes:
         ValueError: The compression is unknown.
     """
     if kind == "":
-        return bytes(data[:limit])
+        return data[:limit]
     if kind == "zstd":
         return _zstd(data, limit)
     if kind == "lz4":
@@ -58,18 +57,19 @@ def _zstd(data: bytes | memoryview, limit: int) -> bytes:
 def _lz4(data: bytes | memoryview, limit: int) -> bytes:
     import lz4.frame
 
-    decompressor = lz4.frame.LZ4FrameDecompressor()
+    # LZ4FrameDecompressor copies what it is given, and what is left of it.
+    context = lz4.frame.create_decompression_context()
     pieces: list[bytes] = []
-    left = limit
-    source: Any = data
+    left, rest = limit, memoryview(data)
     try:
-        while left and not decompressor.eof:
-            piece = decompressor.decompress(source, max_length=min(left, 4 * _PIECE))
-            source = b""
-            if not piece and decompressor.needs_input:
-                break
+        while left:
+            piece, taken, is_end = lz4.frame.decompress_chunk(
+                context, rest, max_length=min(left, 4 * _PIECE)
+            )
             pieces.append(piece)
-            left -= len(piece)
+            left, rest = left - len(piece), rest[taken:]
+            if is_end or not (taken or piece):
+                break
     except (RuntimeError, EOFError, MemoryError):
         pass
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)

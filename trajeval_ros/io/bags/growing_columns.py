@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,21 @@ from numpy.typing import NDArray
 from trajeval_ros.io.bags.blocks import ROWS
 from trajeval_ros.io.bags.pose_messages import PoseColumns
 
+_RESERVED = 1 << 26  # bytes of a column, at most: counts of messages are not trusted
 _COLUMNS = ("stamps", "positions", "quaternions", "body_velocities", "covariances", "fix_quality")
 
 
 class GrowingPoses:
     """The poses of a topic, added part by part."""
 
-    def __init__(self) -> None:
+    def __init__(self, expected: int) -> None:
+        """Prepare to add.
+
+        Args:
+            expected: Number of poses to reserve memory for. The kernel provides memory only when
+                it is written to, so an excessive number costs nothing.
+        """
+        self._expected = expected
         self._columns: dict[str, _Column] = {}
         self._frames: list[tuple[int, str, str]] = []
         self._undecodable = self._count = self._messages = 0
@@ -29,7 +38,9 @@ class GrowingPoses:
         }
         for name, rows in columns.items():
             if rows is not None:
-                self._columns.setdefault(name, _Column(rows)).extend(rows)
+                if name not in self._columns:
+                    self._columns[name] = _Column(rows, self._expected)
+                self._columns[name].extend(rows)
         self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
         self._undecodable += part.undecodable
         self._count += len(part.stamps)
@@ -66,8 +77,10 @@ class GrowingPoses:
 class _Column:
     """Rows that are added to. Small arrays put together in the end would take twice the memory."""
 
-    def __init__(self, like: NDArray[Any]) -> None:
-        self._rows = np.empty((ROWS, *like.shape[1:]), like.dtype)
+    def __init__(self, like: NDArray[Any], expected: int) -> None:
+        shape = like.shape[1:]
+        most = _RESERVED // (like.dtype.itemsize * math.prod(shape))
+        self._rows = np.empty((max(ROWS, min(expected, most)), *shape), like.dtype)
         self._count = 0
 
     def extend(self, rows: NDArray[Any]) -> None:

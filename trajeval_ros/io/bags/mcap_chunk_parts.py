@@ -68,7 +68,9 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
     return found
 
 
-def measured(data: bytes, messages: MessageIndex, limit: int, shift: int = 0) -> MessageIndex:
+def measured(
+    data: bytes | memoryview, messages: MessageIndex, limit: int, shift: int = 0
+) -> MessageIndex:
     """Return messages with their sizes, which the records in memory say.
 
     Args:

@@ -75,7 +75,7 @@ class _Reading:
         self._source = _HeldBytes(source)
         self._chunk = chunk
         self._is_indexed = is_indexed
-        self._whole: bytes | DamagedError | None = None
+        self._whole: bytes | memoryview | DamagedError | None = None
         self._walked: tuple[MessageIndex, bool] | None = None
 
     def together(self, selections: Sequence[TopicSelection]) -> Share | None:
@@ -140,7 +140,7 @@ class _Reading:
         if not is_whole and not chunk.is_cut:
             yield Share([selection], "a chunk has incomplete records")
 
-    def _data(self) -> bytes:
+    def _data(self) -> bytes | memoryview:
         """Return the records of the whole chunk, decompressed and verified once."""
         if self._whole is None:
             try:

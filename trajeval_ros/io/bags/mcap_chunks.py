@@ -115,7 +115,7 @@ def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
         )
 
 
-def whole(source: ByteSource, chunk: Chunk) -> bytes:
+def whole(source: ByteSource, chunk: Chunk) -> bytes | memoryview:
     """Return the records of a chunk; of one that is cut off, as many as there are.
 
     Raises:
@@ -146,7 +146,9 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes:
     return data
 
 
-def walked(data: bytes, registry: Registry | None = None) -> tuple[MessageIndex, bool]:
+def walked(
+    data: bytes | memoryview, registry: Registry | None = None
+) -> tuple[MessageIndex, bool]:
     """Return the messages in a chunk's records, and whether these lead to its end.
 
     Args:
@@ -165,7 +167,7 @@ def walked(data: bytes, registry: Registry | None = None) -> tuple[MessageIndex,
     return found.done(), end == len(data)
 
 
-def block_in(data: bytes, messages: MessageIndex, earliest: int) -> Block:
+def block_in(data: bytes | memoryview, messages: MessageIndex, earliest: int) -> Block:
     """Return messages of a chunk that is in memory."""
     return Block(
         earliest,

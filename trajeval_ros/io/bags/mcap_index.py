@@ -127,9 +127,11 @@ class McapReader:
         pieces += [(int(each.log_times[0]), each, selections) for each in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
         threads = _ASKED if self._source.is_far else 0
-        if any(isinstance(each, Chunk) and each.compression for _, each, _ in pieces):
-            threads = max(threads, _DECOMPRESSING)
+        compressions = {each.compression for _, each, _ in pieces if isinstance(each, Chunk)}
+        if compressions - {""}:
             bytes(_KEPT)
+        if "zstd" in compressions:  # lz4 takes less time than its threads would
+            threads = max(threads, _DECOMPRESSING)
         lost = {each: Counter[str]() for each in selections}
         partial: Counter[TopicSelection] = Counter()
         loaded = (

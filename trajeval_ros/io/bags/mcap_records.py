@@ -96,7 +96,7 @@ class Registry:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
 
-    def add(self, opcode: int, content: bytes) -> None:
+    def add(self, opcode: int, content: bytes | memoryview) -> None:
         """Add what a record of a schema or channel says; the first of an id holds.
 
         Raises:

@@ -227,7 +227,7 @@ def _joined(numbers: Mapping[str, NDArray[Any]], paths: str | tuple[str, ...]) -
 
 
 def _floats(column: NDArray[Any]) -> Floats:
-    return np.ascontiguousarray(column, dtype=np.float64)
+    return np.asarray(column, dtype=np.float64)
 
 
 def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:

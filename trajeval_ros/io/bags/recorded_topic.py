@@ -40,6 +40,13 @@ class Topic:
         return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
 
     @property
+    def expected(self) -> int:
+        """About as many messages as it has, or more, to reserve memory: nothing is counted."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.rows for each in self.connections)  # type: ignore[attr-defined]
+
+    @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
         own = (POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)

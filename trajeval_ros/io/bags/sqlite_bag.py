@@ -136,16 +136,13 @@ class SqliteReader:
         self, query: str, values: tuple[Any, ...], selection: TopicSelection
     ) -> Iterator[tuple[int, int]]:
         """Yield log time and id of each message that can be had, whatever damage is around it."""
-        try:
-            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
-        except sqlite3.DatabaseError:
-            return
+        last = self.rows
         # A row has several bytes, so that larger ids than these are leaps, or damage as well.
         most = self._path.stat().st_size // _SMALLEST_ROW
-        if last and last > most:
+        if last > most:
             selection.damage.append(f"{self._name}: ids beyond {most} ignored")
             last = most
-        for key in range(1, (last or 0) + 1):
+        for key in range(1, last + 1):
             yield from ((row[2], row[0]) for row in self._row(query, values, key))
 
     def _row(self, query: str, values: tuple[Any, ...], key: int) -> list[Any]:
@@ -197,6 +194,15 @@ class SqliteReader:
             )
             for key, name, kind, serialization, qos in rows
         ]
+
+    @property
+    def rows(self) -> int:
+        """The largest id of a message: there are as many or fewer; 0 if it can't be read."""
+        try:
+            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
+        except sqlite3.DatabaseError:
+            return 0
+        return last or 0
 
     def count(self, topic: int) -> int:
         """Return the number of messages of a topic; 0 if damaged pages are in the way."""

@@ -171,7 +171,7 @@ class _Poses:
 
     def __init__(self, decoders: _Decoders) -> None:
         self._decoders = decoders
-        self._poses = GrowingPoses()
+        self._poses = GrowingPoses(decoders.topic.expected)
 
     def add(self, key: Key, block: Block) -> None:
         """Add the messages of a connection."""
@@ -207,7 +207,7 @@ class _LastPath:
 
     def done(self) -> PoseColumns:
         """Return its poses."""
-        if self._last is None:
-            return poses_of(self._decoders.nothing(), PATH_TYPE, 0)
-        columns = self._decoders.decode(*self._last[1:])
-        return poses_of(columns, PATH_TYPE, 1 - len(columns.rows))
+        poses = _Poses(self._decoders)
+        if self._last is not None:
+            poses.add(*self._last[1:])
+        return poses.done()
