@@ -60,23 +60,28 @@ def masked_correlation(
 ) -> tuple[Indices, Floats, Floats]:
     """Return the normalised cross-correlation of two signals with holes, at all lags.
 
+    Leading axes are of several signals; those with the same holes need them only once.
+
     Args:
-        a: (N,), zero in holes.
-        in_a: (N,), 1 where `a` is known, 0 in holes.
-        b: (M,), zero in holes.
-        in_b: (M,), likewise.
+        a: (..., N), zero in holes.
+        in_a: (..., N), 1 where `a` is known, 0 in holes.
+        b: (..., M), zero in holes.
+        in_b: (..., M), likewise.
 
     Returns:
-        The lags k (K,) at which a[n] meets b[n + k], the correlations (K,), zero where a signal
-        doesn't vary, and the numbers (K,) of cells that both know.
+        The lags k (K,) at which a[n] meets b[n + k], the correlations (..., K), zero where a
+        signal doesn't vary, and the numbers (..., K) of cells that both know.
     """
-    size = 1 << int(len(a) + len(b) - 1).bit_length()
+    shorter, longer = a.shape[-1], b.shape[-1]
+    size = 1 << int(shorter + longer - 1).bit_length()
     left = [np.conj(np.fft.rfft(each, size)) for each in (a, in_a, a * a)]
     right = [np.fft.rfft(each, size) for each in (b, in_b, b * b)]
 
     def met(one: int, other: int) -> Floats:
         products: Floats = np.fft.irfft(left[one] * right[other], size)
-        return np.concatenate([products[size - len(a) + 1 :], products[: len(b)]])
+        return np.concatenate(
+            [products[..., size - shorter + 1 :], products[..., :longer]], axis=-1
+        )
 
     common = np.rint(met(1, 1))
     count = np.maximum(common, 1.0)
@@ -85,9 +90,9 @@ def masked_correlation(
     variance_a, variance_b = met(2, 1) - sum_a**2 / count, met(1, 2) - sum_b**2 / count
     spread = np.sqrt(np.maximum(variance_a, 0.0) * np.maximum(variance_b, 0.0))
     # What is left of a constant signal is rounding.
-    varies = spread > 1e-9 * max(1.0, float(spread.max()))
+    varies = spread > 1e-9 * np.maximum(1.0, spread.max(axis=-1, keepdims=True))
     correlation = np.where(varies, covariance / np.where(varies, spread, 1.0), 0.0)
-    lags = np.arange(1 - len(a), len(b))
+    lags = np.arange(1 - shorter, longer)
     return lags, np.clip(correlation, -1.0, 1.0), common
 
 

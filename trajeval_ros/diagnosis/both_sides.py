@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.motion_track import MotionTrack
@@ -70,3 +71,8 @@ class Recording:
             rule.time_offset_s,
             rule.method != "index" and groundtruth.stamped and estimate.stamped,
         )
+
+    @cached_property
+    def in_order(self) -> tuple[MotionTrack, MotionTrack]:
+        """Groundtruth and estimate sorted by time, of equal times the first pose."""
+        return self.truth.in_order(), self.track.in_order()

@@ -27,7 +27,7 @@ def velocities(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     for side, track in (("estimate", estimate), ("groundtruth", truth)):
         if track.velocities is None or track.quaternions is None or len(track) < _FEWEST:
             continue
-        rows = np.unique(evenly(len(track) - 2, _RATES)) + 1
+        rows = evenly(len(track) - 2, _RATES) + 1
         time = track.seconds[rows + 1] - track.seconds[rows - 1]
         rows, time = rows[time < _LONGEST_S], time[time < _LONGEST_S]
         if len(rows) < _FEWEST:
@@ -61,12 +61,14 @@ def rhythm(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     """
     if len(estimate) < 6:
         return Examined("keyframes", why_not="too few poses")
+    rate_hz = (len(estimate) - 1) / max(estimate.span_s, 1e-9)
+    if rate_hz >= _SLOW_HZ:
+        return Examined("keyframes", {"rate_hz": rate_hz})
     steps_s = np.diff(estimate.seconds)
-    rate_hz = 1.0 / max(float(steps_s.mean()), 1e-9)
     usual_s = float(np.median(steps_s))
     low, high = np.quantile(steps_s, [0.1, 0.9])
     spread = float(high - low) / usual_s
     scores = {"rate_hz": rate_hz, "spread": spread}
-    if rate_hz < _SLOW_HZ and spread > 0.5 and usual_s > 4.0 * truth.usual_step_s:
+    if spread > 0.5 and usual_s > 4.0 * truth.usual_step_s:
         return Examined("keyframes", scores, (Seen("keyframes", 0.0, {"rate_hz": rate_hz}),))
     return Examined("keyframes", scores)

@@ -51,8 +51,7 @@ def diagnose_evaluation(
     examined = [number, *found.examined, frame_offset(evaluation)]
     if all(each.rank < _GRAVE for each in found.findings):
         if _may_be_apart(found):
-            sides = recording.truth.in_order(), recording.track.in_order()
-            examined.append(small_clock_offset(evaluation, *sides))
+            examined.append(small_clock_offset(evaluation, *recording.in_order))
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
 

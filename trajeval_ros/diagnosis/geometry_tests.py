@@ -22,7 +22,7 @@ _FLAT, _SAME_HEIGHTS = 0.2, 0.5
 _AGREE, _AGREE_WELL = 0.7, 0.85
 # A turn of the body, deg: where a turn of the world explains it far worse, and where it doesn't.
 _BODY_DEG, _BODY_OR_WORLD_DEG = 5.0, 25.0
-_LEAST_LEVER, _SURE_LEVER = 0.02, 0.05
+_LEAST_LEVER, _SURE_LEVER, _LEAST_SHARE = 0.02, 0.05, 0.3
 _THIRDS = 3
 _BY_SCALE = 0.5
 
@@ -194,6 +194,8 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     before, after = left[keep], (left - swing @ lever)[keep]
     share = 1.0 - _squares(after) / max(_squares(before), 1e-300)
     length = float(np.linalg.norm(lever))
+    if length <= _LEAST_LEVER or share <= _LEAST_SHARE:
+        return Examined(name, {"lever_m": length, "share": share})
     parts = [each for each in np.array_split(np.flatnonzero(keep), _THIRDS) if len(each) > 10]
     worst = max(
         (_squares((left - swing @ lever)[each]) / max(_squares(left[each]), 1e-300))
@@ -208,18 +210,19 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     ) / max(length, 1e-9)
     scores = {"lever_m": length, "share": share, "worst_third": worst, "apart": apart}
     explains = share > 0.7 and worst < 0.6
-    agrees = share > 0.3 and apart < 0.35 and length > _SURE_LEVER
-    if length <= _LEAST_LEVER or not (explains or agrees):
+    agrees = apart < 0.35 and length > _SURE_LEVER
+    if not (explains or agrees):
         return Examined(name, scores)
     values: dict[str, Value] = {"lever_m": length, "percent": 100.0 * share}
     return Examined(name, scores, (Seen("lever_arm", share, values),))
 
 
 def _least_squares(swing: Floats, left: Floats, damping: float) -> Floats:
-    normal = np.einsum("nij,nik->jk", swing, swing)
+    rows = swing.reshape(-1, 3)
+    normal = rows.T @ rows
     if np.linalg.cond(normal) > 1.0 / damping:
         normal = normal + np.eye(3) * max(float(np.trace(normal)), 1e-12) * damping
-    solved: Floats = np.linalg.solve(normal, np.einsum("nij,ni->j", swing, left))
+    solved: Floats = np.linalg.solve(normal, rows.T @ left.ravel())
     return solved
 
 

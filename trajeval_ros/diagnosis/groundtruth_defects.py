@@ -36,8 +36,8 @@ def groundtruth_defects(truth: MotionTrack, estimate: MotionTrack, max_gap_s: fl
     end = min(truth.seconds[-1], estimate.seconds[-1])
     if len(truth) < _FEWEST or len(estimate) < _FEWEST or end <= begin:
         return Examined(name, why_not="too few common poses")
-    steps_s = np.diff(truth.seconds)
-    every = max(1, int(_STEP_S / max(float(np.median(steps_s[:2000])), 1e-6)))
+    usual_s = truth.usual_step_s
+    every = max(1, int(_STEP_S / max(usual_s, 1e-6)))
     some = truth[::every]
     steps, times = np.diff(some.positions, axis=0), np.diff(some.seconds)
     still = ~np.any(steps != 0.0, axis=1)
@@ -46,14 +46,15 @@ def groundtruth_defects(truth: MotionTrack, estimate: MotionTrack, max_gap_s: fl
     gliding = np.concatenate(
         [[False], (lengths(np.diff(velocity, axis=0)) < digits) & ~still[1:] & ~still[:-1]]
     )
+    scores = {"still_share": float(still.mean()), "straight_share": float(gliding.mean())}
+    if not (still.any() or gliding.any() or max_gap_s > _HOLE_S):
+        return Examined(name, scores)
     scale = _metres_per_unit(truth, estimate, float(begin), float(end))
-    usual_s = float(np.median(steps_s))
     seen = [
         *_still(some, estimate, still, scale, usual_s),
         *_gliding(some, estimate, gliding, scale),
-        *_holes(truth, estimate, steps_s, max_gap_s, scale),
+        *_holes(truth, estimate, max_gap_s, scale),
     ]
-    scores = {"still_share": float(still.mean()), "straight_share": float(gliding.mean())}
     return Examined(name, scores, tuple(seen))
 
 
@@ -132,13 +133,10 @@ def _gliding(
 
 
 def _holes(
-    truth: MotionTrack,
-    estimate: MotionTrack,
-    steps_s: Floats,
-    max_gap_s: float,
-    scale: float,
+    truth: MotionTrack, estimate: MotionTrack, max_gap_s: float, scale: float
 ) -> list[Seen]:
     """Look into the holes that the association interpolates across."""
+    steps_s = np.diff(truth.seconds)
     holes = np.flatnonzero((steps_s > _HOLE_S) & (steps_s <= max_gap_s))
     worst_m, inside = 0.0, 0
     # A groundtruth that is so slow throughout is no dropout.
@@ -151,7 +149,7 @@ def _holes(
         if len(rows) < 3 or not chord.known.all():
             continue
         inside += len(rows)
-        rows = rows[np.unique(evenly(len(rows), 200))]
+        rows = rows[evenly(len(rows), 200)]
         fraction = (estimate.seconds[rows] - ends[0]) / (ends[1] - ends[0])
         straight = chord.positions[0] + fraction[:, None] * np.diff(chord.positions, axis=0)
         worst_m = max(worst_m, scale * float(lengths(estimate.positions[rows] - straight).max()))

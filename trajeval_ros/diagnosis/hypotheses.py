@@ -15,9 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trajeval_ros.diagnosis.motion_track import lengths
 from trajeval_ros.diagnosis.short_motions import (
     ShortMotions,
     best_rotations,
+    bound_of,
     bounded,
     moment,
     turned_in_body,
@@ -31,6 +33,7 @@ AS_READ = "as_read"
 WXYZ, TRANSPOSED, WXYZ_TRANSPOSED = "wxyz", "transposed", "wxyz_transposed"
 MIRRORED, AXES_MIXED, INVERSE = "mirrored", "axes_mixed", "inverse"
 _CHANGES = {AS_READ: 0, WXYZ: 1, TRANSPOSED: 1, WXYZ_TRANSPOSED: 2}
+_WRITTEN = tuple(_CHANGES)
 # What was read as x, y, z, w is w, x, y, z.
 W_FIRST = [1, 2, 3, 0]
 
@@ -47,6 +50,7 @@ def _signed_permutations() -> Floats:
 
 
 _PERMUTATIONS = _signed_permutations()
+_PROPER = np.linalg.det(_PERMUTATIONS) > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,31 +91,33 @@ def fit_hypotheses(moving: ShortMotions, turning: ShortMotions) -> list[Hypothes
         return _solved(
             [_Moments(AS_READ, "", 0, steps, nothing), _mirrored(steps, nothing)], perfect=1.0
         )
-    true = _as_written(turning.truth_turned)
-    ours = _as_written(turning.estimate_turned)
-    as_read = moment(true[AS_READ], ours[AS_READ])
+    true, ours = _as_written(turning.truth_turned, turning.estimate_turned)
+    turns = moment(true[:, None], ours)
+    as_read = turns[0, 0]
     todo = [_Moments(AS_READ, "", 0, steps, as_read)]
-    for cause in (WXYZ, TRANSPOSED, WXYZ_TRANSPOSED):
-        changes = _CHANGES[cause]
-        todo += [
-            _Moments(cause, ESTIMATE, changes, steps, moment(true[AS_READ], ours[cause])),
-            _Moments(cause, GROUNDTRUTH, changes, steps, moment(true[cause], ours[AS_READ])),
-            _Moments(cause, BOTH, changes, steps, moment(true[cause], ours[cause])),
-        ]
+    for row, cause in enumerate(_WRITTEN):
+        if row:
+            changes = _CHANGES[cause]
+            todo += [
+                _Moments(cause, ESTIMATE, changes, steps, turns[0, row]),
+                _Moments(cause, GROUNDTRUTH, changes, steps, turns[row, 0]),
+                _Moments(cause, BOTH, changes, steps, turns[row, row]),
+            ]
     # Poses mirrored as a whole, M p and M R M, are positions alone times -1: M turns the rotation
     # vectors by -M, which is a rotation.
-    for permutation in _PERMUTATIONS[1:]:
-        proper = np.linalg.det(permutation) > 0.0
-        cause = AXES_MIXED if proper else MIRRORED
-        todo.append(_Moments(cause, "", 1, steps @ permutation.T, as_read, permutation))
+    permuted = steps @ np.swapaxes(_PERMUTATIONS, 1, 2)
+    todo += [
+        _Moments(AXES_MIXED if proper else MIRRORED, "", 1, permuted[row], as_read, permutation)
+        for row, (permutation, proper) in enumerate(zip(_PERMUTATIONS, _PROPER, strict=True))
+        if row
+    ]
+    inverse = _WRITTEN.index(TRANSPOSED)
     inverted = bounded(_steps_if_inverted(moving.estimate, moving.estimate_turned))
     steps_of_inverse = moment(bounded(moving.true_steps), inverted)
-    turns_of_inverse = moment(true[AS_READ], ours[TRANSPOSED])
-    todo.append(_Moments(INVERSE, ESTIMATE, 1, steps_of_inverse, turns_of_inverse))
+    todo.append(_Moments(INVERSE, ESTIMATE, 1, steps_of_inverse, turns[0, inverse]))
     inverted = bounded(_steps_if_inverted(moving.truth, moving.truth_turned))
     steps_of_inverse = moment(inverted, bounded(moving.steps))
-    turns_of_inverse = moment(true[TRANSPOSED], ours[AS_READ])
-    todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, steps_of_inverse, turns_of_inverse))
+    todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, steps_of_inverse, turns[inverse, 0]))
     return _solved(todo, perfect=2.0)
 
 
@@ -128,15 +134,24 @@ def _mirrored(steps: Floats, turns: Floats) -> _Moments:
     return _Moments(MIRRORED, "", 1, -steps, turns, -np.eye(3))
 
 
-def _as_written(quaternions: Floats) -> dict[str, Floats]:
-    """Return bounded rotation vectors (N, 3) by what the quaternions (2, N, 4) may be."""
-    rolled = quaternions[..., W_FIRST]
-    return {
-        AS_READ: bounded(turned_in_world(quaternions)),
-        WXYZ: bounded(turned_in_world(rolled)),
-        TRANSPOSED: -bounded(turned_in_body(quaternions)),
-        WXYZ_TRANSPOSED: -bounded(turned_in_body(rolled)),
-    }
+def _as_written(truth: Floats, estimate: Floats) -> Floats:
+    """Return bounded rotation vectors (2, 4, N, 3) of both sides, by what quaternions may be.
+
+    Args:
+        truth: (2, N, 4) quaternions of the groundtruth at starts and ends.
+        estimate: (2, N, 4) of the estimate.
+
+    Returns:
+        In the order of `_WRITTEN`.
+    """
+    sides = np.stack([truth, estimate], axis=1)
+    orders = np.stack([sides, sides[..., W_FIRST]], axis=2)
+    world = turned_in_world(orders)
+    vectors = np.concatenate([world, -turned_in_body(orders)], axis=1)
+    # No order of components and no side of the product changes the angle.
+    bounds = np.array([bound_of(size) for size in lengths(world[:, 0])])
+    written: Floats = vectors / bounds[:, None, :, None]
+    return written
 
 
 def _steps_if_inverted(positions: Floats, quaternions: Floats | None) -> Floats:

@@ -61,7 +61,7 @@ def diagnose(recording: Recording) -> Diagnosis:
 
 
 def _motions(recording: Recording) -> list[Examined]:
-    truth, estimate = recording.truth.in_order(), recording.track.in_order()
+    truth, estimate = recording.in_order
     if min(truth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < _FEWEST:
         return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
     examined, match = [], None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, step_lengths
 
 _ENOUGH = 2000  # steps, for a median
 
@@ -79,6 +80,8 @@ class MotionTrack:
 
     def shifted(self, offset_s: float, rate: float = 0.0) -> MotionTrack:
         """Return the poses with an offset and a rate of the clock taken out, a track in order."""
+        if not (offset_s or rate):
+            return self
         seconds = self.seconds + offset_s + rate * (self.seconds - self.seconds[0])
         return MotionTrack(seconds, self.positions, self.quaternions, self.velocities)
 
@@ -87,13 +90,18 @@ class MotionTrack:
         """From the first pose to the last, of a track in order."""
         return float(self.seconds[-1] - self.seconds[0]) if len(self) else 0.0
 
-    @property
+    @cached_property
     def usual_step_s(self) -> float:
         """The median step, of a track in order."""
         if len(self) < 2:
             return 1.0
-        some = np.unique(evenly(len(self) - 1, _ENOUGH))
+        some = evenly(len(self) - 1, _ENOUGH)
         return float(np.median(self.seconds[some + 1] - self.seconds[some]))
+
+    @cached_property
+    def moved(self) -> Floats:
+        """Lengths (N - 1,) of the steps between consecutive poses."""
+        return step_lengths(self.positions)
 
     @property
     def extent(self) -> float:
@@ -116,6 +124,6 @@ class MotionTrack:
 
 
 def lengths(vectors: Floats) -> Floats:
-    """Return the lengths (N,) of vectors (N, k)."""
-    found: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    """Return the lengths (...) of vectors (..., k)."""
+    found: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
     return found

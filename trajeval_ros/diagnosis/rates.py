@@ -12,7 +12,7 @@ import numpy as np
 
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats
 
 _LEAST_CELL_S, _CELLS = 0.05, 4000
 _LEAST_WINDOW_S, _SHORT_WINDOW_S = 0.4, 0.2
@@ -21,6 +21,7 @@ _LEAST_OVERLAP_S, _SHARE_OF_OVERLAP = 8.0, 0.5
 LEAST_LIKELY = 0.8
 _LOBE_S = 3.0  # to both sides of a peak
 _SEARCH_S = 3.0  # of parts of a run
+_OUTLIERS = 0.02  # largest rates, cut to the largest of the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +31,13 @@ class MotionRates:
     Attributes:
         start: The first cell's place on the common grid.
         known: (N,) 1 where the rates are known, 0 in holes.
-        turning: (N,) angular speeds, rad/s; None without orientations.
-        speed: (N,) speeds, in units of the source.
+        rates: (K, N) speeds, in units of the source, and angular speeds, rad/s; K is 1 without
+            orientations.
     """
 
     start: int
     known: Floats
-    turning: Floats | None
-    speed: Floats
+    rates: Floats
 
     @classmethod
     def of(cls, track: MotionTrack, cell_s: float, window_s: float, epoch_s: float) -> MotionRates:
@@ -51,13 +51,12 @@ class MotionRates:
         before, after = slice(None, -2 * half), slice(2 * half, None)
         known = between.known[before] & between.known[after]
         wide_s = 2.0 * half * cell_s
-        turning = None
+        rates = [lengths(between.positions[after] - between.positions[before]) / wide_s]
         if between.quaternions is not None:
             q = between.quaternions
             cosine = np.abs(np.einsum("ni,ni->n", q[before], q[after]))
-            turning = 2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) / wide_s
-        speed = lengths(between.positions[after] - between.positions[before]) / wide_s
-        return cls(start, known.astype(np.float64), turning, speed)
+            rates.append(2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) / wide_s)
+        return cls(start, known.astype(np.float64), np.array(rates))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,18 +102,14 @@ def match_clocks(truth: MotionTrack, estimate: MotionTrack) -> ClockMatch | None
     window_s = max(_LEAST_WINDOW_S, 2.0 * truth.usual_step_s, 2.0 * estimate.usual_step_s)
     epoch_s = float(truth.seconds[0])
     ours, true = (MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, truth))
-    lags, speed, common = masked_correlation(
-        tamed(ours.speed, ours.known), ours.known, tamed(true.speed, true.known), true.known
+    kinds = min(len(ours.rates), len(true.rates))
+    lags, alike, common = masked_correlation(
+        tamed(ours.rates[:kinds], ours.known),
+        ours.known,
+        tamed(true.rates[:kinds], true.known),
+        true.known,
     )
-    turning = None
-    if ours.turning is not None and true.turning is not None:
-        turning = masked_correlation(
-            tamed(ours.turning, ours.known),
-            ours.known,
-            tamed(true.turning, true.known),
-            true.known,
-        )[1]
-    mean = speed if turning is None else (speed + turning) / 2.0
+    mean = alike.mean(axis=0)
     overlap_s = common * cell_s
     longest_s = float(overlap_s.max()) if len(overlap_s) else 0.0
     enough = overlap_s >= max(_LEAST_OVERLAP_S, _SHARE_OF_OVERLAP * longest_s)
@@ -133,8 +128,8 @@ def match_clocks(truth: MotionTrack, estimate: MotionTrack) -> ClockMatch | None
         zero=float(mean[as_stamped]) if known else 0.0,
         second=float(rest.max()) if len(rest) else 0.0,
         overlap_s=longest_s,
-        turning=np.nan if turning is None else float(turning[at]),
-        speed=float(speed[at]),
+        turning=float(alike[1, at]) if kinds == 2 else np.nan,
+        speed=float(alike[0, at]),
         cell_s=cell_s,
         sides=(ours, true),
     )
@@ -170,11 +165,8 @@ def _unlikeness(truth: MotionTrack, estimate: MotionTrack) -> float:
     known = ours.known[rows] * true.known[others]
     if known.sum() * cell_s < _LEAST_OVERLAP_S:
         return np.nan
-    turns = ours.turning is not None and true.turning is not None
-    mine, theirs = (ours.turning, true.turning) if turns else (ours.speed, true.speed)
-    assert mine is not None
-    assert theirs is not None
-    a, b = tamed(mine[rows], known), tamed(theirs[others], known)
+    kind = min(len(ours.rates), len(true.rates)) - 1
+    a, b = tamed(ours.rates[kind, rows], known), tamed(true.rates[kind, others], known)
     return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
@@ -187,60 +179,50 @@ def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Fl
         parts: How many.
     """
     ours, true = match.sides
+    kinds = min(len(ours.rates), len(true.rates))
     size, reach = len(ours.known) // parts, int(_SEARCH_S / match.cell_s)
     cells = round(offset_s / match.cell_s)
+    rows = np.arange(parts * size).reshape(parts, size)
+    first = rows[:, :1] + ours.start - true.start + cells - reach
+    others = first + np.arange(size + 2 * reach)
+    inside = (others >= 0) & (others < len(true.known))
+    others = np.clip(others, 0, len(true.known) - 1)
+    known, others_known = ours.known[rows], inside * true.known[others]
+    lags, alike, common = masked_correlation(
+        tamed(ours.rates[:kinds, rows], known),
+        known,
+        tamed(true.rates[:kinds, others], others_known),
+        others_known,
+    )
+    within = (lags >= 0) & (lags <= 2 * reach)
+    enough = common[:, within] > 0.6 * size
+    heights = np.where(enough, alike[..., within], -1.0).mean(axis=0)
     middles, offsets = [], []
-    for part in range(parts):
-        rows = np.arange(part * size, (part + 1) * size)
-        others = rows[0] + ours.start - true.start + cells - reach + np.arange(size + 2 * reach)
-        inside = (others >= 0) & (others < len(true.known))
-        others = np.clip(others, 0, len(true.known) - 1)
-        heights = _part_heights(ours, true, rows, others, inside, 2 * reach)
-        at = int(np.argmax(heights))
-        if 0 < at < len(heights) - 1 and heights[at] > 0.6:
-            middles.append((rows[0] + size / 2.0) * match.cell_s)
-            found = at - reach + cells + refined_peak(heights, at)
-            offsets.append(found * match.cell_s)
+    for part, height in enumerate(heights):
+        at = int(np.argmax(height))
+        if 0 < at < len(height) - 1 and height[at] > 0.6:
+            middles.append((rows[part, 0] + size / 2.0) * match.cell_s)
+            offsets.append((at - reach + cells + refined_peak(height, at)) * match.cell_s)
     return np.array(middles), np.array(offsets)
 
 
-def _part_heights(
-    ours: MotionRates,
-    true: MotionRates,
-    rows: Indices,
-    others: Indices,
-    inside: Booleans,
-    widest: int,
-) -> Floats:
-    """Return the mean correlation of a part at lags 0 to `widest`, -1 where little is known."""
-    total: Floats = np.zeros(widest + 1)
-    count = 0
-    known, others_known = ours.known[rows], np.where(inside, true.known[others], 0.0)
-    for mine, theirs in ((ours.turning, true.turning), (ours.speed, true.speed)):
-        if mine is None or theirs is None:
-            continue
-        lags, correlation, common = masked_correlation(
-            tamed(mine[rows], known),
-            known,
-            tamed(np.where(inside, theirs[others], 0.0), others_known),
-            others_known,
-        )
-        within = (lags >= 0) & (lags <= widest)
-        enough = common[within] > 0.6 * len(rows)
-        total, count = total + np.where(enough, correlation[within], -1.0), count + 1
-    return total / count
-
-
 def tamed(rate: Floats, known: Floats) -> Floats:
-    """Return a rate without its outliers, its mean and its unit; zero in holes."""
-    here = known > 0.0
-    if not here.any():
-        return np.zeros(len(rate))
-    high = float(np.quantile(rate[here], 0.98))
-    low = np.minimum(rate, high)
-    low = low - low[here].mean()
-    spread = max(float(low[here].std()), 1e-9 * high, 1e-12)
-    return np.where(here, low / spread, 0.0)
+    """Return rates (..., N) without outliers, with mean 0 and standard deviation 1; 0 in gaps."""
+    here = np.broadcast_to(known > 0.0, rate.shape)
+    count = here.sum(axis=-1, keepdims=True)
+    # Rates are not negative: sorted, gaps come first.
+    ranked = np.sort(np.where(here, rate, -1.0), axis=-1)
+    place = rate.shape[-1] - 1 - _OUTLIERS * np.maximum(count - 1, 0)
+    below = np.floor(place).astype(np.int64)
+    above = np.minimum(below + 1, rate.shape[-1] - 1)
+    low, high = (np.take_along_axis(ranked, each, axis=-1) for each in (below, above))
+    high = low + (place - below) * (high - low)
+    tame = np.where(here, np.minimum(rate, high), 0.0)
+    number = np.maximum(count, 1)
+    tame = np.where(here, tame - tame.sum(axis=-1, keepdims=True) / number, 0.0)
+    spread = np.sqrt(np.square(tame).sum(axis=-1, keepdims=True) / number)
+    scaled: Floats = tame / np.maximum(spread, np.maximum(1e-9 * high, 1e-12))
+    return scaled
 
 
 def _inside(enough: Booleans, at: int) -> bool:

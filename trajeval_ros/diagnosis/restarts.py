@@ -28,8 +28,8 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
         truth: In order, its clock the estimate's.
         estimate: In order.
     """
-    moved = lengths(np.diff(estimate.positions, axis=0))
-    strange = moved > _STRANGE * np.median(moved[np.unique(evenly(len(moved), 2000))])
+    moved = estimate.moved
+    strange = moved > _STRANGE * np.median(moved[evenly(len(moved), 2000)])
     if estimate.quaternions is not None:
         q = estimate.quaternions
         cosine = np.abs(np.einsum("ni,ni->n", q[1:], q[:-1]))
@@ -39,7 +39,7 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
         return Examined(_NAME, {"strange_steps": float(number)})
     # These steps, and some others to compare with.
     kept = np.zeros(len(estimate), dtype=bool)
-    for rows in (np.flatnonzero(strange), np.unique(evenly(len(moved), 1000))):
+    for rows in (np.flatnonzero(strange), evenly(len(moved), 1000)):
         kept[rows] = kept[rows + 1] = True
     some = estimate[kept]
     true = truth.at(some.seconds, 1.0)

@@ -52,10 +52,11 @@ class ShortMotions:
             max_gap_s: Longest step of the groundtruth to interpolate across.
         """
         times = estimate.seconds
-        inside = np.flatnonzero((times >= truth.seconds[0]) & (times <= truth.seconds[-1]))
-        start = inside[np.unique(evenly(len(inside), _COUNT))] if len(inside) else inside
+        first = int(np.searchsorted(times, truth.seconds[0]))
+        count = max(0, int(np.searchsorted(times, truth.seconds[-1], side="right")) - first)
+        start = first + evenly(count, min(count, _COUNT))
         end = np.searchsorted(times, times[start] + 0.999 * apart_s)
-        fits = end <= (inside[-1] if len(inside) else -1)
+        fits = end < first + count
         start, end = start[fits], end[fits]
         fits = times[end] - times[start] < 2.0 * apart_s + 0.2
         start, end = start[fits], end[fits]
@@ -100,8 +101,8 @@ class ShortMotions:
 
     def without_jumps(self, estimate: MotionTrack) -> ShortMotions:
         """Return those that no jump of the estimate lies in: a restart turns its world."""
-        moved = lengths(np.diff(estimate.positions, axis=0))
-        far = moved > _JUMP * np.median(moved[np.unique(evenly(len(moved), 2000))])
+        moved = estimate.moved
+        far = moved > _JUMP * np.median(moved[evenly(len(moved), 2000)])
         jumps = np.concatenate([[0], np.cumsum(far)])
         if not 0 < jumps[-1] <= _MOST_JUMPS:
             return self
@@ -119,30 +120,35 @@ class ShortMotions:
 
 
 def turned_in_world(quaternions: Floats) -> Floats:
-    """Return the rotation vectors (N, 3) of R_end R_start^T: vectors of the world, (2, N, 4)."""
+    """Return the rotation vectors (..., 3) of R_end R_start^T, of the world, (2, ..., 4)."""
     return lie.rotation_vector(lie.multiply(quaternions[1], lie.conjugate(quaternions[0])))
 
 
 def turned_in_body(quaternions: Floats) -> Floats:
-    """Return the rotation vectors (N, 3) of R_start^T R_end: vectors of the body, (2, N, 4)."""
+    """Return the rotation vectors (..., 3) of R_start^T R_end, of the body, (2, ..., 4)."""
     return lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[0]), quaternions[1]))
 
 
 def bounded(vectors: Floats) -> Floats:
     """Return vectors (N, 3) so shortened that none counts for much more than a usual one."""
-    size = lengths(vectors)
-    usual = float(np.median(size[size > 0.0])) if (size > 0.0).any() else 1.0
-    short: Floats = vectors / (size + 2.0 * usual)[:, None]
+    short: Floats = vectors / bound_of(lengths(vectors))[:, None]
     return short
 
 
+def bound_of(size: Floats) -> Floats:
+    """Return what vectors of a length (N,) are divided by, so that none counts for much."""
+    usual = float(np.median(size[size > 0.0])) if (size > 0.0).any() else 1.0
+    return size + 2.0 * usual
+
+
 def moment(truth: Floats, estimate: Floats) -> Floats:
-    """Return the normalised sum (3, 3) of truth estimate^T over N vectors of each.
+    """Return the normalised sums (..., 3, 3) of truth estimate^T over N vectors, (..., N, 3).
 
     The trace of W^T times it is the correlation of the vectors under a rotation W.
     """
-    norm = np.sqrt(np.sum(truth * truth) * np.sum(estimate * estimate))
-    summed: Floats = truth.T @ estimate / max(float(norm), 1e-300)
+    norm = np.sqrt(np.square(truth).sum(axis=(-1, -2)) * np.square(estimate).sum(axis=(-1, -2)))
+    summed: Floats = np.swapaxes(truth, -1, -2) @ estimate
+    summed /= np.maximum(norm, 1e-300)[..., None, None]
     return summed
 
 
