@@ -222,7 +222,7 @@ def _least_squares(swing: Floats, left: Floats, damping: float) -> Floats:
     normal = rows.T @ rows
     if np.linalg.cond(normal) > 1.0 / damping:
         normal = normal + np.eye(3) * max(float(np.trace(normal)), 1e-12) * damping
-    solved: Floats = np.linalg.solve(normal, rows.T @ left.ravel())
+    solved: Floats = np.linalg.solve(normal, rows.T @ left.ravel()).astype(np.float64)
     return solved
 
 
