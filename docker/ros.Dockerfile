@@ -1,6 +1,6 @@
 # The live node: docker build -f docker/ros.Dockerfile --build-arg DISTRIBUTION=jazzy -t trajeval-ros .
 #   docker run --rm --net host trajeval-ros ros2 run trajeval_ros evaluator --ros-args -p ...
-# Untried: no container engine was at hand.
+# Untried: checked with hadolint, but not built.
 ARG DISTRIBUTION=jazzy
 FROM ros:${DISTRIBUTION}-ros-base
 

@@ -40,8 +40,35 @@ def test_all_descriptions_name_one_version() -> None:
     assert _ros_package().findtext("version") == __version__
     citation = _read_yaml(ROOT / "CITATION.cff")
     assert citation["version"] == __version__
-    assert f'version = "{__version__}"' in (ROOT / "recipe/meta.yaml").read_text()
-    assert f"## {__version__} " in (ROOT / "CHANGELOG.md").read_text()
+    assert _recipe()["package"] == {"name": "trajeval-ros", "version": __version__}
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    assert f"## {__version__} ({citation['date-released']})\n" in changelog
+
+
+def _recipe() -> Any:
+    """The draft for conda-forge, as conda-build renders it."""
+    jinja2 = pytest.importorskip("jinja2", reason="the recipe is rendered by jinja2")
+    template = jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(
+        (ROOT / "recipe/meta.yaml").read_text()
+    )
+    return YAML(typ="safe", pure=True).load(template.render(PYTHON="python", python_min="3.10"))
+
+
+def test_the_recipe_requires_what_pip_does() -> None:
+    described = (ROOT / "pyproject.toml").read_text()
+    table = described.partition("\ndependencies = [")[2].partition("\n]")[0]
+    by_pip = {each.replace("mcap", "python-mcap") for each in re.findall(r'"(.+?)"', table)}
+    by_conda = {each.replace(" ", "") for each in _recipe()["requirements"]["run"]}
+    assert by_conda == {"python>=3.10,<3.15", *by_pip}
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted([*(ROOT / ".github").rglob("*.yml"), ROOT / "action.yml"]),
+    ids=lambda path: path.name,
+)
+def test_workflows_and_forms_can_be_parsed(path: Path) -> None:
+    assert _read_yaml(path)
 
 
 def test_the_ros_package_says_where_its_developers_are() -> None:
