@@ -83,9 +83,10 @@ lint: $(VENV)/.installed ## Check style, format and types.
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 
-format: $(VENV)/.installed ## Mend style and format where a tool can.
+format: $(VENV)/.installed ## Correct style and format where a tool can, and wrap the lines of pages.
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
+	$(VENV)/bin/python tests/prose.py $$(git ls-files '*.md')
 
 bench: $(VENV)/.installed $(EVO)/.installed $(ORACLES)/.installed ## Compare with evo, readers of bags and GTSAM, time the rest; BENCH="--only bags".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape \

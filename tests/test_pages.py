@@ -21,7 +21,7 @@ from page_commands import (
     typed,
     why_not_run,
 )
-from prose import length, sentences
+from prose import WIDTH, length, sentences, wrapped
 
 from trajeval_ros.cli.verbs import VERBS, verb
 
@@ -53,6 +53,36 @@ def test_a_sentence_is_counted_as_a_reader_would() -> None:
     )
     found = sentences(text)
     assert [length(each) for each in found] == [8, 4, 7]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_prose_is_wrapped(name: str) -> None:
+    assert wrapped(PAGES[name]) == PAGES[name], "run `make format`"
+
+
+def test_wrapped_changes_prose_alone() -> None:
+    words = "word " * 30
+    kept = f"# {words}\n\n| {words}|\n\n    {words}\n\n    code\n\n```text\n{words}\n```\n"
+    assert wrapped(kept) == kept
+    short = f"* {words}\n  {words}\n\n    1. {words}\n\n{words}\n{words}\n"
+    lines = wrapped(short).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert [line[:6] for line in lines if line] == [
+        "* word", "  word", "  word", "    1.", "      ", "word w", "word w", "word w",
+    ]  # fmt: skip
+    assert wrapped(short).split() == short.split()
+
+
+def test_no_line_breaks_in_code_or_before_a_sign_of_markdown() -> None:
+    code = "`" + "word " * 9 + "word`"
+    for text in (
+        f"{'word ' * 14}{code} end",
+        f"{'word ' * 21}word 12. Next",
+        f"{'w ' * 54}- minus",
+    ):
+        before, after = wrapped(text).splitlines()
+        assert not after.startswith(("12.", "- "))
+        assert before.count("`") in (0, 2)
 
 
 @pytest.mark.parametrize("name", PAGES)
