@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.io.bags.byte_buffers import Buffer, bytes_type, gather
 
-Buffer = NDArray[np.uint8]
 Owner = TypeVar("Owner")
 
 ROWS = 8192  # of a block, at most
@@ -106,9 +105,7 @@ class Block:
             return self
         size = int(self.sizes[0]) if len(self) else 0
         if size and (self.sizes == size).all():
-            # Cells of `size` bytes from each byte on: they overlap, only those wanted are copied.
-            cells = np.ndarray(len(self.buffer) - size + 1, f"V{size}", self.buffer, strides=(1,))
-            buffer = cells[self.begins].view(np.uint8)
+            buffer = gather(self.buffer, self.begins, bytes_type(size)).view(np.uint8)
             return replace(self, buffer=buffer, begins=np.arange(len(self)) * size)
         payloads = list(self.payloads())
         own = block_of(self.connections, self.log_times, payloads)

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 
 from trajeval_ros.io.fetched_bytes import current_counter
 
+GAP = 1 << 16  # bytes between requested ranges that cost less than another read
+
 
 class ByteSource(Protocol):
     """What can be read at any place.
@@ -100,6 +102,29 @@ class RemoteFile:
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+class Window:
+    """A part of a source that is in memory, moved on as a walk through it goes."""
+
+    def __init__(self, source: ByteSource, size: int) -> None:
+        """Start without bytes.
+
+        Args:
+            source: What is walked through.
+            size: Bytes that are read at once.
+        """
+        self._source, self._size = source, size
+        self._begin, self._data = 0, b""
+
+    def at(self, offset: int, size: int, end: int) -> bytes:
+        """Return bytes of the source, fewer where the part that is walked through ends."""
+        place = offset - self._begin
+        if not 0 <= place <= len(self._data) - size:
+            room = min(max(size, self._size), end - offset)
+            self._begin, self._data = offset, self._source.read(offset, room)
+            place = 0
+        return self._data[place : place + size]
 
 
 def beginning_of(path: Any, size: int) -> bytes:

@@ -11,7 +11,6 @@ Bytes are never trusted. A message that ends before its fields do, or long after
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.io.bags.byte_buffers import Buffer, are_same, bytes_type, gather
 from trajeval_ros.io.bags.cdr_steps import Elements, FixedFields, Span, Step, String, steps_of
 from trajeval_ros.io.bags.message_definitions import Fields
 
 Numbers = NDArray[Any]
-Buffer = NDArray[np.uint8]
 Offsets = int | Indices  # an int as long as it is the same for all: that saves most of the work
 
 # How CDR says that it is encoded: byte order, and the largest alignment (DDS-XTYPES 1.3, 7.6.3.1).
@@ -106,14 +105,14 @@ class CdrPlan:
             return batch.columns(self._steps[_ROS1_ALIGNMENT], padding=0)
         large = sizes >= _ENCAPSULATION_SIZE
         rows = everything if large.all() else everything[large]
-        kinds = _gather(buffer, begins[rows], _ENCAPSULATION)
+        kinds = gather(buffer, begins[rows], _ENCAPSULATION)
         parts = []
-        are_same = len(kinds) > 0 and _are_same(kinds)
-        for kind in kinds[:1].tolist() if are_same else np.unique(kinds).tolist():
+        is_one = len(kinds) > 0 and are_same(kinds)
+        for kind in kinds[:1].tolist() if is_one else np.unique(kinds).tolist():
             if kind not in _ENCAPSULATIONS:
                 continue
             order, limit = _ENCAPSULATIONS[kind]
-            some = rows if are_same else rows[kinds == kind]
+            some = rows if is_one else rows[kinds == kind]
             origins = begins[some] + _ENCAPSULATION_SIZE
             batch = _MessageBatch(
                 buffer, order, limit, some, origins, sizes[some] - _ENCAPSULATION_SIZE
@@ -220,9 +219,9 @@ class _MessageBatch:
         """
         self._align(4)
         self._require(4)
-        numbers = _gather(self.buffer, self.origins + self.at, _LENGTHS[self.order])
+        numbers = gather(self.buffer, self.origins + self.at, _LENGTHS[self.order])
         counts: Offsets = numbers.astype(np.int64)
-        if len(numbers) and _are_same(numbers):
+        if len(numbers) and are_same(numbers):
             counts = int(numbers[0])
         self.at = self.at + 4
         end = self.at + counts * smallest
@@ -337,7 +336,7 @@ class _MessageBatch:
         """Return the columns of all that is left."""
         numbers = {}
         for span, places in self._numbers:
-            cells = _gather(self.buffer, places, span.types[self.order])
+            cells = gather(self.buffer, places, span.types[self.order])
             for path in span.columns:
                 numbers[path] = _usable(cells[path])
         sequences = {}
@@ -396,22 +395,6 @@ def _joined_texts(parts: Sequence[StringColumn], order: Any) -> StringColumn:
     return StringColumn(tuple(names), np.concatenate(codes)[order])
 
 
-def _gather(buffer: Buffer, places: Indices, dtype: np.dtype[Any]) -> Numbers:
-    """Return what lies at the places (N,), whatever their alignment."""
-    if not len(places):
-        return np.zeros(0, dtype=dtype)
-    # Cells of all bytes from each place on: they overlap, and only those wanted are copied.
-    size = dtype.itemsize
-    cells: Numbers = np.ndarray(len(buffer) - size + 1, _bytes_type(size), buffer, 0, (1,))
-    values: Numbers = cells[places].view(dtype)
-    return values
-
-
-@functools.lru_cache(maxsize=256)
-def _bytes_type(size: int) -> np.dtype[np.void]:
-    return np.dtype(f"V{size}")
-
-
 def _usable(column: Numbers) -> Numbers:
     """Return the column in the machine's byte order; any byte but zero is true."""
     if column.dtype == np.bool_:
@@ -442,8 +425,8 @@ def _texts_of_length(
         return np.zeros(0, dtype=np.int64)
     if not length:
         return names.setdefault("", len(names))
-    cells = _gather(buffer, places, _bytes_type(length))
-    if _are_same(cells):
+    cells = gather(buffer, places, bytes_type(length))
+    if are_same(cells):
         return _code(cells[0].tobytes(), is_terminated, names)
     contents, which = np.unique(cells.view(f"S{length}"), return_inverse=True)
     # As strings of numpy they lost their zeros at the end, the terminator among them.
@@ -462,12 +445,6 @@ def _code(content: bytes, is_terminated: bool, names: dict[str, int]) -> int:
         return names.setdefault(content.decode(), len(names))
     except UnicodeDecodeError:
         return -1
-
-
-def _are_same(values: Numbers) -> bool:
-    """Return whether all values (N,), of which there are some, have the same bytes."""
-    content = values.tobytes()
-    return content == content[: values.itemsize] * len(values)
 
 
 def _those(offsets: Offsets, good: Booleans) -> Offsets:

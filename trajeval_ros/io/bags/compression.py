@@ -7,6 +7,7 @@ from pathlib import Path
 from trajeval_ros.exceptions import InputError
 
 _PIECE = 1 << 20  # bytes
+LARGEST_CHUNK = 1 << 26  # bytes that a chunk may become, however well it is compressed
 _LARGEST_WINDOW = 1 << 27  # bytes, which is what `zstd --long` makes
 _LARGEST_FILE = 1 << 30  # bytes that a file may become, however well it is compressed
 LARGEST_RATIO = 500  # to which anything large may grow
@@ -21,7 +22,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
     """Return what can be decompressed, `limit` bytes at most; whoever asks checks that it's all.
 
     Args:
-        kind: As MCAP calls it: `zstd`, `lz4` or nothing.
+        kind: `zstd`, `lz4`, `bz2` or nothing.
         data: Compressed, perhaps cut off.
         limit: Bytes.
 
@@ -34,6 +35,8 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
         return _zstd(data, limit)
     if kind == "lz4":
         return _lz4(data, limit)
+    if kind == "bz2":
+        return _bz2(data, limit)
     raise ValueError(f"unknown compression {kind[:20]!r}; use zstd, lz4 or none")
 
 
@@ -73,6 +76,15 @@ def _lz4(data: bytes | memoryview, limit: int) -> bytes:
     except (RuntimeError, EOFError, MemoryError):
         pass
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def _bz2(data: bytes | memoryview, limit: int) -> bytes:
+    import bz2
+
+    try:
+        return bz2.BZ2Decompressor().decompress(data, max_length=limit)
+    except (OSError, EOFError):
+        return b""
 
 
 def decompress_file(path: Path, folder: Path) -> Path:

@@ -83,15 +83,15 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         from trajeval_ros.io.bags.mcap_index import McapReader
 
         return McapReader(source, strict=strict)
+    if beginning.startswith(_ROS1) and isinstance(source, LocalFile):
+        from trajeval_ros.io.bags.ros1_bag import Ros1Reader
+
+        return Ros1Reader(source)
     source.close()
     if isinstance(source, RemoteFile):
         raise InputError(f"{path} is not MCAP; copy it to this machine first")
     if not beginning:
         raise InputError(f"{path} is empty; check that the recording has data")
-    if beginning.startswith(_ROS1):
-        from trajeval_ros.io.bags.ros1_bag import Ros1Reader
-
-        return Ros1Reader(plain, source.name)
     if beginning.startswith(_SQLITE):
         from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 

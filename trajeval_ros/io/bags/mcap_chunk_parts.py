@@ -8,19 +8,19 @@ from collections.abc import Collection
 import numpy as np
 
 from trajeval_ros.io.bags.blocks import LARGEST, Block
-from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.byte_buffers import gather
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunks import RECORD_HEAD, Chunk
 from trajeval_ros.io.bags.mcap_records import (
     HEAD,
     MESSAGE,
     MESSAGE_HEAD,
     MESSAGE_INDEX,
-    DamagedError,
     MessageIndex,
     head_of,
 )
 
-GAP = 1 << 16  # bytes between wanted messages that cost less than another read
 _TAIL = 4096  # bytes read for the last message of a run, whose length isn't known before
 _WORTHWHILE = 0.5  # of a chunk; what needs more is read whole, and verified
 
@@ -88,8 +88,7 @@ def measured(
     head = np.dtype(
         [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("_", "<u4"), ("time", "<i8")]
     )
-    cells = np.ndarray(len(buffer) - head.itemsize + 1, f"V{head.itemsize}", buffer, 0, (1,))
-    heads = cells[messages.offsets - shift].view(head)
+    heads = gather(buffer, messages.offsets - shift, head)
     lengths = heads["length"].astype(np.int64)
     ends = messages.offsets + HEAD + lengths
     fits = (lengths >= MESSAGE_HEAD) & (lengths <= LARGEST)

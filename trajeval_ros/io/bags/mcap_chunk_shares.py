@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunk_parts import (
-    GAP,
     index_of,
     index_range,
     measured,
@@ -23,7 +23,7 @@ from trajeval_ros.io.bags.mcap_chunks import (
     walked,
     whole,
 )
-from trajeval_ros.io.bags.mcap_records import DamagedError, MessageIndex
+from trajeval_ros.io.bags.mcap_records import MessageIndex
 from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 
 Range = tuple[int, int]  # offset and size, bytes

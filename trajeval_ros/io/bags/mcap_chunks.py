@@ -13,7 +13,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import LARGEST, Block
 from trajeval_ros.io.bags.byte_source import ByteSource
-from trajeval_ros.io.bags.compression import LARGEST_RATIO, decompress, most_of
+from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -21,7 +22,6 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE,
     MESSAGE_HEAD,
     SCHEMA,
-    DamagedError,
     MessageIndex,
     MessageIndexBuilder,
     Registry,
@@ -33,7 +33,6 @@ from trajeval_ros.io.bags.selection import are_of
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
 RECORD_HEAD = HEAD + MESSAGE_HEAD
-_LARGE = 1 << 26  # bytes that a chunk may become, however well it is compressed
 
 
 @dataclass
@@ -97,7 +96,7 @@ def require_size(chunk: Chunk) -> None:
     """Raise DamagedError if a chunk is, or becomes, larger than any that a recorder writes."""
     if chunk.length > LARGEST or chunk.size > LARGEST:
         raise DamagedError("a chunk has an invalid size")
-    if chunk.compression and chunk.size > most_of(chunk.length, _LARGE):
+    if chunk.compression and chunk.size > most_of(chunk.length, LARGEST_CHUNK):
         raise DamagedError(f"a chunk has a compression ratio above {LARGEST_RATIO}")
 
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block
 from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunk_shares import Share, read_chunk
 from trajeval_ros.io.bags.mcap_chunks import Chunk, of_channels
 from trajeval_ros.io.bags.mcap_records import (
     HEAD,
     MESSAGE_HEAD,
-    DamagedError,
     MessageIndex,
     NoIndexError,
 )

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
+from trajeval_ros.io.bags.message_definitions import full_name
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
@@ -26,10 +28,6 @@ FOOTER_SIZE = HEAD + 20
 MESSAGE_HEAD = 22  # bytes of a message before its payload
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
-
-
-class DamagedError(Exception):
-    """Bytes aren't what they should be; the message says what."""
 
 
 class NoIndexError(DamagedError):
@@ -160,13 +158,10 @@ def _connection(
         if encoding in formats:
             text = schema.data.decode("utf-8", errors="replace")
     kind = MessageDefinitionFormat[formats.get(encoding, "NONE") if text.strip() else "NONE"]
-    package, slash, rest = name.partition("/")
-    if slash and "/" not in rest:  # ROS 1 has no /msg/ in the names of types
-        name = f"{package}/msg/{rest}"
     return Connection(
         channel.id,
         channel.topic,
-        name,
+        full_name(name),
         MessageDefinition(kind, text),
         "",
         counts.get(channel.id, 0),

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.byte_source import ByteSource, Window
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
@@ -25,7 +26,6 @@ from trajeval_ros.io.bags.mcap_records import (
     MESSAGE,
     MESSAGE_HEAD,
     SCHEMA,
-    DamagedError,
     MessageIndex,
     MessageIndexBuilder,
     Registry,
@@ -57,30 +57,13 @@ class Scan:
     damage: list[str] = field(default_factory=list)
 
 
-class _Window:
-    """A part of the file that is in memory, moved on as the walk goes."""
-
-    def __init__(self, source: ByteSource) -> None:
-        self._source = source
-        self._begin, self._data = 0, b""
-
-    def at(self, offset: int, size: int, end: int) -> bytes:
-        """Return bytes of the file, fewer where the part that is walked through ends."""
-        place = offset - self._begin
-        if not 0 <= place <= len(self._data) - size:
-            room = min(max(size, _WINDOW), end - offset)
-            self._begin, self._data = offset, self._source.read(offset, room)
-            place = 0
-        return self._data[place : place + size]
-
-
 class _Walk:
     """A walk while it goes on."""
 
     def __init__(self, source: ByteSource, found: Scan) -> None:
         self._source = source
         self._found = found
-        self._window = _Window(source)
+        self._window = Window(source, _WINDOW)
         self._growing = MessageIndexBuilder()
         self.opened: list[Chunk] = []  # chunks that no summary lists
 

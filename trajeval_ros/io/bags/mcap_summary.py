@@ -9,6 +9,7 @@ from typing import Any
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import LARGEST
 from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunks import Chunk
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
@@ -20,7 +21,6 @@ from trajeval_ros.io.bags.mcap_records import (
     MAGIC,
     SCHEMA,
     STATISTICS,
-    DamagedError,
     NoIndexError,
     Registry,
     head_of,

@@ -103,6 +103,12 @@ _NUMBERS = {
 }
 
 
+def full_name(message_type: str) -> str:
+    """Return the name of a type with `/msg/`, which ROS 1 does not write."""
+    package, slash, name = message_type.partition("/")
+    return f"{package}/msg/{name}" if slash and "/" not in name else message_type
+
+
 def ros1_fields(fields: Fields) -> Fields:
     """Return standard fields as ROS 1 has them: its headers count, and times have no sign."""
     return tuple((name, _ros1_kind(kind)) for name, kind in fields)

@@ -1,19 +1,68 @@
-"""Bags of ROS 1, by the reader of `rosbags`."""
+"""Bags of ROS 1, read by their index.
+
+Only chunks with requested messages are read. Of a chunk that is not compressed, only the ranges of
+these messages are read. The format has no checksums: the header of every message is compared with
+the index instead.
+"""
 
 from __future__ import annotations
 
-import itertools
+import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trajeval_ros.io.bags.blocks import Block, blocks_of
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.io.bags.blocks import LARGEST, Block
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource, Window
+from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
+from trajeval_ros.io.bags.message_definitions import full_name
+from trajeval_ros.io.bags.ros1_records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    ENTRY_SIZE,
+    INDEX,
+    ChunkIndex,
+    Record,
+    fields_at,
+    find_messages,
+    record_at,
+)
+from trajeval_ros.io.bags.selection import TopicSelection, all_connections, are_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-    from rosbags.rosbag1 import Reader
+
+_MAGIC = b"#ROSBAG V2.0\n"
+_COMPRESSIONS = ("none", "bz2", "lz4")
+_HEADS = 1 << 12  # bytes read at once of records that are looked at
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A chunk of the file.
+
+    Attributes:
+        record: Its record.
+        compression: One of `_COMPRESSIONS`.
+        size: Of its data after decompression, bytes.
+        index: Its messages, in order of their offsets.
+        first: Log time of the first one, ns.
+    """
+
+    record: Record
+    compression: str
+    size: int
+    index: ChunkIndex
+    first: int
 
 
 class Ros1Reader:
@@ -22,32 +71,41 @@ class Ros1Reader:
     Attributes:
         connections: Its connections; several may have one topic.
         damage: What opening it found that can't be read, one sentence each.
+        span: First and last log time of all messages, ns; None if there is none.
     """
 
-    def __init__(self, path: Path, name: str) -> None:
-        """Open the bag and read its index.
+    def __init__(self, source: ByteSource) -> None:
+        """Read the index.
 
         Args:
-            path: The file.
-            name: What to call it in a sentence.
-        """
-        self.damage: list[str] = []
-        self._path, self._name = path, name
-        self._reader = _opened(path)
-        self.connections: list[Connection] = [
-            connection._replace(owner=self) for connection in self._reader.connections
-        ]
+            source: The file.
 
-    @property
-    def span(self) -> tuple[int, int] | None:
-        """First and last log time of all messages, ns; None if there is none."""
-        if not self._reader.message_count:
-            return None
-        return self._reader.start_time, self._reader.end_time - 1
+        Raises:
+            DamagedError: The bag has no index, or a damaged one.
+            InputError: The chunks are compressed more than those of any recording.
+        """
+        self.connections: list[Connection] = []
+        self.damage: list[str] = []
+        self.span: tuple[int, int] | None = None
+        self._source = source
+        self._chunks: list[_Chunk] = []
+        self._window = Window(source, _HEADS)
+        if source.read(0, len(_MAGIC)) != _MAGIC:
+            raise DamagedError("its version is not 2.0")
+        head = record_at(self._read, len(_MAGIC), BAG_HEADER)
+        if head.text("encryptor"):
+            raise DamagedError("it is encrypted")
+        offset = head.number("index_pos", 8)
+        if not offset:
+            raise DamagedError("it has no index")
+        connections, offset = self._records(offset, CONNECTION, head.number("conn_count", 4))
+        infos, _ = self._records(offset, CHUNK_INFO, head.number("chunk_count", 4))
+        counts = self._list_chunks(infos)
+        self.connections = [self._connection(each, counts) for each in connections]
 
     def close(self) -> None:
-        """Close the bag."""
-        self._reader.close()
+        """Close the file."""
+        self._source.close()
 
     def blocks(
         self,
@@ -58,52 +116,149 @@ class Ros1Reader:
         in_order: bool = False,  # noqa: ARG002  # they always are
     ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some connections, of all selections in one pass."""
-        failures: list[Exception] = []
-        counts: Counter[int] = Counter()
-        messages = self._messages(all_connections(selections), begin, end, failures)
-        for block in blocks_of(messages):
-            yield selections, block
-            counts.update(block.connections.tolist())
-        if len(selections) == 1:
-            selections[0].damage += map(self._sentence, failures)
-        elif failures:  # the damage may be of one of them alone
+        lost = {each: Counter[str]() for each in selections}
+        wanted = all_connections(selections)
+        for chunk in self._chunks:
+            index = chunk.index[are_of(chunk.index.connections, wanted)].within(begin, end)
+            if not len(index):
+                continue
+            block, valid, reason = self._block(chunk, index)
             for selection in selections:
-                alone: list[Exception] = []
-                done = sum(counts[each] for each in selection.connections)
-                messages = self._messages(selection.connections, begin, end, alone)
-                for block in blocks_of(itertools.islice(messages, done, None)):
-                    yield [selection], block
-                selection.damage += map(self._sentence, alone)
+                own = are_of(index.connections, selection.connections)
+                if count := int(np.count_nonzero(own & ~valid)):
+                    lost[selection][reason] += count
+            if valid.any():
+                yield selections, block if valid.all() else block[valid]
+        for selection in selections:
+            selection.damage += [
+                f"{self._source.name} is damaged: {reason}, {counted(count, 'message')} lost; to "
+                "recover more, try `rosbag reindex` or `rosbag fix`"
+                for reason, count in lost[selection].items()
+            ]
 
-    def _messages(
-        self,
-        wanted: Collection[int],
-        begin: int | None,
-        end: int | None,
-        failures: list[Exception],
-    ) -> Iterator[tuple[int, int, bytes]]:
-        """Yield messages until there are no more, or one can't be read, which is a failure."""
-        connections = [each for each in self._reader.connections if each.id in wanted]
+    def _block(self, chunk: _Chunk, index: ChunkIndex) -> tuple[Block, Booleans, str]:
+        """Return messages of a chunk, which of them are valid (N,), and why the others are not."""
+        nothing = np.zeros(len(index), dtype=np.int64)
+        data: bytes | memoryview = b""
+        begins, sizes, valid = nothing, nothing, nothing > 0
+        reason = "a message is not at its indexed position"
         try:
-            for connection, log_time, payload in self._reader.messages(connections, begin, end):
-                yield connection.id, log_time, payload
-        except Exception as error:  # of half a dozen kinds: what a damaged chunk raises is chance
-            failures.append(error)
-            self._reader.close()  # it has closed a chunk that it takes for an open one
-            self._reader = _opened(self._path)
+            data, offsets = self._data(chunk, index.offsets)
+            begins, sizes, valid = find_messages(data, offsets, index)
+        except DamagedError as error:
+            reason = str(error)
+        buffer = np.frombuffer(data, dtype=np.uint8)
+        block = Block(chunk.first, index.connections, index.log_times, buffer, begins, sizes)
+        return block, valid, reason
 
-    def _sentence(self, error: Exception) -> str:
-        said = " ".join(str(error).split()).rstrip(".")[:200]
-        return (
-            f"{self._name} is damaged ({said or type(error).__name__}); to recover more, try "
-            "`rosbag reindex` or `rosbag fix`"
+    def _data(self, chunk: _Chunk, offsets: Indices) -> tuple[bytes | memoryview, Indices]:
+        """Return bytes of a chunk, and where in them the messages at some offsets are.
+
+        Raises:
+            DamagedError: The chunk is truncated, or can't be decompressed.
+        """
+        record = chunk.record
+        if chunk.compression == "none":
+            every = chunk.index.offsets
+            nexts = np.append(every, chunk.size)[np.searchsorted(every, offsets, side="right")]
+            breaks = np.flatnonzero(offsets[1:] - nexts[:-1] > GAP) + 1
+            begins = offsets[np.append(0, breaks)]
+            sizes = nexts[np.append(breaks, len(offsets)) - 1] - begins
+            ranges = zip((record.begin + begins).tolist(), sizes.tolist(), strict=True)
+            pieces = self._source.read_all(list(ranges))
+            if [len(each) for each in pieces] != sizes.tolist():
+                raise DamagedError("a chunk is truncated")
+            runs = np.searchsorted(breaks, np.arange(len(offsets)), side="right")
+            moved = offsets - begins[runs] + (np.cumsum(sizes) - sizes)[runs]
+            return pieces[0] if len(pieces) == 1 else b"".join(pieces), moved
+        stored = self._source.read(record.begin, record.size)
+        data = decompress(chunk.compression, stored, chunk.size)
+        if len(data) != chunk.size:
+            raise DamagedError("a chunk can't be decompressed")
+        return data, offsets
+
+    def _read(self, offset: int, size: int) -> bytes:
+        return self._window.at(offset, size, self._source.size)
+
+    def _records(self, offset: int, kind: int, count: int) -> tuple[list[Record], int]:
+        """Return records of one kind in a row, and where they end."""
+        records = []
+        for _ in range(count):
+            records.append(record_at(self._read, offset, kind))
+            offset = records[-1].end
+        return records, offset
+
+    def _list_chunks(self, infos: Sequence[Record]) -> Counter[int]:
+        """List the chunks with a valid index; return the declared messages by connection."""
+        counts: Counter[int] = Counter()
+        places = [each.number("chunk_pos", 8) for each in infos]
+        if len(set(places)) < len(places):
+            raise DamagedError("its index lists a chunk twice")
+        for info, place in zip(infos, places, strict=True):
+            if not (connections := info.number("count", 4)):
+                continue
+            data = self._read(info.begin, info.size)
+            if len(data) != 8 * connections:
+                raise DamagedError("its index is inconsistent")
+            for connection, count in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
+                counts[connection] += count
+            span = info.time("start_time"), info.time("end_time")
+            first, last = self.span or span
+            self.span = min(first, span[0]), max(last, span[1])
+            try:
+                self._chunks.append(self._chunk(place, connections))
+            except DamagedError as error:
+                self.damage.append(f"{self._source.name}: {error}, in the chunk at byte {place}")
+        self._chunks.sort(key=lambda chunk: chunk.first)
+        compressed = sum(each.size for each in self._chunks if each.compression != "none")
+        if compressed > most_of(self._source.size, LARGEST):
+            raise InputError(
+                f"{self._source.name} has a compression ratio above {LARGEST_RATIO}; if you trust "
+                "the file, decompress it with `rosbag decompress`"
+            )
+        return counts
+
+    def _chunk(self, place: int, connections: int) -> _Chunk:
+        """Return the chunk at a place of the file, which is followed by its index."""
+        record = record_at(self._read, place, CHUNK)
+        compression, size = record.text("compression"), record.number("size", 4)
+        if compression not in _COMPRESSIONS:
+            raise DamagedError(f"unknown compression {compression[:20]!r}")
+        limit = record.size if compression == "none" else most_of(record.size, LARGEST_CHUNK)
+        if size > min(limit, LARGEST):
+            raise DamagedError("a chunk has an invalid size")
+        indexes, _ = self._records(record.end, INDEX, connections)
+        ids, entries = [], []
+        for each in indexes:
+            data = self._read(each.begin, each.size)
+            count = each.number("count", 4)
+            if each.number("ver", 4) != 1 or not len(data) == each.size == ENTRY_SIZE * count:
+                raise DamagedError("an index is damaged")
+            ids.append(np.full(count, each.number("conn", 4)))
+            entries.append(np.frombuffer(data, "<u4").reshape(-1, 3))
+        index = ChunkIndex(np.concatenate(ids), np.concatenate(entries))
+        index = index[np.argsort(index.offsets, kind="stable")]
+        if not len(index) or index.offsets[-1] >= size:
+            raise DamagedError("an index points outside its chunk")
+        return _Chunk(record, compression, size, index, int(index.log_times.min()))
+
+    def _connection(self, record: Record, counts: Counter[int]) -> Connection:
+        from rosbags.interfaces import (
+            Connection,
+            ConnectionExtRosbag1,
+            MessageDefinition,
+            MessageDefinitionFormat,
         )
 
-
-def _opened(path: Path) -> Reader:
-    """Return the reader of a bag, which has read its index."""
-    from rosbags.rosbag1 import Reader
-
-    reader = Reader(path)
-    reader.open()
-    return reader
+        fields = fields_at(self._read, record)
+        number, latching = record.number("conn", 4), fields.text("latching")
+        return Connection(
+            number,
+            re.sub("/+", "/", record.text("topic")),
+            full_name(fields.text("type")),
+            MessageDefinition(MessageDefinitionFormat.MSG, fields.text("message_definition")),
+            fields.text("md5sum"),
+            counts[number],
+            ConnectionExtRosbag1(fields.text("callerid"), int(latching == "1")),
+            self,
+        )
