@@ -125,13 +125,14 @@ def test_the_users_number_of_threads_stays() -> None:
 def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
     tmp_path: Path,
 ) -> None:
-    pair = make_pair(5, 400, smooth=True)
+    pair = make_pair(5, 6000, smooth=True)  # long enough for all tests of the diagnosis
     truth = write_tum(tmp_path / "truth.txt", pair.groundtruth)
     estimate = write_tum(tmp_path / "estimate.txt", pair.estimate)
     arguments = ["evaluate", str(truth), str(estimate), "--gauge", "se3", "--json", "-"]
     said, loaded = _loaded(MAIN.format(arguments=arguments))
     assert '"position_m"' in said
-    unwanted = {"rich", "tempfile", "zipfile", "csv", "html", "logging", "shlex", "secrets"}
+    unwanted = {"numpy.ma"} if np.lib.NumpyVersion(np.__version__) >= "2.0.0" else set()
+    unwanted |= {"rich", "tempfile", "zipfile", "csv", "html", "logging", "shlex", "secrets"}
     unwanted |= {
         f"trajeval_ros.{module}"
         for module in (
