@@ -122,6 +122,36 @@ def test_the_users_number_of_threads_stays() -> None:
     assert "'OPENBLAS_NUM_THREADS': '5'" in said
 
 
+def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
+    tmp_path: Path,
+) -> None:
+    pair = make_pair(5, 6000, smooth=True)  # long enough for all tests of the diagnosis
+    truth = write_tum(tmp_path / "truth.txt", pair.groundtruth)
+    estimate = write_tum(tmp_path / "estimate.txt", pair.estimate)
+    arguments = ["evaluate", str(truth), str(estimate), "--gauge", "se3", "--json", "-"]
+    said, loaded = _loaded(MAIN.format(arguments=arguments))
+    assert '"position_m"' in said
+    unwanted = {"numpy.ma"} if np.lib.NumpyVersion(np.__version__) >= "2.0.0" else set()
+    unwanted |= {"rich", "tempfile", "zipfile", "csv", "html", "logging", "shlex", "secrets"}
+    unwanted |= {
+        f"trajeval_ros.{module}"
+        for module in (
+            "cli.evaluation_folder",
+            "formatting.text_tables",
+            "io.live.pair_file",
+            "io.npz_file",
+            "io.temporary",
+        )
+    }
+    assert not loaded & unwanted
+
+
+def test_imports_are_no_garbage_to_search_and_later_objects_are() -> None:
+    code = MAIN.format(arguments=["info", "nowhere"])
+    said, _ = _loaded(f"{code}\nimport gc; print(gc.isenabled(), gc.get_freeze_count() > 10_000)")
+    assert said == "True True\n"
+
+
 def test_version_is_printed_without_any_library() -> None:
     code = (
         "import sys; from trajeval_ros.__main__ import main; status = main(['--version']); "

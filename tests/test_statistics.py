@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import Array
 
-from trajeval_ros.metrics.statistics import Statistics, quantile, statistics_of
+from trajeval_ros.metrics.statistics import Statistics, median, quantile, statistics_of
 
 errors = arrays(
     np.float64, st.integers(1, 60), elements=st.floats(0.0, 1e9, allow_subnormal=False)
@@ -29,6 +29,20 @@ def test_statistics_are_numpys(values: Array) -> None:
     assert ours.std == pytest.approx(np.std(values), abs=1e-12 * size)
     assert ours.p95 == pytest.approx(np.percentile(values, 95), rel=1e-12)
     assert (ours.min, ours.max, ours.count) == (values.min(), values.max(), len(values))
+
+
+@given(values=arrays(np.float64, st.integers(1, 9), elements=st.floats(-1e9, 1e9)))
+def test_the_median_is_numpys_to_the_last_bit(values: Array) -> None:
+    assert median(values) == np.median(values)
+    assert median(values.astype(np.int64)) == np.median(values.astype(np.int64))
+    kept = values.copy()
+    median(values)
+    assert (values == kept).all()
+
+
+def test_the_median_of_nothing_or_with_nan_is_none() -> None:
+    assert np.isnan(median(np.zeros(0)))
+    assert np.isnan(median(np.array([1.0, np.nan, 2.0])))
 
 
 @given(values=errors, factor=st.floats(1e-3, 1e3))

@@ -4,6 +4,7 @@ Nothing is imported here that takes long: Ctrl-C is heard before everything else
 algebra is told how many threads to take.
 """
 
+import gc
 import os
 import signal
 import sys
@@ -60,6 +61,8 @@ def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
         # An exception would come out of half an import, or be lost in one.
         signal.signal(signal.SIGINT, _leave)
     take_one_thread()
+    # Imports leave nothing to collect. What they made stays, and is never searched for garbage.
+    gc.disable()
     try:
         program = load(words)
     except ModuleNotFoundError as missing:
@@ -70,6 +73,8 @@ def _run(load: Callable[[Sequence[str]], Program], words: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return 2
+    gc.freeze()
+    gc.enable()
     try:
         if is_heard:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -14,11 +14,12 @@ from typing import Annotated, Any
 
 import typer
 
-from trajeval_ros.cli.pictures import HAVE_RERUN, PICTURE
+from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.cli.simulate import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.viewer.sdk import is_installed as has_rerun
 
 _MODALITY = "stereo-inertial"
 _RATE = 5
@@ -60,7 +61,7 @@ def demo(
             _heading("Evaluate the recording and compare")
         else:
             _heading("Evaluate the recording (rclpy is not installed, so no live evaluation)")
-        draws = ["--rrd", str(recorded / PICTURE)] if HAVE_RERUN else []
+        draws = ["--rrd", str(recorded / PICTURE)] if has_rerun() else []
         _evaluate(bag, recorded, *draws, *(["--quiet"] if has_ros else []))
         if has_ros:
             _compare(live / "result.json", recorded / "result.json")
@@ -106,7 +107,7 @@ def _evaluate_live(bag: Path, output: Path) -> None:
         "-p", f"estimate_topics:=[{ESTIMATE_TOPIC}]",
         "-p", f"modality:={_MODALITY}",
         "-p", f"output:={json.dumps(str(output))}",
-        "-p", f"rerun:={'file' if HAVE_RERUN else 'none'}",
+        "-p", f"rerun:={'file' if has_rerun() else 'none'}",
     )  # fmt: skip
     try:
         # Without its own lines: those of the node are enough.
@@ -202,7 +203,7 @@ def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
 
 def _draw(recording: Path, png: Path) -> str:
     """Draw the picture; returns why there is none, empty if there is one."""
-    if not HAVE_RERUN:
+    if not has_rerun():
         return f"rerun-sdk is not installed: {extra_command('rerun')}"
     if not recording.exists():
         return "no recording exists"
@@ -224,7 +225,7 @@ def _tell(shown: Path, picture: Path, why_none: str) -> None:
     print(f"recording:  {_near(recording) if recording.exists() else 'none'}")
     print(f"report:     {_near(report) if report.exists() else 'none'}", end="")
     print(f", and figures in the same folder, such as {_near(figure)}" if figure.exists() else "")
-    if recording.exists() and HAVE_RERUN:
+    if recording.exists() and has_rerun():
         more = "" if has_display() else " --web"
         print(f"next, show the run in 3D:\n  {_command()} view {_quoted(recording)}{more}")
     else:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
-from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.pipeline.outcome import RunOutcome
 
 PICTURE = "run.rrd"
-HAVE_RERUN = find_spec("rerun") is not None
 
 
 @dataclass(frozen=True)
@@ -51,6 +48,8 @@ class Pictures:
         if self.rrd is not None:
             show(self.rrd)
             return
+        from trajeval_ros.io.temporary import temporary_folder
+
         with temporary_folder("picture") as folder:
             made = folder / PICTURE
             _write(made, runs)

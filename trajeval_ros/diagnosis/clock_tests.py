@@ -15,6 +15,7 @@ from trajeval_ros.diagnosis.rates import (
     unlikeness_ratio,
 )
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.statistics import median
 
 SMALL_S = 0.25  # the finer test's
 USABLE = 0.8  # correlation, of an offset that other tests take into account
@@ -89,9 +90,9 @@ def clock_rate(
     if len(times) < _FEWEST_PARTS:
         return Examined(name, why_not="too few parts of the run determine an offset")
     rate = _slope(times, offsets)
-    level = float(np.median(offsets - rate * times))
+    level = median(offsets - rate * times)
     noise_s = _spread(offsets - level - rate * times)
-    constant_s = _spread(offsets - np.median(offsets))
+    constant_s = _spread(offsets - median(offsets))
     growth_s = rate * float(times[-1] - times[0])
     scores = {"ppm": 1e6 * rate, "growth_s": growth_s, "noise_s": noise_s, "offset_s": level}
     limit_s = (_TIMES_NOISE if turns else _TIMES_NOISE_OF_POSITIONS) * noise_s
@@ -116,9 +117,9 @@ def _slope(times: Floats, offsets: Floats) -> float:
     """Return the median slope of all pairs: what outliers don't move (Theil, 1950)."""
     rows = np.array(list(itertools.combinations(range(len(times)), 2)))
     steps = offsets[rows[:, 1]] - offsets[rows[:, 0]]
-    return float(np.median(steps / (times[rows[:, 1]] - times[rows[:, 0]])))
+    return median(steps / (times[rows[:, 1]] - times[rows[:, 0]]))
 
 
 def _spread(offsets: Floats) -> float:
     """Return a standard deviation by the median, and 4 ms that no offset is better than."""
-    return 1.48 * float(np.median(np.abs(offsets))) + 0.004
+    return 1.48 * median(np.abs(offsets)) + 0.004

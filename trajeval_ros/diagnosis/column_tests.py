@@ -8,6 +8,7 @@ from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
 from trajeval_ros.diagnosis.motion_track import MotionTrack
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.metrics.statistics import median
 
 _RATES = 1500
 _FEWEST = 30
@@ -65,7 +66,7 @@ def rhythm(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     if rate_hz >= _SLOW_HZ:
         return Examined("keyframes", {"rate_hz": rate_hz})
     steps_s = np.diff(estimate.seconds)
-    usual_s = float(np.median(steps_s))
+    usual_s = median(steps_s)
     low, high = np.quantile(steps_s, [0.1, 0.9])
     spread = float(high - low) / usual_s
     scores = {"rate_hz": rate_hz, "spread": spread}

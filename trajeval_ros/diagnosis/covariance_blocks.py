@@ -8,6 +8,7 @@ import numpy as np
 
 from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
@@ -60,4 +61,4 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
 
 def _too_small(errors: Floats, variances: Floats) -> float:
     """Return how many times too small standard deviations are for errors, both of three axes."""
-    return float(np.sqrt(np.median(errors**2 / variances)))
+    return float(np.sqrt(median(errors**2 / variances)))

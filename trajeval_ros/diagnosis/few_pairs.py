@@ -10,6 +10,7 @@ from trajeval_ros.diagnosis.evidence import Examined, Seen
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.enough_pairs import enough_pairs
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -39,7 +40,7 @@ def number_of_pairs(
             f": the alignment by {protocol.gauge.value} removes most of the error of fewer than "
             f"{enough} pairs"
         )
-    step_s = float(np.median(np.diff(truth.stamps))) / NANOSECONDS if len(truth) > 1 else 0.0
+    step_s = median(np.diff(truth.stamps)) / NANOSECONDS if len(truth) > 1 else 0.0
     if step_s > pairs.rule.max_gap_s and pairs.rule.method == "linear":
         warning += (
             f"; the groundtruth has {counted(len(truth), 'state')}, {step_s:.1f} s apart "

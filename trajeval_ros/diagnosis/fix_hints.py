@@ -10,6 +10,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -144,7 +145,7 @@ def _about_sigmas(fixes: Fixes, evaluation: Evaluation) -> list[str]:
     # What parts them is the widest step between neighbours, in ratio.
     place = int(np.argmax(sigma[1:] / sigma[:-1]))
     limit = float(np.sqrt(sigma[place] * sigma[place + 1]))
-    worse, better = np.median(sigma[place + 1 :]), np.median(sigma[: place + 1])
+    worse, better = median(sigma[place + 1 :]), median(sigma[: place + 1])
     return [
         f"{len(sigma) - place - 1} of {len(sigma)} fixes have a standard deviation of "
         f"{worse:.2g} m, the others {better:.2g} m (probably float and fixed RTK); exclude the "
@@ -188,8 +189,8 @@ def _height_step(errors: Floats) -> float | None:
     before, after = errors[: place + 1], errors[place + 1 :]
     if min(len(before), len(after)) < _STEP_FIXES or abs(steps[place]) < _GEOID_STEP_M:
         return None
-    level = float(np.median(after[:_STEP_FIXES]) - np.median(before[-_STEP_FIXES:]))
-    rest = float(np.median(np.abs(np.delete(steps, place))))
+    level = float(median(after[:_STEP_FIXES]) - median(before[-_STEP_FIXES:]))
+    rest = median(np.abs(np.delete(steps, place)))
     is_step = abs(level - steps[place]) < 0.2 * abs(level) and abs(level) > _SPAN * rest
     return level if is_step else None
 

@@ -11,6 +11,7 @@ from trajeval_ros.diagnosis.short_motions import ShortMotions, bounded, turned_i
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.statistics import median, quantile
 
 _OFF = 0.2  # of the logarithm of the scale
 _UNITS = {1e-3: "estimate_mm", 1e3: "truth_mm"}
@@ -54,12 +55,12 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
 def scale_of(moving: ShortMotions) -> tuple[float, float]:
     """Return metres per unit of the estimate, and half the spread of its logarithm."""
     true, ours = lengths(moving.true_steps), lengths(moving.steps)
-    large = true > np.median(true)
+    large = true > median(true)
     if not large.any():
         return 1.0, np.inf
     ratios = true[large] / np.maximum(ours[large], 1e-12)
-    low, high = np.quantile(np.log(ratios), [0.2, 0.8])
-    return float(np.median(ratios)), float(high - low) / 2.0
+    ordered = np.sort(np.log(ratios))
+    return median(ratios), (quantile(ordered, 0.8) - quantile(ordered, 0.2)) / 2.0
 
 
 def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
@@ -185,12 +186,12 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     start, end = (as_read.turned @ lie.to_matrix(each) for each in moving.estimate_turned)
     swing = end - start
     size = lengths(left)
-    keep = size < 6.0 * np.median(size) + 1e-9
+    keep = size < 6.0 * median(size) + 1e-9
     lever = np.zeros(3)
     for _ in range(2):  # the second time without what the first one doesn't explain
         lever = _least_squares(swing[keep], left[keep], 1e-4)
         rest = lengths(left - swing @ lever)
-        keep = rest < 6.0 * np.median(rest) + 1e-9
+        keep = rest < 6.0 * median(rest) + 1e-9
     before, after = left[keep], (left - swing @ lever)[keep]
     share = 1.0 - _squares(after) / max(_squares(before), 1e-300)
     length = float(np.linalg.norm(lever))
@@ -234,7 +235,7 @@ def _constant(quaternions: Floats) -> tuple[float, float]:
     """Return the angle of the mean of N rotations, and the median of what it leaves, deg."""
     mean = mean_rotation(quaternions)
     rest = lie.angle(lie.multiply(lie.conjugate(mean), quaternions))
-    return float(np.degrees(lie.angle(mean))), float(np.degrees(np.median(rest)))
+    return float(np.degrees(lie.angle(mean))), float(np.degrees(median(rest)))
 
 
 def _degrees(cosine: float) -> float:

@@ -12,6 +12,7 @@ from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
 from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.metrics.statistics import median
 
 _FEWEST = 20
 _STEP_S = 0.04  # what is held or bridged stays so at 25 poses a second
@@ -88,7 +89,7 @@ def _still(
     moving = moved_m > (_HELD_M if len(moved_m) > 5 else 0.1)
     held_s = float(long_s[moving].sum())
     if np.count_nonzero(moving) >= 10 and held_s > _HELD_SHARE * truth.span_s:
-        held = {"held_s": float(np.median(long_s[moving])), "rate_hz": 1.0 / usual_s}
+        held = {"held_s": median(long_s[moving]), "rate_hz": 1.0 / usual_s}
         return [Seen("truth_held", share, held)]
     frozen = (long_s > _FROZEN_S) & (moved_m > _FROZEN_M)
     if not frozen.any():

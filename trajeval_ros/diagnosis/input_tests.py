@@ -13,6 +13,7 @@ from trajeval_ros.diagnosis.short_motions import best_rotations
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.thinning import evenly
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.statistics import median
 
 _PROBES = 400
 _ENOUGH = 5000  # stamps, to see that they are rounded
@@ -48,7 +49,7 @@ def rounded_stamps(recording: Recording) -> Examined:
             continue
         seconds = read.stamps / NANOSECONDS
         stamps, counts = np.unique(seconds, return_counts=True)
-        shared = float(np.median(counts))
+        shared = median(counts)
         moving = float(np.mean(np.any(np.diff(track.positions, axis=0) != 0.0, axis=1)))
         if shared >= 2.0 and moving > 0.5:
             if len(stamps) > 1:
@@ -125,7 +126,7 @@ def same_motion(recording: Recording) -> Examined:
     if len(true) < 10:
         return Examined("same file", why_not="no equal timestamps")
     # Of a few repeated stamps another pose may have been read: the median.
-    apart = float(np.median(lengths(true - estimate)))
+    apart = median(lengths(true - estimate))
     a, b = estimate - estimate.mean(axis=0), true - true.mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum(b * b, axis=1))))
     turned = best_rotations(b.T @ a)[1]

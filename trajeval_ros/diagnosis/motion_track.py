@@ -12,6 +12,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, step_lengths
+from trajeval_ros.metrics.statistics import median
 
 _ENOUGH = 2000  # steps, for a median
 
@@ -96,7 +97,7 @@ class MotionTrack:
         if len(self) < 2:
             return 1.0
         some = evenly(len(self) - 1, _ENOUGH)
-        return float(np.median(self.seconds[some + 1] - self.seconds[some]))
+        return median(self.seconds[some + 1] - self.seconds[some])
 
     @cached_property
     def moved(self) -> Floats:

@@ -10,6 +10,7 @@ from trajeval_ros.diagnosis.short_motions import best_rotations
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.metrics.statistics import median
 
 _NAME = "restart"
 _STRANGE, _STRANGE_DEG = 10.0, 20.0
@@ -29,7 +30,7 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
         estimate: In order.
     """
     moved = estimate.moved
-    strange = moved > _STRANGE * np.median(moved[evenly(len(moved), 2000)])
+    strange = moved > _STRANGE * median(moved[evenly(len(moved), 2000)])
     if estimate.quaternions is not None:
         q = estimate.quaternions
         cosine = np.abs(np.einsum("ni,ni->n", q[1:], q[:-1]))
@@ -49,16 +50,16 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     steps, true_steps = (
         lengths(np.diff(each, axis=0)) for each in (some.positions, true.positions)
     )
-    usual = np.minimum(steps[both], 20.0 * np.median(steps[both]) + 1e-12)
+    usual = np.minimum(steps[both], 20.0 * median(steps[both]) + 1e-12)
     unit = float(true_steps[both].sum()) / max(float(usual.sum()), 1e-12)
     excess = np.abs(unit * steps - true_steps)
     turned = _turned(some.quaternions, true.quaternions, len(steps))
     extent = float(np.linalg.norm(np.std(true.positions[true.known], axis=0)))
     limit = np.maximum(
-        max(_TIMES_TYPICAL * float(np.median(excess[both])), _SHARE_OF_EXTENT * extent, _LEAST_M),
+        max(_TIMES_TYPICAL * median(excess[both]), _SHARE_OF_EXTENT * extent, _LEAST_M),
         _TIMES_TRUE * true_steps,
     )
-    spun = turned > max(_SPUN_DEG, 40.0 * float(np.median(turned[both])))
+    spun = turned > max(_SPUN_DEG, 40.0 * median(turned[both]))
     jumps = np.flatnonzero(both & ((excess > limit) | spun))
     if not 0 < len(jumps) <= _MOST:
         return Examined(_NAME, {"jumps": float(len(jumps))})

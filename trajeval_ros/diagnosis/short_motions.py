@@ -14,6 +14,7 @@ from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.metrics.statistics import median
 
 _COUNT = 600
 _FEWEST = 12
@@ -102,7 +103,7 @@ class ShortMotions:
     def without_jumps(self, estimate: MotionTrack) -> ShortMotions:
         """Return those that no jump of the estimate lies in: a restart turns its world."""
         moved = estimate.moved
-        far = moved > _JUMP * np.median(moved[evenly(len(moved), 2000)])
+        far = moved > _JUMP * median(moved[evenly(len(moved), 2000)])
         jumps = np.concatenate([[0], np.cumsum(far)])
         if not 0 < jumps[-1] <= _MOST_JUMPS:
             return self
@@ -137,7 +138,7 @@ def bounded(vectors: Floats) -> Floats:
 
 def bound_of(size: Floats) -> Floats:
     """Return what vectors of a length (N,) are divided by, so that none counts for much."""
-    usual = float(np.median(size[size > 0.0])) if (size > 0.0).any() else 1.0
+    usual = median(size[size > 0.0]) if (size > 0.0).any() else 1.0
     return size + 2.0 * usual
 
 

@@ -12,6 +12,7 @@ from trajeval_ros.diagnosis.motion_track import MotionTrack
 from trajeval_ros.diagnosis.rates import LEAST_LIKELY, unlikeness_ratio
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import INTERPOLATING, Association
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
@@ -45,7 +46,7 @@ def small_clock_offset(
     scores = {"offset_s": guess.offset_s, "peak": guess.peak}
     if guess.is_usable:
         apart_s = guess.offset_s
-        step_s = float(np.median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
+        step_s = median(np.diff(np.sort(pairs.estimate.stamps))) / NANOSECONDS
         # Nearest stamps are as far apart as the rule allows.
         within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
@@ -82,7 +83,7 @@ def _late(pairs: Association, aligned: Trajectory) -> float | None:
     """Return by how much the stamps seem late if that explains the error, seconds, else None."""
     truth = pairs.groundtruth
     steps = np.diff(truth.stamps) / NANOSECONDS
-    usual = float(np.median(steps)) if len(steps) else 0.0
+    usual = median(steps) if len(steps) else 0.0
     whole = (steps > 0.0) & (steps <= 2.0 * usual)
     both = whole[1:] & whole[:-1]
     if np.count_nonzero(both) < _FEWEST_STATES:

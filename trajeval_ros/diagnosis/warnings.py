@@ -15,6 +15,7 @@ from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.up_axis import ASSUMED
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -143,7 +144,7 @@ def _about_jumps(evaluation: Evaluation) -> list[str]:
     )
     if not len(steps.true_m):
         return []
-    jumps = steps.jumps(float(np.median(steps.position_m)), float(np.median(steps.rotation_deg)))
+    jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
     if not len(jumps):
         return []
     first = jumps[0]
@@ -245,7 +246,7 @@ def _stamped_at_arrival(side: Trajectory) -> bool:
     some = slice(_ENOUGH)
     step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
     distance = np.linalg.norm(moved, axis=1)
-    usual_s = float(np.median(step_s)) if len(step_s) else 0.0
+    usual_s = median(step_s) if len(step_s) else 0.0
     # Between neighbours on both sides, none of them a lost message; a body that is hardly moving
     # shows its noise.
     whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)

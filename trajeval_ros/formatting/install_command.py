@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
-import sysconfig
 from pathlib import Path
 
 _DISTRIBUTION = "trajeval-ros"
@@ -38,6 +36,8 @@ def pyarrow_command() -> str:
 
 def install_command(*arguments: str) -> str:
     """Return the command that installs requirements for the Python that runs this."""
+    import shlex
+
     options = ["--user", "--break-system-packages"] if _is_managed_by_system() else []
     words = [sys.executable, "-m", "pip", "install", *options, *arguments]
     return shlex.join(words)
@@ -56,6 +56,8 @@ def _installed() -> str:
 
 def _is_managed_by_system() -> bool:
     """Return whether pip refuses to install beside the system's packages (PEP 668)."""
+    import sysconfig
+
     marker = Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED"
     return sys.prefix == sys.base_prefix and marker.exists()
 

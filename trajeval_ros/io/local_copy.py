@@ -10,7 +10,6 @@ from typing import Any, BinaryIO
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.byte_source import source_of
-from trajeval_ros.io.temporary import temporary_folder
 
 _AT_ONCE = 1 << 23  # bytes per request to a store
 
@@ -30,6 +29,8 @@ def local_file(path: Any) -> Iterator[Path]:
     if isinstance(path, Path) and path.is_file():
         yield path
         return
+    from trajeval_ros.io.temporary import temporary_folder
+
     with temporary_folder("copy") as folder:
         copy = folder / path.name
         with copy.open("wb") as writing:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted, percent
-from trajeval_ros.formatting.text_tables import html_table
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.flattening import flattened
@@ -163,6 +162,8 @@ class Evaluation:
 
     def _repr_html_(self) -> str:
         """Return the statistics as a table, for notebooks."""
+        from trajeval_ros.formatting.text_tables import html_table
+
         names = ("rmse", "mean", "median", "std", "max", "count")
         groups = [("ATE", self.ate)]
         groups += [(f"RE {part.length}", part.statistics) for part in self.segments or ()]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
 
@@ -85,6 +87,19 @@ def quantile(ordered: Floats, share: float) -> float:
     below = int(place)
     above = min(below + 1, len(ordered) - 1)
     return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
+
+
+def median(values: NDArray[Any]) -> float:
+    """Return the median of (N,) numbers as `np.median` does; NaN of none, or if one is NaN.
+
+    Numpy's imports its masked arrays, which takes a tenth of the time of a small evaluation.
+    """
+    if not len(values) or np.isnan(values).any():
+        return math.nan
+    above = len(values) // 2
+    below = above - 1 + len(values) % 2
+    ordered = np.partition(values, (below, above))
+    return (float(ordered[below]) + float(ordered[above])) / 2.0
 
 
 def _root_mean_square(values: Floats, centre: float) -> float:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.mending import Mended
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.text_tables import html_table
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.states_table import AlignedBy
@@ -120,6 +119,8 @@ class Outcome:
 
     def _repr_html_(self) -> str:
         """Return a row for each estimate, for notebooks."""
+        from trajeval_ros.formatting.text_tables import html_table
+
         gauge = self.request.protocol.gauge.value
         header = ("estimate", "position ATE", "rotation ATE", "pairs")
         return html_table(f"position and rotation ATE, gauge {gauge}", header, self._rows())
@@ -138,6 +139,12 @@ class Outcome:
                 )
             )
         return rows + [(each.name, "failed", each.reason, "") for each in self.failed]
+
+    @property
+    def likelihoods(self) -> dict[str, Assessment]:
+        """How likely the runs are whose association is continuous, by the estimate's name."""
+        pairs = ((each.estimate.name, each.likelihood) for each in self.runs)
+        return {name: likelihood for name, likelihood in pairs if likelihood is not None}
 
     @property
     def damage(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ matplotlibrc and style sheets work as usual.
 from __future__ import annotations
 
 import functools
-import logging
 import math
 import shutil
 import warnings
@@ -185,6 +184,8 @@ def _set_by_user() -> dict[Any, Any]:
 
 def _read_style(path: Path) -> dict[Any, Any]:
     """Return the settings of a style sheet; matplotlib's warnings about it are errors here."""
+    import logging
+
     import matplotlib
 
     complaints: list[str] = []

@@ -12,7 +12,7 @@ from typing import Any
 from trajeval_ros.exceptions import SettingsError
 
 _COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-_PATTERN = re.compile(r"\s*([\w.%]+?)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*")
+_PATTERN = r"\s*([\w.%]+?)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*"
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Requirement:
     @classmethod
     def parse(cls, text: str) -> Requirement:
         """Read `ate.position_m.rmse < 0.3`."""
-        match = _PATTERN.fullmatch(text)
+        match = re.fullmatch(_PATTERN, text)
         try:
             if match is None:
                 raise ValueError

@@ -17,16 +17,15 @@ from trajeval_ros.io.fix_rows import trajectory_of_rows
 
 _KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
 
-_GGA = re.compile(
-    rb"^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
-    rb"(\d),[^,]*,[^,]*,(-?[\d.]+),M?,(-?[\d.]*),[^*\r\n]*)\*([0-9A-Fa-f]{2})",
-    re.MULTILINE,
+# Patterns are compiled when they are used: few files are NMEA.
+_GGA = (
+    rb"(?m)^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
+    rb"(\d),[^,]*,[^,]*,(-?[\d.]+),M?,(-?[\d.]*),[^*\r\n]*)\*([0-9A-Fa-f]{2})"
 )
-_ANY_GGA = re.compile(rb"^\$..GGA,", re.MULTILINE)
-_DATE = re.compile(
-    rb"^\$(?:..RMC,(\d{6})(?:\.\d+)?(?:,[^,]*){7},(\d\d)(\d\d)(\d\d)"
-    rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4}))",
-    re.MULTILINE,
+_ANY_GGA = rb"(?m)^\$..GGA,"
+_DATE = (
+    rb"(?m)^\$(?:..RMC,(\d{6})(?:\.\d+)?(?:,[^,]*){7},(\d\d)(\d\d)(\d\d)"
+    rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4}))"
 )
 _HALF_A_DAY_S, _DAY_S = 43_200, 86_400
 # GGA's quality as a status of sensor_msgs/NavSatFix: none, fix, differential, PPS, fixed and float
@@ -88,13 +87,13 @@ def read_nmea(path: Path) -> Trajectory | None:
     """
     with path.open("rb") as file:
         beginning = file.read(1 << 16)
-    if not _ANY_GGA.search(beginning):
+    if not re.search(_ANY_GGA, beginning):
         return None
     data = path.read_bytes()
-    matches = list(_GGA.finditer(data))
+    matches = list(re.finditer(_GGA, data))
     intact = _intact(data, matches)
     lines = [each for each, good in zip(matches, intact.tolist(), strict=True) if good]
-    broken = len(_ANY_GGA.findall(data)) - len(lines)
+    broken = len(re.findall(_ANY_GGA, data)) - len(lines)
     if not lines:
         raise InputError(f"{path}: no complete fix in {counted(broken, 'GGA line')}")
     fields = [each.groups() for each in lines]
@@ -142,7 +141,7 @@ def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices
         seconds: (N,) of its day.
     """
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
-    said = _DATE.search(data)
+    said = re.search(_DATE, data)
     if said is None:
         note = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
         return days, (note,)

@@ -23,13 +23,13 @@ from trajeval_ros.io.text.layouts import (
 )
 
 COMMENT = re.compile(rb"[#%][^\n]*")
-_DATE = re.compile(rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?")
+_DATE = rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?"
 _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows that are looked at to recognise a layout
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
-_GRAPH = re.compile(rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s")
-_BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", re.compile("LEFT_PERTURBATION|ROTATION_TRANSLATION")
+_GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
+_BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _of_row(layout: Layout, line: bytes) -> Layout | None:
     if not all(_to_float(fields[place] or b"nan") is not None for place in wanted):
         return None
     if layout.time is not None and _to_float(fields[layout.time]) is None:
-        if layout.time_name == FRAME or not _DATE.fullmatch(fields[layout.time]):
+        if layout.time_name == FRAME or not re.fullmatch(_DATE, fields[layout.time]):
             return None
         columns = tuple(DATE if at == layout.time else each for at, each in enumerate(columns))
     return dataclasses.replace(layout, columns=columns)
@@ -127,7 +127,7 @@ def _from_header(head: Head) -> Layout | None:
 def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
     """Return the layout with what a SQUARE header says of its covariances."""
     said = " ".join(header).upper()
-    if _OTHERS.search(said):
+    if re.search(_OTHERS, said):
         note = "covariances dropped: their axes or their order are not supported"
         return dataclasses.replace(layout, columns=layout.columns[:8] + (IGNORED,) * 21, note=note)
     return dataclasses.replace(layout, note="") if _BODY_TWISTS in said else layout
@@ -136,7 +136,7 @@ def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
 def _graph(path: Path) -> TextFormat | None:
     """Return how the vertices of a g2o file are read; None if it is none."""
     with path.open("rb") as file:
-        found = _GRAPH.search(file.read(_HEAD))
+        found = re.search(_GRAPH, file.read(_HEAD))
     if found is None:
         return None
     tag = found[1]

@@ -14,8 +14,9 @@ from trajeval_ros.io.text.layouts import (
 )
 
 SEPARATORS = (",", ";", "\t")  # of columns one by one; spaces come in any number
-_UNIT = re.compile(r"\[([^\]]*)\]|\(([^)]*)\)")
-_WORDS = re.compile(r"[^a-z0-9]+")
+# Patterns are compiled when they are used: most files have no header.
+_UNIT = r"\[([^\]]*)\]|\(([^)]*)\)"
+_WORDS = r"[^a-z0-9]+"
 _UNITS = {
     **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
     **dict.fromkeys(("us", "usec", "microseconds"), "us"),
@@ -24,10 +25,8 @@ _UNITS = {
     **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
     **dict.fromkeys(("rad", "radian", "radians"), "rad"),
 }
-_TIME = re.compile(
-    r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
-)
-_FRAME = re.compile(r"frame|frame_(?:index|number)|index|image|image_id|id|no")
+_TIME = r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
+_FRAME = r"frame|frame_(?:index|number)|index|image|image_id|id|no"
 # Names of x in each group; the last word or letter tells which element a column holds.
 _VECTORS = {
     "position": r"(?:(?:t|p|pos|position|p_[a-z_]+)?_?"
@@ -39,13 +38,13 @@ _VECTORS = {
     "gyroscope_bias": r"b_?[wg](?:_[a-z_]+)?_?{}",
     "accelerometer_bias": r"b_?a(?:_[a-z_]+)?_?{}",
 }
-_ANGLE = re.compile(r"(?:.*_)?(roll|pitch|yaw)(?:_(deg|degrees|rad|radians))?")
-_THETA = re.compile(r"theta(?:_(deg|degrees|rad|radians))?")
-_COVARIANCE = re.compile(r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?")
+_ANGLE = r"(?:.*_)?(roll|pitch|yaw)(?:_(deg|degrees|rad|radians))?"
+_THETA = r"theta(?:_(deg|degrees|rad|radians))?"
+_COVARIANCE = r"(?!.*twist)(?:.*_)?(?:c|cov|covariance)_?(\d+)(?:_(\d))?"
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 _AXIS = "|".join(_AXES)
-_VARIANCE = re.compile(rf"(?:.*_)?(?:var|variance)_?({_AXIS})")
-_PAIR = re.compile(rf"(?:.*_)?(?:cov|covariance)_?({_AXIS})_?({_AXIS})")
+_VARIANCE = rf"(?:.*_)?(?:var|variance)_?({_AXIS})"
+_PAIR = rf"(?:.*_)?(?:cov|covariance)_?({_AXIS})_?({_AXIS})"
 _OPENVINS_TRIANGLES = {
     **{f"pr{each}": f"pr{each}" for each in (11, 12, 13, 22, 23, 33)},
     **{f"pt{each}": f"pt{each}" for each in (11, 12, 13, 22, 23, 33)},
@@ -54,17 +53,17 @@ _OPENVINS_TRIANGLES = {
 }  # fmt: skip
 # Of GNSS fixes; no more of them is looked for without latitude and longitude.
 _FIXES = {
-    "latitude": re.compile(r"(?:lat|latitude)(?:_?deg)?"),
-    "longitude": re.compile(r"(?:lon|lng|long|longitude)(?:_?deg)?"),
-    "height": re.compile(r"(?:h|height|alt|altitude|ellipsoidal_?height|elevation)(?:_?m)?"),
-    "sigma_east": re.compile(r"(?:s|sd|std|sigma)_?(?:e|east|x)(?:_?m)?"),
-    "sigma_north": re.compile(r"(?:s|sd|std|sigma)_?(?:n|north|y)(?:_?m)?"),
-    "sigma_up": re.compile(r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?"),
-    "fix_status": re.compile(r"(?:fix_?)?status(?:_status)?"),
+    "latitude": r"(?:lat|latitude)(?:_?deg)?",
+    "longitude": r"(?:lon|lng|long|longitude)(?:_?deg)?",
+    "height": r"(?:h|height|alt|altitude|ellipsoidal_?height|elevation)(?:_?m)?",
+    "sigma_east": r"(?:s|sd|std|sigma)_?(?:e|east|x)(?:_?m)?",
+    "sigma_north": r"(?:s|sd|std|sigma)_?(?:n|north|y)(?:_?m)?",
+    "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?",
+    "fix_status": r"(?:fix_?)?status(?:_status)?",
 }
 # OpenVINS writes whole vectors under one name each: quaternion (xyzw) first.
-_OPENVINS = re.compile(r"\bq p v bg ba\b")
-_TRAJECTOPY = re.compile(r"\s*#?\s*fields\s+")
+_OPENVINS = r"\bq p v bg ba\b"
+_TRAJECTOPY = r"\s*#?\s*fields\s+"
 
 
 def separator_of(line: str) -> str:
@@ -82,14 +81,16 @@ def from_header(line: str, columns: int) -> Layout | None:
     Returns:
         None if it has another number of names, or names no position.
     """
-    plain = _TRAJECTOPY.sub("", line)
-    if _OPENVINS.search(_UNIT.sub("", plain).lower()) and columns >= len(OPENVINS_STATE.columns):
+    plain = re.sub(_TRAJECTOPY, "", line)
+    if re.search(_OPENVINS, re.sub(_UNIT, "", plain).lower()) and columns >= len(
+        OPENVINS_STATE.columns
+    ):
         rest = (IGNORED,) * (columns - len(OPENVINS_STATE.columns))
         return Layout(OPENVINS_STATE.name, (*OPENVINS_STATE.columns, *rest))
     separator = separator_of(plain)
     names = [each.strip() for each in plain.split(separator or None)]
     if not separator:  # a unit behind a space is no name of its own
-        names = [each for each in names if not _UNIT.fullmatch(each)]
+        names = [each for each in names if not re.fullmatch(_UNIT, each)]
     if names and not names[-1]:
         names.pop()
     if len(names) != columns:
@@ -107,7 +108,7 @@ def from_header(line: str, columns: int) -> Layout | None:
 
 def _columns(names: Sequence[str]) -> tuple[str, ...]:
     """Return the name in our words of each column, each once."""
-    plain = [_WORDS.sub("_", _UNIT.sub("", name).lower()).strip("_") for name in names]
+    plain = [re.sub(_WORDS, "_", re.sub(_UNIT, "", name).lower()).strip("_") for name in names]
     units = [_unit(name) for name in names]
     found = [IGNORED] * len(names)
 
@@ -126,9 +127,9 @@ def _columns(names: Sequence[str]) -> tuple[str, ...]:
             for place in places[:1]:
                 name(place, word)
     for place, word in enumerate(plain):
-        match = _ANGLE.fullmatch(word) or _THETA.fullmatch(word)
+        match = re.fullmatch(_ANGLE, word) or re.fullmatch(_THETA, word)
         if match:
-            axis = match[1] if match.re is _ANGLE else "yaw"
+            axis = match[1] if match.re.pattern == _ANGLE else "yaw"
             unit = _UNITS.get(match[match.lastindex or 1] or "", "") or units[place]
             name(place, f"{axis}_deg" if unit == "deg" else axis)
     _name_fixes(plain, name)
@@ -140,7 +141,7 @@ def _matches(pattern: str, element: str, word: str) -> bool:
 
 
 def _unit(name: str) -> str:
-    match = _UNIT.search(name)
+    match = re.search(_UNIT, name)
     return _UNITS.get((match[1] or match[2] or "").strip().lower(), "") if match else ""
 
 
@@ -148,13 +149,13 @@ def _name_time(
     plain: Sequence[str], units: Sequence[str], name: Callable[[int, str], None]
 ) -> None:
     """Name the stamps: those of the measurement, if there are others as well; else frames."""
-    times = [place for place, word in enumerate(plain) if _TIME.fullmatch(word)]
+    times = [place for place, word in enumerate(plain) if re.fullmatch(_TIME, word)]
     times.sort(key=lambda place: (not plain[place].endswith("header_stamp"), place))
     for place in times[:1]:
         unit = units[place] or _UNITS.get(plain[place].rpartition("_")[2], "")
         name(place, f"t_{unit}" if unit in ("ns", "us", "ms", "s") else "t")
     if not times:
-        frames = [place for place, word in enumerate(plain) if _FRAME.fullmatch(word)]
+        frames = [place for place, word in enumerate(plain) if re.fullmatch(_FRAME, word)]
         for place in frames[:1]:
             name(place, FRAME)
 
@@ -162,7 +163,7 @@ def _name_time(
 def _name_fixes(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
     """Name latitude and longitude, and what else says something of fixes."""
     places = {
-        word: [at for at, each in enumerate(plain) if pattern.fullmatch(each)]
+        word: [at for at, each in enumerate(plain) if re.fullmatch(pattern, each)]
         for word, pattern in _FIXES.items()
     }
     if places["latitude"] and places["longitude"]:
@@ -176,7 +177,7 @@ def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) ->
     numbered = {
         place: f"{match[1]}{match[2] or ''}"
         for place, word in enumerate(plain)
-        if (match := _COVARIANCE.fullmatch(word))
+        if (match := re.fullmatch(_COVARIANCE, word))
     }
     digits = set(numbered.values())
     row_major = digits == {str(each) for each in range(36)}
@@ -191,16 +192,16 @@ def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) ->
         if 0 <= row < 6 and 0 <= column < 6:
             name(place, f"c{row + 1}{column + 1}")
     for place, word in enumerate(plain):
-        if match := _PAIR.fullmatch(word):
+        if match := re.fullmatch(_PAIR, word):
             name(place, f"c{_AXES.index(match[1]) + 1}{_AXES.index(match[2]) + 1}")
-        elif match := _VARIANCE.fullmatch(word):
+        elif match := re.fullmatch(_VARIANCE, word):
             name(place, f"c{_AXES.index(match[1]) + 1}{_AXES.index(match[1]) + 1}")
 
 
 def _title(layout: Layout, line: str) -> str:
     """Return what a file with these named columns is called."""
     groups = layout.groups
-    if _TRAJECTOPY.match(line):
+    if re.match(_TRAJECTOPY, line):
         return "trajectopy"
     if "rotation_covariance" in groups:
         return "OpenVINS with covariance"

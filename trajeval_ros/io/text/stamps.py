@@ -26,7 +26,7 @@ _LAST_NANOSECOND = 9.2e18
 _EPOCH_NANOSECONDS = 1e17  # 1973: anything above is nanoseconds since 1970
 _NANOSECOND_STEP = 5e5  # hardly a file in nanoseconds is denser
 _ONE_DATE = rb"\d{4}-\d\d?-\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:\.\d+)?)?)?"
-_DATE = re.compile(rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE))
+_DATES = rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
     plain = np.char.replace(words, b"/", b"-")
     for zone in (b"Z", b" UTC", b"+00:00", b"+0000"):
         plain = np.char.replace(plain, zone, b"")
-    if not _DATE.fullmatch(b" ".join(plain.tolist())):  # numpy reads a lone year, too
+    if not re.fullmatch(_DATES, b" ".join(plain.tolist())):  # numpy reads a lone year, too
         raise ValueError("no date")
     # By text: of bytes that are no date, such as a month 13, numpy 1.26 crashes.
     stamps = plain.astype(np.str_).astype("datetime64[ns]").astype(np.int64)

@@ -22,7 +22,7 @@ from trajeval_ros.io.text.number_characters import (
 )
 from trajeval_ros.io.writing import write_whole
 
-_BLOCK = 1 << 13  # rows whose characters are held at once
+_BLOCK = 1 << 11  # rows whose characters are held at once, in the cache
 _TUM_HEADER = "# timestamp [s] tx ty tz qx qy qz qw\n"
 _EUROC_GROUPS = {
     "positions": [f"p_RS_R_{axis} [m]" for axis in "xyz"],

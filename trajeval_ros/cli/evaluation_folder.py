@@ -1,0 +1,99 @@
+"""The folder of `--output`: result.json, errors of all pairs, and figures."""
+
+from __future__ import annotations
+
+import logging
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+from trajeval_ros.cli.pictures import PICTURE
+from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.live.pair_file import SUFFIX
+from trajeval_ros.io.results.error_archive import ARCHIVE, TABLE, error_files
+from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
+from trajeval_ros.io.writing import refused_by_disk
+from trajeval_ros.pipeline.outcome import Outcome
+from trajeval_ros.report.figure_style import FigureStyle
+
+_RESULT = "result.json"
+_OURS = re.compile(
+    "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
+    r"|likelihood_by_edge|(consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
+)
+_HAVE_FIGURES = find_spec("matplotlib") is not None
+
+
+def write_folder(
+    folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle
+) -> None:
+    """Write all files under temporary names first; the folder never has partial files.
+
+    result.json is removed first and written last: if it exists, all files are from one evaluation.
+
+    Raises:
+        InputError: The folder can't be written.
+    """
+    with refused_by_disk(f"the folder {folder}"):
+        _write(folder, result, outcome, look)
+
+
+def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle) -> None:
+    runs = outcome.runs
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # An existing folder may be a mount point, and the only writable place.
+    beside = folder if folder.is_dir() else folder.parent
+    # A first run that was killed has left temporary files next to the folder.
+    collect_leftovers(folder.parent)
+    with temporary_folder(folder.name, beside) as temporary:
+        for name, write in error_files(outcome).items():
+            write(temporary / name)
+        if _HAVE_FIGURES:
+            # Hide matplotlib's warning about a home folder that is not writable.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
+            from trajeval_ros.report.figures import write_figures
+
+            write_figures([run.evaluation for run in runs], temporary, look)
+            for place, run in enumerate(runs, start=1):
+                named = run.estimate.name, f"_{place}" if len(runs) > 1 else ""
+                if run.consistency is not None:
+                    from trajeval_ros.report.consistency_figure import write_consistency
+
+                    write_consistency(run.evaluation, run.consistency, temporary, *named, look)
+                if run.integrity is not None:
+                    from trajeval_ros.report.stanford_figure import write_stanford
+
+                    write_stanford(run.integrity, temporary, *named, look)
+            likely = outcome.likelihoods
+            if likely:
+                from trajeval_ros.report.probabilistic_figures import write_probabilistic
+
+                write_probabilistic(list(likely.values()), temporary, list(likely), look)
+        (temporary / _RESULT).write_text(json_text(result, indent=2), encoding="utf-8")
+        folder.mkdir(exist_ok=True)
+        (folder / _RESULT).unlink(missing_ok=True)
+        # Remove files of an earlier evaluation.
+        (folder / TABLE).unlink(missing_ok=True)
+        if not any(folder.glob(f"*{SUFFIX}")):  # that of a live run was drawn by the node
+            (folder / PICTURE).unlink(missing_ok=True)
+        for old in folder.iterdir():
+            if _OURS.fullmatch(old.name):
+                old.unlink()
+        for file in sorted(temporary.iterdir(), key=lambda file: file.name == _RESULT):
+            file.replace(folder / file.name)
+
+
+def contents(folder: Path) -> str:
+    """Return the folder's contents, and which package optional contents need."""
+    files, hints = ["result.json", ARCHIVE], []
+    if (folder / TABLE).exists():
+        files.append(TABLE)
+    else:
+        hints.append(f"{TABLE} needs pyarrow, install it: {pyarrow_command()}")
+    if _HAVE_FIGURES:
+        files.append("figures")
+    else:
+        hints.append(f"figures need matplotlib, install it: {extra_command('plot')}")
+    said = f"{', '.join(files[:-1])} and {files[-1]} are in {folder}"
+    return "; ".join([said, *hints])
