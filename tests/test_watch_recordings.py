@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scipy.stats import rankdata
 from benchmarks.watch import WITH_FAULTS, Healthy, detections, healthy_alarms, learned
 from benchmarks.watch_streams import streams
 from trajeval_ros import Protocol, evaluate, read_trajectory
+from trajeval_ros.io.watched_sources import read_watched
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.limits import WatchLimits
 from trajeval_ros.watchdog.recording import WatchedRun, watched
@@ -100,3 +102,21 @@ def test_the_table_of_faults() -> None:
     share, delay_s = share_and_delay("yaw 1 deg/s", "+ IMU")
     assert share == 1.0
     assert delay_s <= 3.1
+
+
+def test_an_injected_relocalisation_is_found_among_corrections_of_amcl() -> None:
+    nav2 = f"{DATA}/bags/nav2_turtlebot.mcap"
+    run, _ = read_watched(f"{nav2}:/odom", corrections=f"{nav2}:/tf:map.odom")
+    assert run.corrections is not None
+    healthy = watched(run)
+    assert 0.1 < healthy.signals["map_correction_m_1s"].values.max() < 0.2
+    limits = WatchLimits.learned(healthy.signals, healthy.hours, {}, "")
+    stamps = run.corrections.stamps
+    onset = int(stamps[0] + 0.8 * (stamps[-1] - stamps[0]))
+    positions = run.corrections.positions + np.outer(stamps >= onset, [0.5, 0.3, 0.0])
+    moved = dataclasses.replace(run.corrections, positions=positions)
+    seen = watched(dataclasses.replace(run, corrections=moved))
+    alarms = AlarmBook(limits, 2.0).add(seen.signals)
+    assert {each.signal for each in alarms} >= {"map_correction_m_1s"}
+    begin_s = min(each.begin_s for each in alarms)
+    assert 0.0 <= begin_s - (onset - seen.origin) / 1e9 < 0.5

@@ -46,25 +46,47 @@ def test_corrections_are_of_the_robot_not_of_the_map_s_origin() -> None:
         np.testing.assert_allclose(angles, np.where(over, turn_deg, 0.0), atol=1e-4)
 
 
+@pytest.mark.parametrize("stands_s", [0, 700])
 @pytest.mark.parametrize("portions", [1, 7])
-def test_a_transform_holds_until_the_next_one(portions: int) -> None:
-    estimate = flight().estimate
-    assert estimate.quaternions is not None
-    stamps = estimate.stamps[0] + np.array([5, 52]) * SECOND + 30_000_000
-    watchdog = Watchdog(int(estimate.stamps[0]))
+def test_a_transform_holds_until_the_next_one(portions: int, stands_s: int) -> None:
+    """However long the robot stands before it moves."""
+    flown = flight().estimate
+    assert flown.quaternions is not None
+    before = np.arange(flown.stamps[0] - stands_s * SECOND, flown.stamps[0], SECOND // 20)
+    at = np.concatenate([np.zeros(len(before), dtype=int), np.arange(len(flown))])
+    stamps = np.concatenate([before, flown.stamps])
+    watchdog = Watchdog(int(flown.stamps[0]))
+    sent = flown.stamps[0] + np.array([5 - stands_s, 52]) * SECOND + 30_000_000
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
-    assert not watchdog.add_corrections(stamps, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)
-    parts = [
-        watchdog.add_states(
-            estimate.stamps[rows], estimate.positions[rows], estimate.quaternions[rows]
+    parts = [watchdog.add_corrections(sent, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)]
+    for rows in np.array_split(np.arange(len(stamps)), portions):
+        own = at[rows]
+        parts.append(
+            watchdog.add_states(stamps[rows], flown.positions[own], flown.quaternions[own])
         )
-        for rows in np.array_split(np.arange(len(estimate)), portions)
-    ]
     found = joined(parts)
     for name in ("map_correction_m_1s", "map_correction_m_20s"):
         seconds, values = found[name]
         np.testing.assert_allclose(seconds, [52.03])
         np.testing.assert_allclose(values, [0.7])
+
+
+def test_transforms_that_come_late_are_judged_where_the_robot_was() -> None:
+    estimate = flight().estimate
+    assert estimate.quaternions is not None
+    stamps = estimate.stamps[0] + np.array([5000, 52_010, 52_020, 52_030]) * SECOND // 1000
+    turns = lie.from_rotation_vector(np.outer([0.0, 0.5, 1.0, 1.5], [0.0, 0.0, 1.0]))
+    corrections = Trajectory(stamps, np.zeros((4, 3)), turns)
+    expected = watched(WatchedRun(estimate, corrections=corrections)).signals
+    watchdog = Watchdog(int(estimate.stamps[0]))
+    parts = [watchdog.add_states(estimate.stamps, estimate.positions, estimate.quaternions)]
+    for row in range(4):
+        one = slice(row, row + 1)
+        parts.append(watchdog.add_corrections(stamps[one], np.zeros((1, 3)), turns[one]))
+    name = "map_correction_m_1s"
+    values = joined(parts)[name].values
+    assert len(values) == 3
+    np.testing.assert_allclose(values, expected[name].values, rtol=1e-12)
 
 
 def test_alarms_of_several_pairs_tell_which_estimate_is_wrong() -> None:

@@ -179,7 +179,7 @@ def _of_run(
     limits: Path | None,
     factor: float | None,
 ) -> tuple[Trajectory, Watched, AlarmBook]:
-    """Return the states of a run, its signals, and its alarms; learn limits if that is asked."""
+    """Return the states, signals and alarms of a run; learn limits if requested."""
     from trajeval_ros.io.requests.limits_file import read_limits, write_limits
     from trajeval_ros.watchdog.alarm_book import AlarmBook
     from trajeval_ros.watchdog.limits import DEFAULT_FACTOR, WatchLimits
@@ -205,7 +205,7 @@ def _of_run(
 def _of_clip(
     folder: Path, factor: float | None, *, is_drawn: bool
 ) -> tuple[Trajectory | None, Watched, AlarmBook]:
-    """Return what a clip of the black box has; states only where they are drawn."""
+    """Return states, signals and alarms of a clip; states only if they are drawn."""
     from trajeval_ros.io.live.watched_clip import read_watched_clip
     from trajeval_ros.io.sources import read_trajectory
 
@@ -225,7 +225,7 @@ def _check_limits(learn: Path | None, limits: Path | None, groundtruth: str | No
 
 
 def _check(factor: float | None, fail_on: str | None) -> None:
-    """Refuse values that mean nothing."""
+    """Refuse values that are not valid."""
     if factor is not None and not 1.0 <= factor < float("inf"):
         raise SettingsError(f"--factor must be at least 1, not {factor:g}")
     if fail_on is not None and fail_on not in _FAILS:
@@ -235,7 +235,7 @@ def _check(factor: float | None, fail_on: str | None) -> None:
 def _named_sources(
     estimate: str, imu: str | None, partners: Sequence[str], corrections: str | None
 ) -> dict[str, str]:
-    """Return the sources that there are, as limits name them.
+    """Return the given sources, by their names in limits.
 
     Raises:
         SettingsError: Two second estimates have the same name.
@@ -307,7 +307,7 @@ def _deliver(
     quiet: bool,
     learn: Path | None,
 ) -> None:
-    """Write and print what was asked for."""
+    """Write the requested files and print the tables."""
     from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.results.watch_json import watch_json
     from trajeval_ros.io.writing import write_text

@@ -1,4 +1,4 @@
-"""What a covariance is worth as a promise: protection levels, and whether errors keep them.
+"""Protection levels from covariances, and whether errors exceed them.
 
 A protection level is what an error of the stated covariance exceeds with a stated probability, the
 risk. Beside an alert limit, what the user can bear, each pose falls into one of five areas of the
@@ -29,7 +29,7 @@ _PARTS = {"horizontal": slice(0, 2), "vertical": slice(2, 3), "heading": slice(5
 
 @dataclass(frozen=True)
 class IntegrityRequest:
-    """What errors a user can bear, and how rarely more may happen unannounced.
+    """Largest acceptable errors, and the probability of larger ones without an alert.
 
     Attributes:
         alert_limit_m: Of horizontal and of vertical errors.
@@ -65,16 +65,16 @@ class PartIntegrity:
     Attributes:
         part: `horizontal`, `vertical` or `heading`.
         unit: Of errors, levels and limit: m or deg.
-        alert_limit: What the user can bear.
+        alert_limit: Largest acceptable error.
         errors: (N,), sizes.
         levels: (N,), protection levels.
         areas: Share of the poses in each of `AREAS`; they sum up to 1.
         episodes: How often poses in a row entered each area.
         availability: Share with a level within the limit.
         bounded: Share with an error within its level.
-        effective: How many independent poses say as much as these, which follow each other.
+        effective: Effective number of independent poses, since successive errors are correlated.
         hazardous_95: Interval of the hazardous share, by the effective number.
-        inflation: What levels must be multiplied by to bound 99.9 % of the errors.
+        inflation: Factor on the levels that bounds 99.9 % of the errors.
         time_to_alert: From errors beyond the limit to an alert.
     """
 
@@ -95,12 +95,12 @@ class PartIntegrity:
 
 @dataclass(frozen=True, eq=False)
 class Integrity:
-    """Whether an estimate keeps what its covariances promise.
+    """Protection levels of an estimate, and whether its errors exceed them.
 
     Attributes:
-        risk: By which protection levels were made.
+        risk: Probability that an error exceeds its protection level.
         exactness: Of the covariances, as of `Consistency`: with `bound`, levels are upper bounds,
-            so that what is misleading is so, and what isn't may be.
+            so that misleading poses are certain, and others are not.
         parts: Horizontal, vertical, and heading if asked for.
     """
 
@@ -195,7 +195,7 @@ def _part(
 
 
 def effective_number(values: Floats) -> float:
-    """Return how many independent values say as much of a mean as these, which follow each other.
+    """Return the effective number of independent values, for the mean of correlated ones.
 
     N / (1 + 2 sum of autocorrelations), summed until they vanish (Geyer's initial sequence).
     """

@@ -21,7 +21,7 @@ def read_watched(
     corrections: str | None = None,
     advance: Advance | None = None,
 ) -> tuple[WatchedRun, Trajectory | None]:
-    """Read what is watched, and groundtruth where it is named.
+    """Read the sources of a watch, and groundtruth if given.
 
     Args:
         estimate: SOURCE of the estimate; of an odometry in a bag its turn rates are read, too.
@@ -29,10 +29,10 @@ def read_watched(
         partners: SOURCEs of second estimates, by their names as sources (`pair_sources`).
         groundtruth: SOURCE of groundtruth.
         corrections: SOURCE of transforms from the map to the estimate's frame.
-        advance: Called with what is done and all there is, now and then.
+        advance: Called from time to time with the bytes read and their total.
 
     Raises:
-        InputError: One can't be read.
+        InputError: A source can't be read.
     """
     asked = (estimate, *partners.values(), corrections, groundtruth)
     poses = [each for each in asked if each is not None]

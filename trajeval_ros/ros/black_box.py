@@ -1,4 +1,4 @@
-"""The black box: on an alarm, what was received before and after it becomes a clip on disk."""
+"""The black box: on an alarm, the messages before and after it are written as a clip."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MEGABYTE = 1_000_000
 _MOST_CLIPS = 100
 _MOST_CAUSES = 100  # that one clip names
-# Returns what a JSON file says.
+# Returns additional fields of a clip's JSON file.
 About = Callable[[], Mapping[str, Any]]
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)s\+(\d+(?:\.\d+)?)s")
 
@@ -101,7 +101,7 @@ class ClipWriter:
 
     Attributes:
         ring: The messages.
-        news: What nobody has been told yet: sentences, and whether each is a warning.
+        news: Unreported sentences, and whether each is a warning.
     """
 
     def __init__(self, settings: BlackBoxSettings, now_ns: Callable[[], int] = time.time_ns):
@@ -125,14 +125,14 @@ class ClipWriter:
         self._task: BackgroundTask[tuple[str, bool]] = BackgroundTask(1.0)
 
     def trigger(self, cause: Notice, about: About) -> None:
-        """Have a clip written about an alarm.
+        """Start a clip for an alarm.
 
-        One that comes while another one's last seconds are awaited is named in that clip. One
-        that comes sooner than the pause allows gets none, and is counted.
+        An alarm before the end of another clip is added to that clip. An alarm within the pause
+        has no clip and is counted.
 
         Args:
             cause: The alarm.
-            about: Returns what stands in the JSON file beside it; called at the clip's end.
+            about: Returns further fields of the JSON file; called at the end of the clip.
         """
         now_ns = self._now_ns()
         if self._due is not None:
@@ -146,10 +146,10 @@ class ClipWriter:
             self._due = _Due(now_ns + after_ns, [cause], now_ns, about)
 
     def renew(self, *, at_end: bool = False) -> None:
-        """Forget what is old, and write the clip that is due.
+        """Forget old messages, and write the clip that is due.
 
         Args:
-            at_end: No more messages will come: write what waits, and wait for it.
+            at_end: No more messages will come: write the waiting clip, and wait until it is done.
         """
         self.ring.forget(self._now_ns())
         told = self._task.wait() if at_end else self._task.take()
@@ -196,14 +196,14 @@ def _as_mapping(notice: Notice) -> dict[str, Any]:
 
 
 class BlackBox:
-    """Subscribes to what is kept, and hands it to a writer of clips."""
+    """Subscribes to the topics of the clips, and passes their messages to the writer."""
 
     def __init__(self, node: Node, settings: BlackBoxSettings, values: Mapping[str, Any]) -> None:
         """Start to look for publishers.
 
         Args:
             node: Subscribes.
-            settings: What is kept.
+            settings: Topics, spans and limits.
             values: The parameters, for the JSON file.
 
         Raises:
@@ -214,18 +214,18 @@ class BlackBox:
         self._inputs = [TopicInput(node, each, None, is_optional=True) for each in settings.topics]
 
     def match(self) -> list[tuple[str, bool]]:
-        """Connect to the publishers that there are now; returns what to tell."""
+        """Connect to the current publishers; returns sentences for the log."""
         told = [(f"black box: {said}", False) for each in self._inputs if (said := each.match())]
         news, self._writer.news = self._writer.news, []
         return told + news
 
     def tick(self) -> None:
-        """Take what has arrived, and write what is due."""
+        """Take the messages that have arrived, and write the clip that is due."""
         self._take()
         self._writer.renew()
 
     def trigger(self, cause: Notice, history: About) -> None:
-        """Have a clip written about an alarm.
+        """Start a clip for an alarm.
 
         Args:
             cause: The alarm.
@@ -234,7 +234,7 @@ class BlackBox:
         self._writer.trigger(cause, lambda: {"signals": history(), "parameters": self._values})
 
     def conclude(self) -> list[tuple[str, bool]]:
-        """Write what waits, since the node ends; returns what to tell."""
+        """Write the waiting clip at the end of the node; returns sentences for the log."""
         self._take()
         self._writer.renew(at_end=True)
         return self._writer.news

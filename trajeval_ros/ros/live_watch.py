@@ -1,4 +1,4 @@
-"""The live watch: the bytes of messages in, alarms out, by the watchdog that recordings have."""
+"""The live watch: alarms from the bytes of messages, by the same watchdog as for recordings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from trajeval_ros.watchdog.signal_history import SignalHistory
 from trajeval_ros.watchdog.signals import Readings, Signals, joined, signal_of, source_of
 from trajeval_ros.watchdog.unseen import unseen
 
-# So long after the arming, typical values say whether the limits are of this robot.
+# Time after arming at which typical values are compared with those of the limits.
 _COMPARED_S = 60.0
 _REMEMBERED_S = 60.0  # of alarms that are over
 # Turn rates wait for states whose stamps are not trusted yet.
@@ -42,7 +42,7 @@ Batches = Sequence[tuple[str, ReceivedMessages, Stamps]]
 
 
 class WatchedMessages(NamedTuple):
-    """What has arrived since the last look, each source in order of arrival.
+    """Messages since the last look, each source in order of arrival.
 
     Attributes:
         estimate: Messages of the estimate that is watched.
@@ -58,14 +58,14 @@ class WatchedMessages(NamedTuple):
 
 @dataclass(frozen=True)
 class WatchReport:
-    """What a look found.
+    """Result of a look.
 
     Attributes:
-        notices: What is to be said now; an alarm that came and went stands here once.
-        news: What was found about the sources, to be told once.
+        notices: The current state; an alarm that has begun and ended is in it once.
+        news: Findings about the sources, each reported once.
         begun: The alarms that have begun.
-        values: What stands in the status, by name.
-        history: The signals of the last minute, for a file that tells of an alarm.
+        values: Values of the status, by name.
+        history: The signals of the last minute and the limits, for the JSON file of a clip.
     """
 
     notices: Sequence[Notice] = ()
@@ -95,8 +95,8 @@ class LiveWatch:
         """Create it.
 
         Args:
-            limits: Learned of a healthy run.
-            factor: A limit is so many times the largest healthy value.
+            limits: Limits learned from a healthy run.
+            factor: Ratio of a limit to the largest healthy value.
             estimate: Decodes the messages of the estimate.
             others: Decode those of second estimates and of map corrections, by source (`pair`,
                 `pair.NAME`, `map`).
@@ -119,7 +119,7 @@ class LiveWatch:
         self._told: list[str] = []
 
     def look(self, messages: WatchedMessages) -> WatchReport:
-        """Take what has arrived, in a time that grows with the number of messages alone."""
+        """Process the messages, in a time proportional to their number."""
         begun: list[WatchAlarm] = []
         if not self._refused:
             try:
@@ -166,7 +166,7 @@ class LiveWatch:
             return {}
         readings = decode_rates(payloads, IMU_TYPE)
         assert readings.accelerations is not None
-        timed = readings.stamps != 0  # a stamp that nobody has set
+        timed = readings.stamps != 0  # a stamp that was not set
         return self.watchdog.add_inertial(
             readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
         )
@@ -226,7 +226,7 @@ class LiveWatch:
         self._unseen = [*unseen(self._needs, there, self.watchdog.notices)]
 
     def _news(self) -> list[str]:
-        """Return what was found about the sources since the last call."""
+        """Return the findings about the sources since the last call."""
         found = [*self.watchdog.notices, *self._unseen]
         news = [each for each in found if each not in self._told]
         self._told += news
@@ -258,7 +258,7 @@ class LiveWatch:
         )
 
     def _values(self) -> dict[str, Any]:
-        """Return what stands in the status, by name."""
+        """Return the values of the status, by name."""
         armed_s = self.watchdog.armed_s
         values: dict[str, Any] = {
             "evidence": self._evidence,

@@ -25,7 +25,7 @@ class Snapshots:
             pause_s: Least time between two calls, seconds.
 
         Raises:
-            SettingsError: The service's type is not installed, or its name means nothing.
+            SettingsError: The service's type is not installed, or its name is not valid.
         """
         try:
             from rosbag2_interfaces.srv import Snapshot
@@ -46,14 +46,14 @@ class Snapshots:
         self._is_asked_for = False
 
     def trigger(self) -> None:
-        """Have a snapshot taken, unless the last one is too recent."""
+        """Request a snapshot, unless the last request is too recent."""
         now = time.monotonic()
         if now >= self._free_at:
             self._free_at = now + self._pause_s
             self._is_asked_for = True
 
     def renew(self) -> tuple[str, bool] | None:
-        """Call the service, or look for its answer; returns what to tell, and whether it warns."""
+        """Call the service or check its answer; returns a sentence, and whether it warns."""
         if self._is_asked_for:
             self._is_asked_for = False
             if not self._client.service_is_ready():

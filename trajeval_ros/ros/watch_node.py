@@ -1,4 +1,4 @@
-"""What the node does where there is no groundtruth: it watches, and evaluates nothing."""
+"""The node without groundtruth: it monitors an estimate and evaluates nothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class WatchNode:
 
         Raises:
             InputError: The limits can't be read, or were learned without a source that is there.
-            SettingsError: A topic's name means nothing.
+            SettingsError: A topic's name is not valid.
         """
         from diagnostic_msgs.msg import DiagnosticArray
 
@@ -42,7 +42,7 @@ class WatchNode:
         return period
 
     def tick(self) -> None:
-        """Take messages, and tell of alarms."""
+        """Take messages, and report alarms."""
         self._watching.tick()
 
     def report(self) -> None:
@@ -59,6 +59,6 @@ class WatchNode:
         self._diagnostics.publish(message)
 
     def finish(self) -> bool:
-        """Take the last messages; returns that there is nothing that could not be written."""
+        """Take the last messages; returns True, since there is no output to write."""
         self._watching.conclude()
         return True

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class WatchedTopics:
-    """Subscribes to them, apart from what is evaluated.
+    """Subscribes to the topics of the watch, separately from those of the evaluation.
 
     Attributes:
         estimate: The one that is watched.
@@ -35,7 +35,7 @@ class WatchedTopics:
             values: The parameters.
 
         Raises:
-            SettingsError: A name means nothing, two second estimates have the same one, or
+            SettingsError: A name is not valid, two second estimates have the same one, or
                 messages of an IMU can't be received.
         """
         imu, corrections = values["imu_topic"], values["map_to_odom"]
@@ -60,7 +60,7 @@ class WatchedTopics:
         return [self.estimate, *self.others.values()]
 
     def match(self) -> list[Notice]:
-        """Connect to the publishers that there are now; returns what to tell."""
+        """Connect to the current publishers; returns notices."""
         told = [each for side in self._sides for each in side.match()]
         if self._imu is not None and (said := self._imu.match()):
             level = OK if said.startswith("subscribed") else WARN
@@ -68,7 +68,7 @@ class WatchedTopics:
         return told
 
     def gather(self) -> None:
-        """Take what has arrived."""
+        """Take the messages that have arrived."""
         if self._imu is not None:
             self._readings += self._imu.take().payloads
         for source, each in self.others.items():
@@ -76,7 +76,7 @@ class WatchedTopics:
         self._estimates += self.estimate.take(None)
 
     def gathered(self) -> WatchedMessages:
-        """Return what was gathered since the last call."""
+        """Return the messages gathered since the last call."""
         estimates: Batches
         estimates, self._estimates = self._estimates, []
         others, self._of_others = self._of_others, {each: [] for each in self.others}

@@ -1,4 +1,4 @@
-"""What goes on beside the evaluation of a run, or without one: a watch, a black box, snapshots."""
+"""Monitoring beside the evaluation of a run or without one: watch, black box, snapshots."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class EstimateWatch:
     """Watches the first estimate on a thread of its own.
 
     Attributes:
-        name: Of what it tells about.
-        report: The newest.
+        name: Subject of its events and its status.
+        report: The newest report.
     """
 
     def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
@@ -45,7 +45,7 @@ class EstimateWatch:
 
         Raises:
             InputError: The limits can't be read, or were learned without a source that is there.
-            SettingsError: A topic's name means nothing.
+            SettingsError: A topic's name is not valid.
         """
         limits = read_limits(Path(values["watch"]).expanduser())
         self._node_name = node.get_fully_qualified_name()
@@ -63,11 +63,11 @@ class EstimateWatch:
         self.name = f"{self._topics.estimate.name} watch"
 
     def match(self) -> list[Notice]:
-        """Connect to the publishers that there are now; returns what to tell."""
+        """Connect to the current publishers; returns notices."""
         return self._topics.match()
 
     def tick(self) -> WatchReport | None:
-        """Take what has arrived, and look if it is time; returns what a look has found."""
+        """Take the messages that have arrived, and look if it is time; returns a new report."""
         self._topics.gather()
         found = self._task.take()
         if self._task.is_due and time.monotonic() >= self._look_at:
@@ -78,7 +78,7 @@ class EstimateWatch:
         return found
 
     def conclude(self) -> list[WatchReport]:
-        """Take the last messages; returns what has been found in them."""
+        """Take the last messages; returns the reports about them."""
         self._topics.gather()
         running = self._task.wait()
         self.report = self._watch.look(self._topics.gathered())
@@ -122,8 +122,8 @@ class Watching:
         Args:
             node: Subscribes.
             values: The parameters.
-            events: Where alarms are told.
-            log: Told each sentence, and whether it is a warning.
+            events: Topic on which alarms are published.
+            log: Called with each sentence, and whether it is a warning.
 
         Raises:
             InputError: A file can't be read, a folder not made, or the limits were learned
@@ -140,7 +140,7 @@ class Watching:
         self._standing = Standing()
 
     def match(self) -> None:
-        """Connect to the publishers that there are now."""
+        """Connect to the current publishers."""
         if self._watch is not None:
             for each in self._watch.match():
                 self._log(f"watch: {each.text}", each.level > OK)
@@ -149,7 +149,7 @@ class Watching:
                 self._log(said, warn)
 
     def tick(self) -> None:
-        """Take what has arrived, and tell what has been found in it."""
+        """Process the messages that have arrived, and report alarms."""
         if self._watch is not None and (report := self._watch.tick()) is not None:
             self._tell(report)
         if self._box is not None:
@@ -158,13 +158,13 @@ class Watching:
             self._log(*told)
 
     def see(self, notices: Iterable[Notice]) -> None:
-        """Take what has begun or ended in the evaluation: failed limits have a clip written."""
+        """Take notices of the evaluation: failed error limits start a clip and a snapshot."""
         for each in notices:
             if each.kind == "alarm" and each.level == ERROR:
                 self._trigger(each)
 
     def conclude(self) -> None:
-        """Take the last messages, tell what has been found in them, and write what waits."""
+        """Process the last messages, report alarms, and write the waiting clip."""
         if self._watch is not None:
             for report in self._watch.conclude():
                 self._tell(report)
@@ -173,7 +173,7 @@ class Watching:
                 self._log(said, warn)
 
     def statuses(self) -> list[Any]:
-        """Return what stands in the diagnostics, as `diagnostic_msgs/DiagnosticStatus`."""
+        """Return the statuses for the diagnostics, as `diagnostic_msgs/DiagnosticStatus`."""
         return [] if self._watch is None else [self._watch.status()]
 
     def _tell(self, report: WatchReport) -> None:

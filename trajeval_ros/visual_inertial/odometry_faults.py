@@ -1,4 +1,4 @@
-"""Faults of an odometry from an onset on, for trying and measuring what a watchdog finds.
+"""Faults of an odometry from an onset on, to try and to measure a watchdog.
 
 A fault of the estimator is in its twist, too, as it would be.
 """
@@ -69,7 +69,7 @@ def jump(
 
 
 def freeze(estimate: Trajectory, onset: int, _: np.random.Generator) -> Trajectory:
-    """Repeat the pose and twist of the onset for ever."""
+    """Repeat the pose and twist of the onset."""
     first = since(estimate, onset)[0]
     held = np.minimum(np.arange(len(estimate)), first)
     return replace(estimate[held], stamps=estimate.stamps)
@@ -88,7 +88,7 @@ def diverge(
     return replace(estimate, positions=positions, velocities=velocities)
 
 
-# What `trajeval simulate` offers, in words and as a function.
+# The faults of `trajeval simulate --fault`, in words and as functions.
 FAULTS: dict[str, tuple[str, Fault]] = {
     "yaw": ("yaw drifts by 1 deg/s", partial(yaw, rate_deg=1.0)),
     "jump": ("the position jumps by 1 m", partial(jump, metres=1.0)),

@@ -23,8 +23,8 @@ class WatchAlarm:
     Attributes:
         signal: Its name.
         limit: In its unit.
-        begin_s: When it went over it, seconds since the watch began.
-        last_s: When it was last near it or over.
+        begin_s: When it exceeded the limit, seconds since the watch began.
+        last_s: When it was last above 0.7 of the limit.
         peak: Its largest value.
         peak_s: When that was.
         is_over: Whether it has ended.
@@ -43,9 +43,9 @@ class AlarmBook:
     """Compares signals with limits as they come.
 
     Attributes:
-        alarms: All so far, in order of their begin as they were found.
-        limits: What was learned.
-        factor: A limit is so many times the largest healthy value.
+        alarms: All alarms so far, in the order in which they began.
+        limits: Limits learned from a healthy run.
+        factor: Ratio of a limit to the largest healthy value.
     """
 
     def __init__(self, limits: WatchLimits, factor: float) -> None:
@@ -92,17 +92,17 @@ class AlarmBook:
             start = end
 
     def end_all(self) -> None:
-        """End what stands, since the estimate began anew: its times are others from now on."""
+        """End all open alarms: the estimate restarted, and its clock with it."""
         for alarm in self._open.values():
             alarm.is_over = True
         self._open = {}
 
     def forget(self, before_s: float) -> None:
-        """Forget alarms that were over before a time, s; of a live run nobody reads them all."""
+        """Forget alarms that ended before a time, s, so that memory is bounded in a live run."""
         self.alarms = [each for each in self.alarms if not each.is_over or each.last_s >= before_s]
 
     def is_error(self, alarm: WatchAlarm) -> bool:
-        """Whether an alarm is more than a warning, by what is known so far."""
+        """Return whether an alarm is an error and not a warning, as far as is known."""
         if alarm.peak > _GRAVE * alarm.limit or alarm.last_s - alarm.begin_s >= _LASTING_S:
             return True
         source = source_of(alarm.signal)
@@ -113,5 +113,5 @@ class AlarmBook:
 
     @property
     def standing(self) -> list[WatchAlarm]:
-        """The alarms that have not ended, the gravest first: by value over limit."""
+        """The open alarms, in falling order of the ratio of value and limit."""
         return sorted(self._open.values(), key=lambda each: -each.peak / each.limit)

@@ -1,7 +1,7 @@
-"""The watchdog: takes the messages of an estimate and of what it is compared with, gives signals.
+"""The watchdog: computes signals from an estimate and the sources that it is compared with.
 
-Each source is taken in its own order, and what is said of a time depends only on messages of that
-time and before. So a recording and a live run give the same values, whatever arrives first.
+Each source is processed in its own order, and a signal at a time depends only on messages up to
+that time. A recording and a live run therefore give the same values in any order of arrival.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from trajeval_ros.watchdog.twist_signals import TwistSignals
 
 ARMING_S = 30.0
 _MOVING_MPS = 0.1
-# An estimate whose stamps step back so far began anew.
+# If the stamps of the estimate step back by more, the estimator restarted.
 RESTART_S = 1.0
 _BLOCK = 1024
 
@@ -42,13 +42,13 @@ _BLOCK = 1024
 class Watchdog:
     """Watches one estimate.
 
-    Nothing is judged until the robot has moved for 30 s in sum. What was seen until then says how
-    a twist, an IMU and second estimates relate to the estimate.
+    Nothing is judged until the robot has moved for 30 s in total. The data until then determines
+    how a twist, an IMU and second estimates relate to the estimate.
 
     Attributes:
-        moved_s: For how long the robot has moved so far, while it isn't armed.
-        armed_s: When it was armed, seconds since the first message; None before.
-        restarts: How often the estimate began anew.
+        moved_s: Duration of motion so far, until arming, seconds.
+        armed_s: Time of arming, seconds since the first message; None before.
+        restarts: Number of restarts of the estimator.
 
     Example:
         >>> from trajeval_ros import simulate
@@ -96,7 +96,7 @@ class Watchdog:
 
     @property
     def notices(self) -> list[str]:
-        """What was found about the sources, one sentence each."""
+        """Findings about the sources, one sentence each."""
         groups = (self._twist, self._inertial, *self._pairs.values())
         found = [each for group in groups if group is not None for each in group.notices]
         return [*self._told, *found]
@@ -125,7 +125,7 @@ class Watchdog:
         body_velocities: Floats | None = None,
         body_rates: Floats | None = None,
     ) -> Signals:
-        """Take states of the estimate, and return the signals that are known by them.
+        """Take states of the estimate, and return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -170,7 +170,7 @@ class Watchdog:
         return self._judged_from(kept)
 
     def _arms(self) -> bool:
-        """Add up how long the robot has moved; arm, and say so, where it is enough."""
+        """Add up the duration of motion; arm if it is long enough, and return whether it is."""
         rows = self._states.rows
         begin = int(np.searchsorted(rows[:, TIME], self._counted_s))
         some = rows[begin:]
@@ -188,7 +188,7 @@ class Watchdog:
         return True
 
     def _judged_from(self, kept: Floats) -> Signals:
-        """Start to judge, by what came before the arming."""
+        """Start to judge: relate the sources by the data before arming."""
         assert self.armed_s is not None
         oldest = self.armed_s - REMEMBERED_S
         kept = kept[kept[:, TIME] >= oldest]
@@ -226,7 +226,7 @@ class Watchdog:
         return self._since_armed(joined(parts))
 
     def _since_armed(self, signals: Signals) -> Signals:
-        """Return the readings from the arming on."""
+        """Return the readings since arming."""
         assert self.armed_s is not None
         found = {}
         for name, (seconds, values) in signals.items():
@@ -236,7 +236,7 @@ class Watchdog:
         return found
 
     def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
-        """Take readings of the IMU, and return the signals that are known by them.
+        """Take readings of the IMU, and return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -248,7 +248,7 @@ class Watchdog:
     def add_partner(
         self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
     ) -> Signals:
-        """Take states of a second estimate, and return the signals that are known by them.
+        """Take states of a second estimate, and return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -259,7 +259,7 @@ class Watchdog:
         return self._add_source(source, stamps, positions, quaternions)
 
     def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Take transforms from the map to the estimate's frame, and return what is known by them.
+        """Take transforms from the map, and return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -281,7 +281,7 @@ class Watchdog:
         return {}
 
     def _by_source(self, name: str, rows: Floats) -> Signals:
-        """Return the signals that are known by rows of a source, once the robot is armed."""
+        """Return the signals that rows of a source determine, after arming."""
         if not len(rows):
             return {}
         if name in self._pairs:

@@ -42,7 +42,7 @@ class Mounting:
     Attributes:
         rotation: (4,), xyzw, of the IMU's axes in the estimate's body.
         bias: (3,), rad/s, in the IMU's axes.
-        offset_s: What the estimate calls t, the IMU calls t + offset.
+        offset_s: Time offset: t of the estimate is t + offset of the IMU.
         axis: (3,), the only axis in the body that it turned about, which leaves the rotation
             about it open; None where it turned about several.
         misfit: Median misfit of rotations in half a second, over their median angle, of the

@@ -52,8 +52,8 @@ class InertialSignals:
     """Compares states with an IMU, as both come.
 
     Attributes:
-        notices: What was found at the start, one sentence each.
-        usable: Whether the IMU is one of this robot.
+        notices: Findings at the start, one sentence each.
+        usable: Whether the IMU can be compared.
     """
 
     def __init__(self, period_s: float, armed_s: float) -> None:
@@ -203,7 +203,7 @@ class InertialSignals:
         rows[first:, _STILL] = known & still
 
     def _rows_of(self, mounting: Mounting, new: Floats) -> Floats:
-        """Return states with what the IMU says of their times."""
+        """Return states with the IMU's values at their times."""
         imu = self._imu.rows
         times = imu[:, TIME]
         at = new[:, TIME] + mounting.offset_s

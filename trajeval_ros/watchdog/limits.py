@@ -1,4 +1,4 @@
-"""Limits, learned of a healthy run of the same robot and estimator, and their evidence."""
+"""Limits learned from a healthy run of the same robot and estimator, and their evidence."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DEFAULT_FACTOR = 2.0
 # Typical values of one robot and estimator differ by less from run to run.
 _ANOTHER_ROBOT = 10.0
 _FEWEST = 100
-# Of no events in n hours: fewer than this by n per hour, at 95 %.
+# No events in n hours: the rate is at most this / n per hour, at 95 %.
 RULE_OF_THREE = 3.0
 
 
 @dataclass(frozen=True)
 class HealthyValues:
-    """What a signal did in a healthy run.
+    """Statistics of a signal in a healthy run.
 
     Attributes:
         largest: Its largest value.
@@ -34,13 +34,13 @@ class HealthyValues:
 
 @dataclass(frozen=True)
 class WatchLimits:
-    """What a healthy run teaches.
+    """Statistics of all signals in a healthy run.
 
     Attributes:
-        healthy: Values of each signal that was there.
-        hours: For how long they were judged.
-        sources: What they are of: `estimate`, and `imu` and `with` where there were.
-        checked: What says that the run was healthy.
+        healthy: Statistics of each signal, by name.
+        hours: Duration for which they were judged.
+        sources: SOURCE of each: `estimate`, and `imu`, `map`, `pair` or `pair.NAME` if given.
+        checked: How the run was found to be healthy.
     """
 
     healthy: Mapping[str, HealthyValues]
@@ -52,13 +52,13 @@ class WatchLimits:
     def learned(
         cls, signals: Signals, hours: float, sources: Mapping[str, str], checked: str
     ) -> WatchLimits:
-        """Return what a run that is taken to be healthy teaches.
+        """Return the limits of a run that is assumed to be healthy.
 
         Args:
             signals: All of its values.
-            hours: For how long they were judged.
-            sources: What they are of.
-            checked: What says that it was healthy.
+            hours: Duration for which they were judged.
+            sources: SOURCE of each, by name.
+            checked: How the run was found to be healthy.
         """
         healthy = {
             name: HealthyValues(float(values.max()), float(np.median(values)))
@@ -68,7 +68,7 @@ class WatchLimits:
         return cls(healthy, hours, sources, checked)
 
     def limit(self, name: str, factor: float) -> float | None:
-        """Return the limit of a signal, in its unit; None if nothing was learned of it."""
+        """Return the limit of a signal, in its unit; None if it was not in the healthy run."""
         if name not in self.healthy:
             return None
         signal = signal_of(name)
@@ -76,14 +76,14 @@ class WatchLimits:
 
     @property
     def most_per_hour(self) -> float:
-        """Below this rate false alarms are, at 95 %, by the healthy hours that had none."""
+        """Upper 95 % bound of the false alarm rate per hour, if the healthy hours had no alarm."""
         return RULE_OF_THREE / self.hours
 
     def require_sources(self, needs: Iterable[str]) -> None:
-        """Refuse limits that know nothing of a source.
+        """Refuse limits that were learned without a source.
 
         Args:
-            needs: The sources that there are, such as `twist`, `imu`, `pair`, `pair.wheel`, `map`.
+            needs: The available sources, such as `twist`, `imu`, `pair`, `pair.wheel`, `map`.
 
         Raises:
             InputError: One was not there when the limits were learned.
@@ -97,10 +97,10 @@ class WatchLimits:
                 )
 
     def require_of(self, signals: Signals) -> None:
-        """Refuse limits that were learned of another robot or other sources.
+        """Refuse limits that were learned from another robot or other sources.
 
         Raises:
-            InputError: A source of this run was not there, or typical values are of another size.
+            InputError: They lack a source of this run, or typical values differ too much.
         """
         self.require_sources(source_of(name) for name in in_order(signals))
         off = {}

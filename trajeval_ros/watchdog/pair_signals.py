@@ -58,7 +58,7 @@ class PairSignals:
     """Compares relative motions of an estimate and its partner.
 
     Attributes:
-        notices: What was found at the start, one sentence each.
+        notices: Findings at the start, one sentence each.
         usable: Whether the two can be compared.
     """
 
@@ -122,7 +122,7 @@ class PairSignals:
         return signals
 
     def _find_body(self) -> bool:
-        """Find the body difference by what came before the arming; return whether it could be."""
+        """Find the body difference from the data before arming; return whether it is found."""
         rows = self._rows.rows
         rows = rows[rows[:, TIME] < self._armed_s]
         if len(rows) >= _FEWEST:
@@ -217,9 +217,9 @@ def body_difference(
 ) -> BodyDifference:
     """Return the body difference that makes relative motions agree, by trimmed least squares.
 
-    Rotations say how the bodies are turned: A X = X B. Displacements say the lever arm and the
-    scale, t_A = s X t_B + (I - R_A) l, and the turn about the axis where a robot turns about one
-    alone.
+    Rotations determine how the bodies are turned: A X = X B. Displacements determine the lever arm
+    and the scale, t_A = s X t_B + (I - R_A) l. If a robot turns about one axis alone, they also
+    determine the turn about this axis.
 
     Args:
         turns: (N, 4), xyzw, A.
@@ -229,7 +229,7 @@ def body_difference(
     """
     a, b = lie.rotation_vector(turns), lie.rotation_vector(other_turns)
     left = np.eye(3) - lie.to_matrix(turns)
-    # Whatever the body difference is, angles are the same: what isn't is a glitch of either.
+    # Angles are the same for any body difference. Where they differ, one of the two is an outlier.
     off_angle = np.abs(lengths(a) - lengths(b))
     kept: Booleans = off_angle < _TRIM * np.median(off_angle) + _LEAST_RAD
     sees_lever = float(np.median(lengths(a))) > _LEAST_TURN
@@ -238,7 +238,7 @@ def body_difference(
     for _ in range(_PASSES):
         targets, vectors = a[kept], b[kept]
         if one_axis:
-            # Metres and radians side by side: displacements alone say the turn about the axis.
+            # Metres and radians together: only displacements determine the turn about the axis.
             moved = steps - left @ lever
             targets = np.concatenate([targets, moved[kept]])
             vectors = np.concatenate([vectors, scale * other_steps[kept]])

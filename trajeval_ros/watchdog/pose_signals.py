@@ -27,7 +27,7 @@ _BEFORE_S = 5.0
 _SLOWEST_TOP_MPS = 0.5
 _SAME = 1e-9  # m, rad
 
-# Columns of what is known of each step, behind time and since.
+# Columns of each step after time and since.
 _INNOVATION, _TURN_INNOVATION, _SPEED, _DT, _TOP = range(2, 7)
 _STOP_T, _STOP_HARD = 7, 8
 _WIDTH = 9
@@ -60,7 +60,7 @@ class PoseSignals:
         return signals
 
     def _new_steps(self, states: Floats, old: int) -> Floats:
-        """Return what is known of the steps to the states from `old` on."""
+        """Return the rows of the steps to the states from `old` on."""
         begin = max(old - 2, 0)
         some = states[begin:]
         times = some[:, TIME]

@@ -13,7 +13,7 @@ TIME, SINCE = 0, 1
 # the message has none.
 POSITION, QUATERNION, VELOCITY, RATE = slice(2, 5), slice(5, 9), slice(9, 12), slice(12, 15)
 POSE_WIDTH, STATE_WIDTH = 9, 15
-# Sources wait for each other for so long, s. What came so long before the arming decides nothing.
+# Sources wait for each other for at most this time, s. Older data before arming is not used.
 REMEMBERED_S = 600.0
 # Longer silences, s, end all windows: nothing is compared across them.
 GAP_S = 2.0
@@ -59,7 +59,7 @@ class Recent:
 
 
 class Feed:
-    """Gives the columns of one source the two columns of time, and drops what is out of order.
+    """Adds the two columns of time to one source, and drops rows that are out of order.
 
     Attributes:
         last: Time of the latest row, s.

@@ -1,4 +1,4 @@
-"""What a recording has for a watchdog, fed to it as if it were live."""
+"""A recording as input of a watchdog, in slices of time as in a live run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SLICE_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class WatchedRun:
-    """An estimate and what it is compared with.
+    """An estimate and the sources that it is compared with.
 
     Attributes:
         estimate: The states that are watched, in order of arrival.
@@ -50,14 +50,14 @@ class WatchedRun:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What a watchdog saw in a recording.
+    """Signals of a recording.
 
     Attributes:
         origin: Stamp, ns, from which seconds are counted.
         signals: Values since the arming, by name.
         armed_s: When judging began.
         end_s: Time of the last state.
-        notices: What was found about the sources, one sentence each.
+        notices: Findings about the sources, one sentence each.
     """
 
     origin: int
@@ -68,7 +68,7 @@ class Watched:
 
     @property
     def hours(self) -> float:
-        """For how long signals were judged."""
+        """Duration for which signals were judged, hours."""
         return (self.end_s - self.armed_s) / 3600.0
 
 
@@ -127,7 +127,7 @@ def watched(run: WatchedRun) -> Watched:
 
 
 def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
-    """Give a watchdog all that a run has, in order of time, and return the signals."""
+    """Feed a run to a watchdog in order of time, and return the signals."""
     return joined(list(_fed(watchdog, run)))
 
 

@@ -1,4 +1,4 @@
-"""What signals were in the last minute, one value a second."""
+"""Largest values of the signals in each second of the last minute."""
 
 from __future__ import annotations
 

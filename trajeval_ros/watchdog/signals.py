@@ -1,4 +1,4 @@
-"""What is watched: the signals, what they need, and the least that a limit may be."""
+"""The signals: their sources, units, and minimum healthy values."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Signal(NamedTuple):
         name: As in limits, tables and topics.
         unit: Of its values; "" for ratios.
         needs: The source it needs beside poses: "", `twist`, `imu`, `pair` or `map`.
-        floor: The least healthy value that a limit is taken of: an idle robot learns nothing.
-        least_factor: Below this multiple of the healthy value it is worth no alarm.
-        words: What it is.
+        floor: Minimum healthy value for a limit, for runs in which the robot is idle.
+        least_factor: Minimum ratio of its limit to the healthy value.
+        words: Description for messages.
     """
 
     name: str

@@ -12,8 +12,8 @@ from trajeval_ros.geometry.arrays import Floats
 def only_axis(turns: Floats, others: Floats) -> Floats | None:
     """Return the axis (3,) about which alone a body turned; None if it turned about several.
 
-    What a body seems to turn about other axes may be noise. If it isn't, the other source, whose
-    noise is its own, says the same: the two must correlate, as `calibration.observability` asks of
+    Rotation about other axes may be noise. If it is not, it is in the other source, too, whose
+    noise is independent: the two must correlate, as `calibration.observability` asks of
     every parameter.
 
     Args:

@@ -31,7 +31,7 @@ _TOLD_LAG_S = 0.05
 _LEAST_SPREAD = 1e-6  # m/s, rad/s
 _SCALE_S = 10.0
 _SLOWEST_M = 0.05  # rms of displacements in 1 s
-# How many times smaller residuals in world axes must be, to say that the twist is in those.
+# Minimum ratio of residuals in body and world axes for a twist in world axes.
 _CLEARLY = 3.0
 _INTEGRAL = slice(STATE_WIDTH, STATE_WIDTH + 3)
 _PRODUCT, _SQUARE = STATE_WIDTH + 3, STATE_WIDTH + 4
@@ -42,7 +42,7 @@ class TwistSignals:
 
     Attributes:
         lag_s: By which the twist is later than the pose.
-        notices: What was found at the start, one sentence each.
+        notices: Findings at the start, one sentence each.
         usable: Whether there is anything to compare: a twist in the body's axes.
     """
 
@@ -66,7 +66,7 @@ class TwistSignals:
             )
 
     def _is_in_body(self, before: Floats) -> bool:
-        """Judge in which axes the twist is, and say so if it isn't the body's."""
+        """Return whether the twist is in the body frame; add a notice if it is not."""
         in_body = _misfit(before, before[:, VELOCITY], self.lag_s)
         world = lie.rotate(lie.conjugate(before[:, QUATERNION]), before[:, VELOCITY])
         in_world = _misfit(before, world, self.lag_s)

@@ -1,4 +1,4 @@
-"""What can't be seen without the sources that are missing, or that give nothing."""
+"""Faults that are not detected, because sources are missing or have no data."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _SEES = {"imu": "yaw drift and clock slip", PAIR: "slow divergence", "map": "map
 def unseen(
     needs: Collection[str], there: Collection[str], notices: Sequence[str]
 ) -> Iterator[str]:
-    """Yield what can't be seen, one sentence for each source.
+    """Yield one sentence per source whose faults are not detected.
 
     Args:
         needs: The sources that were given: `twist`, `imu`, `pair`, `pair.NAME`, `map`.
         there: The sources that gave signals.
-        notices: What was found about the sources, which may say why one gave none.
+        notices: Findings about the sources, which may explain why one gave none.
     """
     if "twist" not in needs:
         yield "no twist: disagreement of pose and velocity is not detected"

@@ -1,4 +1,4 @@
-"""What a watch saw around an alarm, by the JSON file of a black box's clip."""
+"""Signals of a watch around an alarm, from the JSON file of a black box's clip."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def read_watched_clip(folder: Path, factor: float | None = None) -> WatchedClip:
 
     Args:
         folder: With the messages and the JSON file.
-        factor: A limit is so many times the largest healthy value; as in the node if None.
+        factor: Ratio of a limit to the largest healthy value; that of the node if None.
 
     Raises:
         InputError: The JSON file can't be read, or no watch wrote signals into it.

@@ -48,7 +48,7 @@ def read_limits(path: Path) -> WatchLimits:
     """Read limits.
 
     Raises:
-        InputError: It can't be read, or what it says means nothing.
+        InputError: It can't be read, or its content is not valid.
     """
     return limits_in(read_mapping(path, "limits"), path)
 
@@ -71,7 +71,7 @@ def limits_in(found: dict[str, Any], path: Path) -> WatchLimits:
     """Return the limits in the mapping of a file.
 
     Raises:
-        InputError: What it says means nothing.
+        InputError: The content is not valid.
     """
     require_schema(path, found.get("schema"), SCHEMA, "file with limits", _MEND)
     require_known(found, _KNOWN, str(path))
