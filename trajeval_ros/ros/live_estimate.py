@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
     QUATERNION,
-    WIDTH,
     Pairs,
     states,
     trajectory,
@@ -253,7 +252,7 @@ class LiveEstimate:
 
     def _before_a_jump(self, pairs: Pairs) -> Pairs:
         """Return the new pairs up to the first jump; those behind it are the next segment's."""
-        narrowed, detector = narrow(pairs), copy(self.jumps)
+        narrowed, detector = pairs.without_covariances(), copy(self.jumps)
         found = detector.update(narrowed, self._scale)
         if not found:
             self.jumps = detector
@@ -285,13 +284,14 @@ class LiveEstimate:
         Apart from `update`, so that what can wait costs a few calls a second.
         """
         found, self._jumps_found = self._jumps_found, []
-        for pairs in joined(self._undigested):
-            if not self._splits:
-                found += self.jumps.update(pairs, self._scale)
-            self.trail.add(pairs)
-            if self.revised is not None:  # by the estimate's own clock
-                self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
-        self._undigested = []
+        if not self._undigested:
+            return found
+        pairs, self._undigested = Pairs.in_order(self._undigested), []
+        if not self._splits:
+            found += self.jumps.update(pairs, self._scale)
+        self.trail.add(pairs)
+        if self.revised is not None:  # by the estimate's own clock
+            self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
         return found
 
     def renew_slow(self, truth_body: str) -> bool:
@@ -345,35 +345,7 @@ class LiveEstimate:
         return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
 
     def write_state(self, state: Mapping[str, Any]) -> None:
-        """Write what `trajeval finish` can't tell from pairs, if it has changed.
-
-        Args:
-            state: What is known beside the estimate: settings, groundtruth, live, warnings.
-        """
-        status, evaluator = self.stream.status, self.evaluator
-        covariances, buffer = evaluator.settings.covariances, evaluator.buffer
-        between = buffer.interpolation
-        state = {
-            **state,
-            "estimate": {
-                "poses": buffer.estimate_intake.poses,
-                "states": buffer.estimate_count,
-                "duration_s": buffer.estimate_intake.duration_s,
-                "first_stamp_ns": buffer.estimate_intake.first,
-                "frame": status.frame,
-                "child_frame": status.child_frame,
-                "up": asdict(self.up),
-                "notes": list(status.notes),
-                "interpolation": None if between is None else asdict(between),
-            },
-            "covariances": {
-                "source": covariances.source,
-                "rotation_frame": covariances.rotation_frame,
-                "groundtruth_noise": covariances.groundtruth_noise,
-            },
-            "dropped": add_counts(self.dropped_since_begun(self.stream), buffer.dropped),
-            "aligned_by": evaluator.frozen_at,
-        }
+        """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
         if state == self._state:
             self.writer.write()
             return
@@ -411,7 +383,7 @@ class LiveEstimate:
     def _record(self, pairs: Pairs) -> None:
         """Have new pairs on disk before anything else."""
         self.writer.append(*pairs)
-        pairs = narrow(pairs)
+        pairs = pairs.without_covariances()
         self._undigested.append(pairs)
         if self.watch is not None:
             self.watch(pairs)
@@ -460,23 +432,3 @@ class LiveEstimate:
             evaluate(self)
         elif len(stamps):
             self._held.add(side, stamps, evaluate)
-
-
-def narrow(pairs: Pairs) -> Pairs:
-    """Return pairs without covariances."""
-    return pairs._replace(estimate=pairs.estimate[:, :WIDTH])
-
-
-def joined(several: list[Pairs]) -> list[Pairs]:
-    """Return one block of pairs, in order of their stamps, instead of several; none for none."""
-    if len(several) < 2:
-        return several
-    stamps = np.concatenate([each.stamps for each in several])
-    order = np.argsort(stamps, kind="stable")  # late ones go where they belong
-    return [
-        Pairs(
-            stamps[order],
-            np.concatenate([each.groundtruth for each in several])[order],
-            np.concatenate([each.estimate for each in several])[order],
-        )
-    ]

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
@@ -23,22 +19,20 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.notices import OK, Notice
-from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.state_rows import QUATERNION
 from trajeval_ros.online.time_steps import TimeSteps
 from trajeval_ros.ros.estimate_segments import EstimateSegments
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.poses import StateColumns
+from trajeval_ros.ros.recorded_state import recorded_state
 from trajeval_ros.ros.segmentation import Segmentation
 from trajeval_ros.ros.sides import Side, TimeAt
+from trajeval_ros.ros.start_decision import StartDecision
 
 _QUIET_S = 0.1
 _LAST_MESSAGES_S = 2.0
-_SAME_CLOCK_S = 60.0
-_DECISION_S = 60.0
 
 
 class LiveRun:
@@ -50,8 +44,6 @@ class LiveRun:
         news: What nobody has been told yet.
         watch: Receives the states of the groundtruth, to draw them.
         body: The body that is evaluated.
-        holds: Whether nothing is evaluated yet, since the clocks' offset, or the marker's pose in
-            the body, is to be found first.
     """
 
     def __init__(
@@ -88,9 +80,8 @@ class LiveRun:
         self.words = words
         self._given_up = None if settings.up is None else settings.up[0]
         self.watch: Callable[[StateColumns], object] | None = None
-        self.body, self._finds_offset = body or MarkerBody(), find_offset
-        self.holds, self._about_clocks = find_offset or self.body.is_wanted, ""
-        self._is_oriented: bool | None = None  # the groundtruth; None before its first state
+        self.body = body or MarkerBody()
+        self._start = StartDecision(self.body, find_offset=find_offset)
         self._settings, self._new_folder = settings, new_folder
         self._segmentation = segmentation or Segmentation()
         self._time = TimeSteps()
@@ -119,7 +110,7 @@ class LiveRun:
         self._fix_writers: dict[Path, FixWriter] = {}
         self._gauge_is_default = words["gauge"] is None and words["modality"] is None
         for each in self.estimates:
-            each.write_state(self._state(each))
+            each.write_state(recorded_state(self, each))
 
     @property
     def groundtruth_up(self) -> UpAxis:
@@ -179,7 +170,7 @@ class LiveRun:
     def write_states(self) -> None:
         """Write what `trajeval finish` can't tell from pairs."""
         for each in self._open:
-            each.write_state(self._state(each))
+            each.write_state(recorded_state(self, each))
 
     def save(self) -> None:
         """Start to write result.json; there are pairs, and nothing is being written.
@@ -254,13 +245,19 @@ class LiveRun:
         return "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
 
     @property
+    def holds(self) -> bool:
+        """Whether messages are only stored, because the start is not decided yet."""
+        return self._start.holds
+
+    @property
     def waits_for(self) -> str:
         """What must be known before anything is evaluated; empty once it is."""
-        if not self.holds:
-            return ""
-        clocks = "the clock offset" if self._finds_offset else ""
-        marker = f"hand_eye {self.body.source}" if self.body.is_wanted else ""
-        return " and ".join(filter(None, (clocks, marker)))
+        return self._start.waits_for
+
+    @property
+    def about_clocks(self) -> str:
+        """Which clock offset was found, as a sentence; empty if none was requested."""
+        return self._start.about_clocks
 
     @property
     def has_pairs(self) -> bool:
@@ -286,8 +283,7 @@ class LiveRun:
             each.add_groundtruth(poses.stamps, poses.states)
         if not len(poses.stamps):
             return
-        if self._is_oriented is None:
-            self._is_oriented = not np.isnan(poses.states[0, QUATERNION.start])
+        self._start.see_groundtruth(poses.states)
         if self.body.leaves_out_velocities_of(poses.states, is_truth=True):
             self.groundtruth.stream.status.note(MARKERS_VELOCITIES)
         if self.watch is not None:
@@ -334,7 +330,7 @@ class LiveRun:
 
     def _tell_begun(self, begun: Sequence[LiveEstimate]) -> None:
         for each in begun:
-            each.write_state(self._state(each))
+            each.write_state(recorded_state(self, each))
             said = f"{each.name}: {each.began_by}; segment {each.segment} starts"
             values: dict[str, float | int | str] = {
                 "segment": each.segment,
@@ -348,7 +344,7 @@ class LiveRun:
             for each in track.complete(self._time):
                 each.update(at_end=True)
                 each.digest()
-                each.write_state(self._state(each))
+                each.write_state(recorded_state(self, each))
                 here = each.folder == self.finisher.folder
                 self._has_closed_pairs |= here and each.evaluator.pairs > 0
                 self._troubles.append(_trouble(each.close))
@@ -363,132 +359,18 @@ class LiveRun:
         self._decide(at_end=True)
 
     def _decide(self, *, at_end: bool = False) -> None:
-        """Go on by one clock and one body for all estimates, once they are known, or a minute on.
-
-        Both are told by the first estimate: estimates with clocks of their own couldn't be
-        ranked. A path's clock is never known.
-        """
-        if not self.holds:
+        """Evaluate what was held, once clock offset and marker pose are decided."""
+        offset_s = self._start.look(self.estimates, at_end=at_end)
+        if offset_s is None:
             return
-        first, held_s = self.estimates[0], max(each.held_s for each in self.estimates)
-        known, is_spent = first.clock.report, at_end or held_s >= _DECISION_S
-        is_known = known.is_significant or first.revised is not None or not self._finds_offset
-        if self.body.is_wanted:
-            is_known &= self.body.look(first.clock.calibration, is_spent=is_spent)
-            if self._is_oriented is None and not at_end and held_s < math.inf:
-                return
-        if not (is_known or is_spent):
-            return
-        self.holds = False
-        offset_s = self._offset_s(first) if self._finds_offset else first.evaluator.offset_s
-        if self.body.is_wanted:
-            gauge = first.evaluator.settings.protocol.gauge
-            self.body.settle(is_oriented=self._is_oriented is not False, has_scale=gauge.has_scale)
         self.words = {**self.words, "time_offset": offset_s}
         for each in self.estimates:
             each.release(offset_s)
-
-    def _offset_s(self, first: LiveEstimate) -> float:
-        """Return what the first estimate tells of the clocks, and keep what to say of it."""
-        known, name = first.clock.report, first.name
-        if not known.is_significant or known.offset_s is None:
-            self._about_clocks = f"no time offset applied ({name}: {known.reason})"
-            return 0.0
-        self._about_clocks = (
-            f"time offset of {known.offset_s:.4f} s applied, estimated from the first "
-            f"{known.span_s:.0f} s of {name} (+- {known.half_width_95_s:.2g} s, 95 %)"
-        )
-        return known.offset_s
 
     @property
     def _received(self) -> int:
         streams = [self.groundtruth.stream, *(each.stream for each in self.estimates)]
         return sum(each.status.poses for each in streams)
-
-    def _state(self, estimate: LiveEstimate) -> dict[str, Any]:
-        truth, buffer = self.groundtruth.stream.status, estimate.evaluator.buffer
-        intake = buffer.groundtruth_intake
-        return {
-            "settings": self.words,
-            "groundtruth": {
-                "poses": intake.poses,
-                "states": buffer.groundtruth_count,
-                "duration_s": intake.duration_s,
-                "path_length_m": buffer.groundtruth_path_m,
-                "time_without_gaps_ns": buffer.groundtruth_time,
-                "frame": truth.frame,
-                "child_frame": truth.child_frame,
-                "up": asdict(self.groundtruth_up),
-                "dropped": self.groundtruth_dropped(estimate),
-                "notes": list(truth.notes),
-            },
-            "live": {
-                "messages_lost": estimate.side.lost,
-                "groundtruth_messages_lost": self.groundtruth.lost,
-                "losses_are_exact": estimate.side.loss_is_exact and self.groundtruth.loss_is_exact,
-                "arrival_offset_s": estimate.stream.arrivals.offset_s,
-                "groundtruth_arrival_offset_s": self.groundtruth.stream.arrivals.offset_s,
-                "sync_risk_m": sync_risk_m(self.groundtruth, estimate.side, buffer),
-                "latency_p95_s": estimate.latency.p95_s,
-                "jumps": estimate.jumps.count,
-                "segment": estimate.segment,
-                "clock": asdict(estimate.clock.report),
-            },
-            "hand_eye": self.body.state,
-            "fixes": self._fix_state,
-            "warnings": self._warnings(estimate),
-        }
-
-    @property
-    def _fix_state(self) -> dict[str, Any] | None:
-        """What `trajeval finish` must know of GNSS fixes; None of other groundtruth."""
-        fixes = self.groundtruth.stream.fixes
-        if fixes.datum is None:
-            return None
-        datum = fixes.datum.coordinates.tolist()
-        return {"datum": datum, "correlation_s": fixes.rule.correlation_s}
-
-    def _warnings(self, estimate: LiveEstimate) -> list[str]:
-        warnings = [
-            f"{counted(side.lost, 'message')} of {side.source} lost in transport to the live "
-            "evaluator"
-            for side in (self.groundtruth, estimate.side)
-            if side.lost
-        ]
-        if estimate.began_by:
-            warnings.append(
-                f"segment {estimate.segment} of {estimate.side.source}: {estimate.began_by}"
-            )
-        if self._about_clocks:
-            warnings.append(self._about_clocks)
-        if estimate.why_not_revised:
-            warnings.append(estimate.why_not_revised)
-        if self.body.said:
-            warnings.append(self.body.said)
-        if forgotten := estimate.evaluator.buffer.why_forgotten:
-            warnings.append(forgotten)
-        if estimate.writer.lost:
-            warnings.append(
-                f"{counted(estimate.writer.lost, 'pair')} missing, since the disk could not be "
-                f"written: {estimate.writer.why_lost}"
-            )
-        return warnings
-
-
-def sync_risk_m(groundtruth: Side, estimate: Side, buffer: Pairing) -> float | None:
-    """Return what the clocks can have done to the position error, metres.
-
-    That is the groundtruth's mean speed times the difference of the two offsets between stamp and
-    arrival: as if all of it came from the clocks, nothing from the time that estimating takes.
-    None if stamps aren't of the clock that arrivals are of, as in a replay without simulated time.
-    """
-    one, other = groundtruth.stream.arrivals.offset_s, estimate.stream.arrivals.offset_s
-    if one is None or other is None or not buffer.groundtruth_time:
-        return None
-    if max(abs(one), abs(other)) > _SAME_CLOCK_S:
-        return None
-    speed = buffer.groundtruth_path_m / (buffer.groundtruth_time / NANOSECONDS)
-    return speed * abs(one - other)
 
 
 def _trouble(write: Callable[[], object]) -> str:

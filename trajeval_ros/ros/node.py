@@ -7,7 +7,6 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
@@ -25,10 +24,11 @@ from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.node_log import log
-from trajeval_ros.ros.output_folder import Autosave, Finisher, make_folder
+from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
 from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
+from trajeval_ros.ros.result_writing import ResultWriting
 from trajeval_ros.ros.revised_outputs import RevisedOutputs
 from trajeval_ros.ros.sides import Side, TimeAt, name_apart
 from trajeval_ros.ros.simulated_clock import SimulatedClock
@@ -75,10 +75,7 @@ class EvaluatorNode:
         self._snapshots: dict[str, Snapshot] = {}
         self._newest: dict[str, Update] = {}
         self._snapshot_at = 0.0
-        self._autosaving = Autosave()
-        self._saved = Future()
-        self._ended: list[Finisher] = []  # of runs before a reset, still writing
-        self._complaint = ""
+        self._results = ResultWriting(lambda: self._run, self._log)
         self._advertise()
         self._log(f"output folder: {self._run.finisher.folder}")
 
@@ -96,7 +93,7 @@ class EvaluatorNode:
         for each in self._picture.close():
             self._log(each, warn=True)
         troubles = self._run.close()
-        self._finish_folders(self._run)
+        self._results.finish_left_folders(self._run)
         for each in troubles:
             self._log_error(each)
         if not self._run.has_pairs:
@@ -240,14 +237,7 @@ class EvaluatorNode:
         for each in news:
             self._log(each.text)
             self._events.publish("run", each)
-        self._finish_folders(self._run)
-
-    def _finish_folders(self, run: LiveRun) -> None:
-        """Write the results of folders that a run has left."""
-        for finisher in run.ended():
-            self._log(f"results of {finisher.folder} are complete")
-            finisher.finish_alone()
-            self._ended.append(finisher)
+        self._results.finish_left_folders(self._run)
 
     def _match(self) -> None:
         if self._time_at is not None:
@@ -310,57 +300,17 @@ class EvaluatorNode:
         self._diagnostics.publish(message)
         for news in self._picture.news():
             self._log(f"no output in Rerun: {news}", warn=True)
-        self._complain()
-        self._autosave()
+        self._results.tell(self._values["autosave_period"])
         if (line := self._line.show(parts)) is not None:
             self._log(line)
-
-    def _autosave(self) -> None:
-        if self._run.finisher.poll():
-            self._tell_saved()
-        for each in self._ended:
-            if each.poll() and each.trouble:
-                self._log(f"results can't be written to {each.folder}: {each.trouble}", warn=True)
-        self._ended = [each for each in self._ended if each.is_busy]
-        finisher, period_s = self._run.finisher, self._values["autosave_period"]
-        if self._autosaving.is_due(finisher, period_s):
-            self._begin_to_save()
-        if late := self._autosaving.why_late(finisher, period_s):
-            self._log(late)
-
-    def _begin_to_save(self) -> str:
-        """Start to write result.json; returns why it can't be written, empty if it can."""
-        if not self._run.has_pairs:
-            return self._run.why_no_pair()
-        self._autosaving.saved()
-        try:
-            self._run.save()
-        except TrajevalError as error:
-            self._log(str(error), warn=True)
-            return str(error)
-        return ""
-
-    def _tell_saved(self) -> None:
-        """Let those go on who wait until something is written."""
-        saved, self._saved = self._saved, Future()
-        saved.set_result(None)
 
     # What is answered.
 
     async def _save(self, request: Any, response: Any) -> Any:
         """Answer ~/save when result.json is written."""
         del request
-        while self._run.finisher.is_busy:  # with what was there before the newest pairs
-            await self._saved
-        finisher = self._run.finisher
-        if why_not := self._begin_to_save():
-            return _answered(response, why_not)
-        await self._saved
-        result = finisher.folder / "result.json"
-        if finisher is not self._run.finisher:
-            return _answered(response, f"{result}, interrupted by ~/reset, is now written")
-        said = finisher.trouble or str(result)
-        return _answered(response, said, success=not finisher.trouble)
+        success, message = await self._results.saved()
+        return _answered(response, message, success=success)
 
     def _reset(self, request: Any, response: Any) -> Any:
         """Answer ~/reset: end this run, whose results stay, and begin another one."""
@@ -373,7 +323,7 @@ class EvaluatorNode:
         ended.conclude(self._time_at)
         for trouble in ended.close():
             self._log(trouble, warn=True)
-        self._finish_folders(ended)
+        self._results.finish_left_folders(ended)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
         if ended.body.transform is not None:
@@ -381,10 +331,7 @@ class EvaluatorNode:
         self._match()
         self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
-        if ended.has_pairs:
-            ended.finisher.finish_alone()
-            self._ended.append(ended.finisher)
-        self._tell_saved()
+        self._results.finish(ended)
         said = (
             f"previous results are in {ended.finisher.folder}, new results in "
             f"{self._run.finisher.folder}"
@@ -423,18 +370,6 @@ class EvaluatorNode:
     def _log_error(self, text: str) -> None:
         self._line.clear()
         self._node.get_logger().error(one_line(text))
-
-    def _complain(self) -> None:
-        """State once what is wrong with the disk, and that it is well again."""
-        troubles = [each.writer.trouble for each in self._run.estimates if each.writer.trouble]
-        if self._run.has_pairs and self._run.finisher.trouble:
-            troubles.append(self._run.finisher.trouble)
-        complaint = troubles[0] if troubles else ""
-        if complaint != self._complaint:
-            folder = self._run.finisher.folder
-            said = f"results can't be written to {folder}: {complaint}" if complaint else ""
-            self._log(said or f"results are written to {folder} again", warn=bool(complaint))
-        self._complaint = complaint
 
     def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         said = (
