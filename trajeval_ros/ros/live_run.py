@@ -1,4 +1,4 @@
-"""A live run: one groundtruth, its estimates, and the folder that they leave. No timers here."""
+"""A live run: one groundtruth, its estimates, and their output folder, without timers."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _LAST_MESSAGES_S = 2.0
 
 
 class LiveRun:
-    """Feeds every estimate with the same groundtruth, and keeps what is found on disk.
+    """Passes the same groundtruth to every estimate, and stores the results on disk.
 
     Attributes:
-        groundtruth: Where it comes from.
+        groundtruth: Source of the groundtruth.
         finisher: Writes result.json, in a process of its own.
-        news: What nobody has been told yet.
+        news: Notices that are not published yet.
         watch: Receives the states of the groundtruth, to draw them.
         body: The body that is evaluated.
     """
@@ -62,16 +62,16 @@ class LiveRun:
         """Create it.
 
         Args:
-            groundtruth: Where it comes from.
-            sides: Where the estimates come from.
-            settings: What to do.
-            words: The same, as `settings.protocol_from` takes them.
-            folder: For the files; it exists.
-            find_offset: Estimate the clocks' offset from the first minute, and apply it if it is
+            groundtruth: Source of the groundtruth.
+            sides: Sources of the estimates.
+            settings: Settings of the evaluation.
+            words: The same settings, as arguments of `settings.protocol_from`.
+            folder: Existing folder for the files.
+            find_offset: Estimate the clock offset from the first minute, and apply it if it is
                 significant.
-            body: Where the groundtruth is of a marker on it; None where it is of the body.
-            segmentation: When a segment ends, and another one begins.
-            new_folder: Makes the folder for what follows a reset by time.
+            body: The body, if the groundtruth is measured at a marker on it; else None.
+            segmentation: When a new segment starts.
+            new_folder: Creates the folder for the segment after a step of time.
 
         Raises:
             InputError: The files can't be made.
@@ -128,7 +128,7 @@ class LiveRun:
         return [segment for each in self._tracks for segment in each.open]
 
     def take(self, time_at: TimeAt | None) -> None:
-        """Take what has arrived; `time_at` tells simulated time."""
+        """Take the messages that have arrived; `time_at` returns simulated time."""
         stream = self.groundtruth.stream
         for message_type, taken, arrived in self.groundtruth.take(time_at):
             poses = stream.poses(message_type, taken.payloads, arrived)
@@ -144,12 +144,12 @@ class LiveRun:
                     self._begin_if_due(track, track.time, track.own_epoch)
                     track.take(message, part)
         for estimate in self.estimates:
-            # While nothing is evaluated, nobody has to be kept waiting.
+            # While nothing is evaluated, waiting delays nothing.
             estimate.clock.update(waits=self.holds)
         self._decide()
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
-        """Evaluate what has been taken, estimate by estimate."""
+        """Evaluate the messages that were taken; yield the new errors by estimate."""
         for each in self._tracks:
             before = each.current
             for estimate, update in each.update(self._settings):
@@ -160,7 +160,7 @@ class LiveRun:
         self._close_segments()
 
     def change(self, settings: OnlineSettings, words: dict[str, Any]) -> None:
-        """Go on with other lengths and another window."""
+        """Use other lengths and another window from now on."""
         known = {name: self.words[name] for name in ("time_offset", "gauge")}
         self.words = {**words, **known}
         self._settings = settings.with_gauge(self._settings.protocol.gauge)
@@ -168,7 +168,7 @@ class LiveRun:
             each.evaluator.change(settings)
 
     def write_states(self) -> None:
-        """Write what `trajeval finish` can't tell from pairs."""
+        """Write the state that `trajeval finish` needs besides pairs."""
         for each in self._open:
             each.write_state(recorded_state(self, each))
 
@@ -184,7 +184,7 @@ class LiveRun:
         self.finisher.save()
 
     def drain(self, time_at: TimeAt | None) -> None:
-        """Take and evaluate the last messages, those still on their way included."""
+        """Take and evaluate the last messages, including those in transit."""
         until = time.monotonic() + _LAST_MESSAGES_S
         quiet_since = time.monotonic()
         while time.monotonic() < min(until, quiet_since + _QUIET_S):
@@ -196,7 +196,7 @@ class LiveRun:
         self.conclude(time_at)
 
     def conclude(self, time_at: TimeAt | None) -> None:
-        """Take and evaluate what has arrived, and what waits for groundtruth that won't come."""
+        """Evaluate everything that has arrived, including poses that wait for groundtruth."""
         self.take(time_at)
         self._feed(self.groundtruth.stream.last_poses())
         for track in self._tracks:
@@ -209,7 +209,7 @@ class LiveRun:
             each.digest()
 
     def close(self) -> list[str]:
-        """Have all pairs on disk; returns why some are not."""
+        """Write all pairs to disk; return the reasons for missing ones."""
         self.write_states()
         self._worker.shutdown(wait=False, cancel_futures=True)
         troubles = [_trouble(each.close) for each in self._open]
@@ -218,17 +218,17 @@ class LiveRun:
         return [each for each in [*self._troubles, *troubles] if each]
 
     def missing(self, estimate: LiveEstimate) -> str:
-        """Return the source that nothing has come from yet; empty if both have spoken."""
+        """Return a source without any message so far; empty if there is none."""
         sides = (self.groundtruth, estimate.side)
         return next((each.source for each in sides if each.silent_s is None), "")
 
     def groundtruth_dropped(self, estimate: LiveEstimate) -> dict[str, int]:
-        """Return the number of groundtruth states that an estimate can't use, by reason."""
+        """Return the number of groundtruth states that an estimate does not use, by reason."""
         dropped = estimate.dropped_since_begun(self.groundtruth.stream)
         return add_counts(dropped, estimate.evaluator.buffer.groundtruth_intake.dropped)
 
     def why_no_pair(self) -> str:
-        """Return what has come instead of what makes pairs."""
+        """Return why there are no pairs: the number of poses per topic, and reasons."""
         dropped = [
             self.groundtruth_dropped(self.estimates[0]),
             *(
@@ -261,17 +261,17 @@ class LiveRun:
 
     @property
     def has_pairs(self) -> bool:
-        """Whether there is anything to evaluate in the folder of now."""
+        """Whether there are pairs in the present folder."""
         here = [each for each in self._open if each.folder == self.finisher.folder]
         return self._has_closed_pairs or any(each.evaluator.pairs for each in here)
 
     def ended(self) -> list[Finisher]:
-        """Return what writes the results of folders that were completed since the last call."""
+        """Return the finishers of folders that were completed since the last call."""
         closed, self._closed = self._closed, []
         return closed
 
     def _feed(self, poses: StateColumns) -> None:
-        """Give states of the groundtruth to all estimates."""
+        """Pass groundtruth states to all estimates."""
         fed = [
             each for track in self._tracks for each in track.open_at(track.truth_epoch(self._time))
         ]
@@ -290,13 +290,13 @@ class LiveRun:
             self.watch(poses._replace(states=self.body.truth(poses.states)))
 
     def _keep_fixes(self, folder: Path, stamps: Stamps, fixes: Floats) -> None:
-        """Have fixes on disk as they were sent: pairs don't tell how good they are."""
+        """Write the original fixes to disk, because pairs do not contain their quality."""
         if folder not in self._fix_writers:
             self._fix_writers[folder] = FixWriter(folder)
         self._fix_writers[folder].append(stamps, fixes)
 
     def _keep_upright(self) -> None:
-        """Align by yaw, since nobody chose: the heights of fixes would tilt an estimate."""
+        """Align by yaw if no gauge is set, since the heights of fixes would tilt an estimate."""
         self._gauge_is_default = False
         self.words = {**self.words, "gauge": Gauge.YAW.value}
         self._settings = self._settings.with_gauge(Gauge.YAW)
@@ -306,20 +306,20 @@ class LiveRun:
         self.news.append(Notice("alignment", OK, said))
 
     def _parts(self, side: TimeSteps, stamps: Stamps) -> Iterator[slice]:
-        """Yield the parts of a side's stamps between steps back that are not to be ignored."""
+        """Yield the parts of a side's timestamps between steps back, unless these are ignored."""
         if self._segmentation.on_time_jump == "ignore":
             return iter([slice(None)])
         return side.parts(stamps)
 
     def _begin_if_due(self, track: EstimateSegments, side: TimeSteps, epoch: int) -> None:
-        """Start a segment of an estimate if the time of one side has got there first."""
+        """Start a segment of an estimate if the time of one side has stepped back."""
         if epoch <= track.current.epoch:
             return
         if self.holds:
             self._conclude_clocks()
         folder = self.finisher.folder
         if self._segmentation.on_time_jump == "reset" and self._new_folder is not None:
-            if track.current.folder == folder:  # the first one that is to leave it
+            if track.current.folder == folder:  # the first estimate that leaves it
                 self._leaving.append(self.finisher)
                 self.finisher = Finisher(self._new_folder())
                 self._has_closed_pairs = False
@@ -339,7 +339,7 @@ class LiveRun:
             self.news.append(Notice("restart", OK, said, values=values))
 
     def _close_segments(self) -> None:
-        """Close segments that no message can be of any more."""
+        """Close segments that no further message can belong to."""
         for track in self._tracks:
             for each in track.complete(self._time):
                 each.update(at_end=True)
@@ -353,7 +353,7 @@ class LiveRun:
         self._leaving = [each for each in self._leaving if each.folder in left]
 
     def _conclude_clocks(self) -> None:
-        """Go on by what is known: no more will come that the clocks could be told from."""
+        """Decide on clocks and body now, because no further messages follow."""
         for each in self.estimates:
             each.clock.update(at_end=True)
         self._decide(at_end=True)
@@ -374,7 +374,7 @@ class LiveRun:
 
 
 def _trouble(write: Callable[[], object]) -> str:
-    """Return why something can't be written; empty if it could."""
+    """Return why something could not be written; empty if it was written."""
     try:
         write()
     except TrajevalError as error:

@@ -1,4 +1,4 @@
-"""What the node of the live evaluator does: what it publishes, answers, and says."""
+"""The node of the live evaluator: its publishers, services and log."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ class EvaluatorNode:
     """Evaluates estimate topics against a groundtruth topic, side by side."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        """Advertise, make the output folder, and begin.
+        """Create publishers, services and the output folder, and start.
 
         Args:
             node: Publishes, subscribes and serves.
             values: Its parameters.
 
         Raises:
-            SettingsError: A parameter means nothing.
-            InputError: The output folder can't be made.
+            SettingsError: A parameter is invalid.
+            InputError: The output folder can't be created.
         """
         self._node, self._values = node, values
         self._settings = parameters.settings_of(self._values)
@@ -80,7 +80,7 @@ class EvaluatorNode:
         self._log(f"output folder: {self._run.finisher.folder}")
 
     def finish(self) -> bool:
-        """Evaluate what is left, and write everything; returns whether it was written."""
+        """Evaluate the last messages and write everything; return whether it was written."""
         self._line.clear()
         try:
             self._run.drain(self._time_at)
@@ -138,7 +138,7 @@ class EvaluatorNode:
         for each in self._outputs.values():
             each.advertise_lengths(self._lengths)
         self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
-        # Whoever waits for ~/save must not keep other services waiting.
+        # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
         self._node.create_service(Trigger, RESET, self._reset, callback_group=asked)
         self._node.create_service(Trigger, SAVE, self._save, callback_group=asked)
@@ -146,16 +146,16 @@ class EvaluatorNode:
 
     @property
     def tick_period_s(self) -> float:
-        """How long to wait between two ticks, seconds."""
+        """Time between two ticks, seconds."""
         period: float = 1.0 / self._values["publish_rate"]
         return period
 
     @property
     def _lengths(self) -> list[str]:
-        """The lengths of sub-trajectories that end while the run goes on."""
+        """The lengths of sub-trajectories that are evaluated during the run."""
         return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
 
-    # What happens again and again.
+    # Periodic work.
 
     def tick(self) -> None:
         """Take messages, evaluate them, publish their errors."""
@@ -189,7 +189,7 @@ class EvaluatorNode:
                 estimate.peaks.see("staleness_s", side.silent_s)
 
     def report(self) -> None:
-        """Match publishers, look for jumps, and publish what is about the window."""
+        """Match publishers, detect jumps, and publish the errors of the window."""
         self._match()
         for estimate in self._run.estimates:
             for jump in estimate.digest():
@@ -216,7 +216,7 @@ class EvaluatorNode:
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
 
     def _publish_revised(self, estimate: LiveEstimate) -> float | None:
-        """Publish how the newest path is, if it is anew; returns its position ATE, metres."""
+        """Publish the errors of the newest path if it is new; return its position ATE, metres."""
         truth = self._run.groundtruth.stream.status
         is_new = estimate.renew_slow(truth.child_frame)
         revised = estimate.slow.revised
@@ -232,7 +232,7 @@ class EvaluatorNode:
         return None if position is None else position.rmse
 
     def _tell_of_segments(self) -> None:
-        """Report which segments have begun, and write the results of folders that are complete."""
+        """Report new segments, and write the results of complete folders."""
         news, self._run.news = self._run.news, []
         for each in news:
             self._log(each.text)
@@ -251,7 +251,7 @@ class EvaluatorNode:
             self._log(said)
 
     def tell(self) -> None:
-        """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
+        """Write counts, publish diagnostics, save periodically, update the status line."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         self._run.write_states()
@@ -269,7 +269,7 @@ class EvaluatorNode:
             notices += twins
             if self._broadcaster is not None:
                 notices += self._broadcaster.notices(estimate.name)
-            # Each jump has been an event of its own.
+            # Every jump was published as an event.
             standing = [each for each in notices if each.kind != "jump"]
             told = estimate.standing.renew(standing)
             for each in told:
@@ -304,7 +304,7 @@ class EvaluatorNode:
         if (line := self._line.show(parts)) is not None:
             self._log(line)
 
-    # What is answered.
+    # Services and parameters.
 
     async def _save(self, request: Any, response: Any) -> Any:
         """Answer ~/save when result.json is written."""
@@ -341,7 +341,7 @@ class EvaluatorNode:
         return _answered(response, said, success=True)
 
     def _set(self, changes: list[Any]) -> Any:
-        """Answer to parameters that are set while it runs."""
+        """Accept or reject parameters that are set during the run."""
         from rcl_interfaces.msg import SetParametersResult
 
         known = {each.name: each for each in PARAMETERS}
@@ -361,7 +361,7 @@ class EvaluatorNode:
         self._run.change(settings, parameters.words_of(values))
         return SetParametersResult(successful=True)
 
-    # What is said.
+    # Log.
 
     def _log(self, text: str, warn: bool = False) -> None:
         self._line.clear()
@@ -387,11 +387,11 @@ class EvaluatorNode:
 
     @property
     def _time_at(self) -> TimeAt | None:
-        """What tells simulated times; None where time isn't simulated."""
+        """The function that returns simulated times; None without simulated time."""
         return self._simulated_time.at if self._node.get_parameter("use_sim_time").value else None
 
 
 def _answered(response: Any, message: str, *, success: bool = False) -> Any:
-    """Return a `std_srvs/Trigger` response; names from elsewhere can't break its line."""
+    """Return a `std_srvs/Trigger` response; control characters in the message are escaped."""
     response.success, response.message = success, one_line(message)
     return response

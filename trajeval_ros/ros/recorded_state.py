@@ -115,11 +115,11 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> list[str]:
 
 
 def sync_risk_m(groundtruth: Side, estimate: Side, buffer: Pairing) -> float | None:
-    """Return what the clocks can have done to the position error, metres.
+    """Return the position error that unsynchronised clocks may cause, metres.
 
-    That is the groundtruth's mean speed times the difference of the two offsets between stamp and
-    arrival: as if all of it came from the clocks, nothing from the time that estimating takes.
-    None if stamps aren't of the clock that arrivals are of, as in a replay without simulated time.
+    This is the groundtruth's mean speed times the difference of the offsets between timestamp and
+    arrival. It is an upper bound: the estimator's own delay is part of the difference. None if
+    timestamps and arrivals are of different clocks, as in a replay without simulated time.
     """
     one, other = groundtruth.stream.arrivals.offset_s, estimate.stream.arrivals.offset_s
     if one is None or other is None or not buffer.groundtruth_time:
