@@ -11,10 +11,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_processes import ODOMETRY, TRUTH, evaluating, listening, parameters, replay
+from fix_runs import fix_messages, fixes_of
+from ros_bags import ODOM, messages_of, write_messages
+from ros_processes import (
+    ODOMETRY,
+    TRUTH,
+    Peer,
+    evaluating,
+    listening,
+    parameters,
+    play_without_loss,
+    replay,
+)
 from waiting import PATIENCE_S
 
 from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -67,6 +79,24 @@ def test_drawn_numbers_are_the_published_ones(
     assert missed < 0.5 * len(drawn)
     _, half_axes = picture.rows(f"world/estimate/{NAME}/covariance", "Ellipsoids3D:half_sizes")
     assert all(np.isfinite(each).all() for each in half_axes)
+
+
+def test_fixes_are_on_the_map(peer: Peer, environment: dict[str, str], tmp_path: Path) -> None:
+    pytest.importorskip("sensor_msgs")
+    flight = simulate(6, 20.0)
+    truth = flight.groundtruth[::80]  # 2.5 Hz
+    fixes = fixes_of(truth.stamps, truth.positions)
+    bag = tmp_path / "bag"
+    sent = [*fix_messages(fixes, TRUTH), *messages_of(flight.estimate, ODOMETRY, ODOM)]
+    write_messages(bag, sent)
+    nodes = {"evaluator": {"rerun": "file", "lengths": "4"}}
+    done = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=4.0)["evaluator"]
+    picture = Rrd(done.folder / "run.rrd")
+    _, points = picture.rows("map/fixes", "GeoPoints:positions")
+    assert fixes.fixes is not None
+    np.testing.assert_array_equal(points[-1], fixes.fixes.places[:, :2])
+    _, tracks = picture.rows(f"map/estimate/{NAME}", "GeoLineStrings:line_strings")
+    assert sum(map(len, tracks[-1])) > 0.8 * len(fixes)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +37,18 @@ class Pairs(NamedTuple):
     def picked(self, rows: NDArray[Any] | slice) -> Pairs:
         """Return the pairs of a mask, of indices or of a slice."""
         return Pairs(self.stamps[rows], self.groundtruth[rows], self.estimate[rows])
+
+    def without_covariances(self) -> Pairs:
+        """Return the pairs with estimates (N, 10)."""
+        return self._replace(estimate=self.estimate[:, :WIDTH])
+
+    @classmethod
+    def in_order(cls, several: Sequence[Pairs]) -> Pairs:
+        """Return several groups of pairs, at least one, as one in order of their timestamps."""
+        if len(several) == 1:
+            return several[0]
+        joined = cls(*map(np.concatenate, zip(*several, strict=True)))
+        return joined.picked(np.argsort(joined.stamps, kind="stable"))
 
 
 def states(

@@ -1,4 +1,4 @@
-"""Publishers that cost nothing while nobody publishes."""
+"""Publishers that cost nothing while they are not used."""
 
 from __future__ import annotations
 

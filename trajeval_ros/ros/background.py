@@ -11,7 +11,7 @@ Found = TypeVar("Found")
 
 
 class BackgroundTask(Generic[Found]):
-    """Computes one thing at a time, which nobody has to wait for."""
+    """Runs one computation at a time on a thread of its own."""
 
     def __init__(self, most_share: float) -> None:
         """Create it idle.

@@ -13,7 +13,8 @@ from trajeval_ros.online.error_topics import status_values
 from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.live_run import LiveRun, sync_risk_m
+from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.recorded_state import sync_risk_m
 from trajeval_ros.ros.status_message import status_message
 
 

@@ -87,7 +87,7 @@ class EstimateSegments:
         return [*self.ending, self.current]
 
     def open_at(self, epoch: int) -> list[LiveEstimate]:
-        """The segment that what comes at an epoch is of, if there is one."""
+        """The segment of the messages of an epoch, if there is one."""
         return [each for each in self.open if each.epoch == epoch and each.following is None]
 
     @property
@@ -100,7 +100,7 @@ class EstimateSegments:
         return groundtruth.count + self._truth_ahead
 
     def messages(self, time_at: TimeAt | None) -> Iterator[DecodedMessages]:
-        """Yield the messages that have arrived, paths one by one.
+        """Yield the messages that have arrived, and every path separately.
 
         Args:
             time_at: Of simulated time; None for the computer's.
@@ -118,7 +118,7 @@ class EstimateSegments:
             yield DecodedMessages(poses.stamps, poses, received[poses.rows], newest)
 
     def take(self, messages: DecodedMessages, part: slice) -> None:
-        """Give a part of the messages to the segment that they are of."""
+        """Pass a part of the messages to its segment."""
         for each in self.open_at(self.own_epoch):
             if messages.newest is None:
                 each.take_path(messages.states, int(messages.times[0]))
@@ -127,13 +127,13 @@ class EstimateSegments:
                 each.take(messages.states.picked(part), messages.times[part])
 
     def take_last(self) -> None:
-        """Take the states that were waiting for their stamps to be trusted: no more will come."""
+        """Take the states whose timestamps were still under test, at the end of the run."""
         poses = self.side.stream.last_poses()
         for each in self.open_at(self.own_epoch):
             each.take(poses, poses.stamps)
 
     def begin(self, epoch: int, began_by: str, settings: OnlineSettings, folder: Path) -> None:
-        """Start a segment because time has stepped back; the previous one ends later.
+        """Start a segment because time stepped back; the previous one ends later.
 
         Raises:
             InputError: Its file can't be made.
@@ -159,7 +159,7 @@ class EstimateSegments:
             yield self.current, self.current.update()
 
     def complete(self, groundtruth: TimeSteps) -> list[LiveEstimate]:
-        """Return the segments that no message can be of any more, and forget them.
+        """Return and remove the segments that no further message can belong to.
 
         Of a side whose time goes on as before while the other's has stepped back, the newest
         states count for the new segment, too.

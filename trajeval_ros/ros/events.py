@@ -1,4 +1,4 @@
-"""The topic `~/event`: what happens once, for whoever listens, and whoever comes later."""
+"""The topic `~/event`: single events, stored for late subscribers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trajeval_ros.ros.status_message import status_message
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-_KEPT = 100  # events for whoever comes later
+_KEPT = 100  # events for late subscribers
 
 
 class EventTopic:

@@ -1,4 +1,4 @@
-"""Alignments on `/tf`, where somebody asks for them: groundtruth frame to estimate frame."""
+"""Alignments on `/tf`, if requested: from the groundtruth frame to the estimate frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is on the network: who publishes a topic, and what could have been meant by a name."""
+"""The ROS graph: publishers of a topic, and existing names similar to a wrong one."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def why_unmatched(node: Node, name: str, types: tuple[str, ...] | None) -> str:
 
 
 def about_twins(node: Node) -> list[Notice]:
-    """Report other nodes of the same name, whose topics nobody can tell from this one's."""
+    """Report other nodes with the same name, because their topics have equal names."""
     name = node.get_fully_qualified_name()
     everybody = node.get_node_names_and_namespaces()
     names = [f"{namespace.rstrip('/')}/{each}" for each, namespace in everybody]

@@ -1,4 +1,4 @@
-"""What arrives before the clocks are known, to be evaluated later, in the same order."""
+"""Messages that arrive before the start is decided; they are evaluated later in the same order."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 if TYPE_CHECKING:
     from trajeval_ros.ros.live_estimate import LiveEstimate
 
-# The side that messages are of, and what a segment of an estimate is to do with them.
+# The side of messages, and how a segment of an estimate takes them.
 HeldCall = tuple[str, Callable[["LiveEstimate"], None]]
-# A minute at 1 kHz on either side, and as much again; stamps may stand still.
+# Twice a minute at 1 kHz on both sides; a limit, since timestamps may not advance.
 _MOST_STATES = 250_000
 
 
 class HeldMessages:
-    """Calls that wait, and the time that their states span.
+    """Stored calls, and the time span of their states.
 
     Attributes:
         calls: With their sides, in order of arrival.
@@ -36,10 +36,10 @@ class HeldMessages:
     def add(
         self, side: str, stamps: NDArray[np.int64], call: Callable[[LiveEstimate], None]
     ) -> None:
-        """Hold a call that is about states of a side, stamps (N,) with N > 0."""
+        """Store a call for states of a side, timestamps (N,) with N > 0."""
         self.calls.append((side, call))
         if side == "estimate" and side not in self._spans:
-            self._spans.clear()  # groundtruth alone decides nothing, however long it comes
+            self._spans.clear()  # groundtruth alone is not enough for a decision
         self._states += len(stamps)
         first, last = int(stamps.min()), int(stamps.max())
         earliest, latest = self._spans.get(side, (first, last))
@@ -47,10 +47,10 @@ class HeldMessages:
 
     @property
     def span_s(self) -> float:
-        """Time that a side's states span since the first estimate, the longer of both, seconds.
+        """Time span of a side's states since the first estimate, the longer of both, seconds.
 
-        Zero while no estimate waits. Not of both together: their clocks may differ by years. It is
-        infinite once more states wait than should.
+        Zero without an estimate. Sides are measured separately, since their clocks may differ by
+        years. Infinite if more states are stored than the limit.
         """
         if self._states > _MOST_STATES:
             return math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
     QUATERNION,
-    WIDTH,
     Pairs,
     states,
     trajectory,
@@ -58,22 +57,22 @@ class LiveEstimate:
         name: Of its topics.
         segment: Which part of the run this is, from 1.
         epoch: How often time had stepped back before it.
-        following: What the next segment begins with, once this one ended with a jump.
-        stream: What its messages have told.
+        following: Pairing of the next segment, if this one ended with a jump.
+        stream: Decodes its messages.
         evaluator: Its evaluation.
         latency: How long its errors take to be published.
         jumps: Restarts and corrections so far.
-        clock: What is known of its clock; nothing if the topic carries paths.
-        trail: The run in few poses.
+        clock: Estimate of its clock offset; none if the topic carries paths.
+        trail: The run, thinned to few poses.
         revised: The newest path, if the topic carries paths.
-        watch: Is given all new pairs, to draw them.
+        watch: Receives all new pairs, to draw them.
         peaks: The largest errors since the last status.
         slow: Hints, and the errors of the newest path.
-        standing: What has been said of it and still is so.
+        standing: Reported conditions that still hold.
         newest: Type and bytes of the newest message; None before it, and of paths.
         offset_ns: What is added to its stamps, nanoseconds.
-        doubt: Why the axis that is taken for up in the groundtruth can't be, as of the newest
-            snapshot; empty if it can.
+        doubt: Why the groundtruth's up axis is probably wrong, at the newest snapshot; empty if it
+            is plausible.
     """
 
     def __init__(
@@ -101,10 +100,10 @@ class LiveEstimate:
             groundtruth: Where the groundtruth comes from.
             place: Its place among the estimates, from 0.
             body: Moves states before they are paired.
-            hold: Evaluate nothing until `release` says by which clock.
-            splits: End where the estimate jumps: `following` is what goes on then.
-            after: The segment before this one, of the same topic.
-            began_by: Why this is another one.
+            hold: Store messages until `release` sets the clock offset.
+            splits: End at a jump of the estimate; `following` is then the next pairing.
+            after: The previous segment of the same topic.
+            began_by: Reason for a new segment.
 
         Raises:
             InputError: The file can't be made.
@@ -128,7 +127,7 @@ class LiveEstimate:
             "segment": self.segment,
         }
         self.writer = PairWriter(folder / f"{self._stem}{SUFFIX}", description)
-        # It doesn't refer to this segment, whose memory is free when nobody needs it any more.
+        # It has no reference to this segment, so that the memory of a complete segment is freed.
         self.evaluator = OnlineEvaluator(
             settings,
             record_waypoints=self.writer.append_waypoints,
@@ -154,7 +153,7 @@ class LiveEstimate:
             self._follow(after)
 
     def _follow(self, before: LiveEstimate) -> None:
-        """Take over what is not about a segment alone."""
+        """Take over the parts that are not of a single segment."""
         self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
         self.watch, self.offset_ns = before.watch, before.offset_ns
         self._jumps_found = before._jumps_found
@@ -175,7 +174,7 @@ class LiveEstimate:
         """Take groundtruth states: stamps (N,) and rows (N, 10)."""
         self.clock.add_groundtruth(stamps, rows)
         if self._held is not None and not self._held.calls and not self._body.is_wanted:
-            # No estimate waits so far; the evaluator itself forgets what nobody needs.
+            # No estimate is stored so far. The evaluator drops old groundtruth itself.
             self.evaluator.add_groundtruth(stamps, rows)
         else:
             self._now_or_later(
@@ -185,7 +184,7 @@ class LiveEstimate:
             )
 
     def share_groundtruth(self, other: LiveEstimate) -> None:
-        """Take the newest groundtruth states of another segment, which are moved already."""
+        """Take the newest groundtruth states, of the body, from another segment."""
         self.evaluator.add_groundtruth(*other.evaluator.buffer.newest_groundtruth)
 
     @property
@@ -195,11 +194,11 @@ class LiveEstimate:
 
     @property
     def held_s(self) -> float:
-        """How long messages have been held, by their stamps, seconds."""
+        """Time span of the stored messages, seconds."""
         return 0.0 if self._held is None else self._held.span_s
 
     def release(self, offset_s: float) -> None:
-        """Evaluate what was held, by a clock that is known now, and go on with it."""
+        """Evaluate the stored messages with a clock offset, seconds, and use it from now on."""
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
         self._judge_by_body()
@@ -216,11 +215,11 @@ class LiveEstimate:
             self.evaluator.judge_moved_groundtruth(hand_eye)
 
     def _take_held(self, calls: Sequence[HeldCall]) -> None:
-        """Take what was held, up to a jump: what came after it is the next segment's."""
+        """Take stored messages up to a jump; the following ones belong to the next segment."""
         for place, (side, call) in enumerate(calls, start=1):
             call(self)
-            # At once, as if it came only now: no more waits than ever does. But groundtruth isn't
-            # forgotten before the estimates that came with it are there.
+            # One by one, as if messages arrived now, so that the buffers stay small. Groundtruth
+            # is kept until the estimates that arrived with it are paired.
             if side == "estimate":
                 self._released.append(self._evaluate_new())
                 if self.following is not None:
@@ -228,7 +227,7 @@ class LiveEstimate:
                     return
 
     def take(self, poses: StateColumns, received: Stamps) -> None:
-        """Take states, and when the middleware received each, (N,), nanoseconds since 1970."""
+        """Take states and their times of reception, (N,), nanoseconds since 1970."""
         self.evaluator.estimate_up = self.up
         self.clock.add_estimate(poses.stamps, poses.states)
         self._now_or_later(
@@ -236,12 +235,12 @@ class LiveEstimate:
         )
 
     def update(self, *, at_end: bool = False) -> Update:
-        """Evaluate what has arrived and write its pairs; returns what is new."""
+        """Evaluate what has arrived and write its pairs; return the new errors."""
         released, self._released = self._released, []
         return united([*released, self._evaluate_new(at_end=at_end)])
 
     def _evaluate_new(self, *, at_end: bool = False) -> Update:
-        """Evaluate the pairs that can be made now, up to a jump where it ends there."""
+        """Evaluate the pairs that are possible now, up to a jump that ends the segment."""
         buffer = self.evaluator.buffer
         pairs = self.evaluator.of_same_point(buffer.made(at_end=at_end))
         if self._splits and len(pairs.stamps):
@@ -252,8 +251,8 @@ class LiveEstimate:
         return self.evaluator.evaluate(pairs, at_end=at_end)
 
     def _before_a_jump(self, pairs: Pairs) -> Pairs:
-        """Return the new pairs up to the first jump; those behind it are the next segment's."""
-        narrowed, detector = narrow(pairs), copy(self.jumps)
+        """Return the new pairs up to the first jump; later ones belong to the next segment."""
+        narrowed, detector = pairs.without_covariances(), copy(self.jumps)
         found = detector.update(narrowed, self._scale)
         if not found:
             self.jumps = detector
@@ -270,7 +269,7 @@ class LiveEstimate:
         return 1.0 if alignment is None else alignment.similarity.scale
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation, without yaw and tilt where up is doubtful."""
+        """Return the state of the evaluation, without yaw and tilt if the up axis is doubtful."""
         snapshot = self.evaluator.snapshot()
         stamps, truth, _ = self.trail.columns()
         if len(stamps):
@@ -280,22 +279,23 @@ class LiveEstimate:
         return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
 
     def digest(self) -> list[Jump]:
-        """Take the pairs since the last call into trail and revision; returns their jumps.
+        """Add the pairs since the last call to trail and revision; return their jumps.
 
-        Apart from `update`, so that what can wait costs a few calls a second.
+        This is separate from `update`, since a few calls per second are enough.
         """
         found, self._jumps_found = self._jumps_found, []
-        for pairs in joined(self._undigested):
-            if not self._splits:
-                found += self.jumps.update(pairs, self._scale)
-            self.trail.add(pairs)
-            if self.revised is not None:  # by the estimate's own clock
-                self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
-        self._undigested = []
+        if not self._undigested:
+            return found
+        pairs, self._undigested = Pairs.in_order(self._undigested), []
+        if not self._splits:
+            found += self.jumps.update(pairs, self._scale)
+        self.trail.add(pairs)
+        if self.revised is not None:  # by the estimate's own clock
+            self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
         return found
 
     def renew_slow(self, truth_body: str) -> bool:
-        """Look beside the ticks; returns whether the newest path has been evaluated.
+        """Run the slow evaluation; return whether the newest path has been evaluated.
 
         Args:
             truth_body: Name of the body that the groundtruth is of.
@@ -317,7 +317,7 @@ class LiveEstimate:
         """Return stamp, position (3,) and its covariance (3, 3) of the newest message, as paired.
 
         Returns:
-            None if there is none, or it says nothing of its covariance.
+            None if there is no message, or its covariance is unknown.
         """
         if self.newest is None or self.newest[0] not in COVARIANCE_TYPES:
             return None
@@ -345,35 +345,7 @@ class LiveEstimate:
         return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
 
     def write_state(self, state: Mapping[str, Any]) -> None:
-        """Write what `trajeval finish` can't tell from pairs, if it has changed.
-
-        Args:
-            state: What is known beside the estimate: settings, groundtruth, live, warnings.
-        """
-        status, evaluator = self.stream.status, self.evaluator
-        covariances, buffer = evaluator.settings.covariances, evaluator.buffer
-        between = buffer.interpolation
-        state = {
-            **state,
-            "estimate": {
-                "poses": buffer.estimate_intake.poses,
-                "states": buffer.estimate_count,
-                "duration_s": buffer.estimate_intake.duration_s,
-                "first_stamp_ns": buffer.estimate_intake.first,
-                "frame": status.frame,
-                "child_frame": status.child_frame,
-                "up": asdict(self.up),
-                "notes": list(status.notes),
-                "interpolation": None if between is None else asdict(between),
-            },
-            "covariances": {
-                "source": covariances.source,
-                "rotation_frame": covariances.rotation_frame,
-                "groundtruth_noise": covariances.groundtruth_noise,
-            },
-            "dropped": add_counts(self.dropped_since_begun(self.stream), buffer.dropped),
-            "aligned_by": evaluator.frozen_at,
-        }
+        """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
         if state == self._state:
             self.writer.write()
             return
@@ -383,7 +355,7 @@ class LiveEstimate:
 
     @property
     def why_not_revised(self) -> str:
-        """Why errors are not those of the newest path; empty if they are, or there is none."""
+        """Why errors do not refer to the newest path; empty if they do, or there is no path."""
         evaluator = self.evaluator
         has_points = evaluator.rule.method == AT_GROUNDTRUTH
         if self.revised is None or not (has_points or evaluator.settings.protocol.lever_m):
@@ -409,15 +381,15 @@ class LiveEstimate:
         )
 
     def _record(self, pairs: Pairs) -> None:
-        """Have new pairs on disk before anything else."""
+        """Write new pairs to disk before anything else."""
         self.writer.append(*pairs)
-        pairs = narrow(pairs)
+        pairs = pairs.without_covariances()
         self._undigested.append(pairs)
         if self.watch is not None:
             self.watch(pairs)
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
-        """Take a path: evaluate the poses that are new, and remember how it sees the others."""
+        """Take a path: evaluate its new poses, and store the revision of the others."""
         self.evaluator.estimate_up = self.up
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
@@ -435,7 +407,7 @@ class LiveEstimate:
         )
 
     def close(self) -> None:
-        """Have all on disk.
+        """Write everything to disk.
 
         Raises:
             InputError: The disk takes no more.
@@ -460,23 +432,3 @@ class LiveEstimate:
             evaluate(self)
         elif len(stamps):
             self._held.add(side, stamps, evaluate)
-
-
-def narrow(pairs: Pairs) -> Pairs:
-    """Return pairs without covariances."""
-    return pairs._replace(estimate=pairs.estimate[:, :WIDTH])
-
-
-def joined(several: list[Pairs]) -> list[Pairs]:
-    """Return one block of pairs, in order of their stamps, instead of several; none for none."""
-    if len(several) < 2:
-        return several
-    stamps = np.concatenate([each.stamps for each in several])
-    order = np.argsort(stamps, kind="stable")  # late ones go where they belong
-    return [
-        Pairs(
-            stamps[order],
-            np.concatenate([each.groundtruth for each in several])[order],
-            np.concatenate([each.estimate for each in several])[order],
-        )
-    ]

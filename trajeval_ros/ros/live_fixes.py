@@ -1,4 +1,4 @@
-"""GNSS fixes while they come: which are used, and where they are, as of recorded ones."""
+"""GNSS fixes of a live run: selection and positions, as for a recording."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _NO_HEIGHTS = "the fixes have no height; use gauge:=planar"
 
 
 class LiveFixes:
-    """Judges the fixes of a receiver by what they say of themselves, and brings them to metres.
+    """Selects the fixes of a receiver by their own quality, and converts them to metres.
 
     Attributes:
-        rule: Which are used, in which frame.
-        datum: Where the frame's origin is; None before the first fix that is used.
-        refused: Why none is used at all; empty if they are.
+        rule: Selects fixes and defines their frame.
+        datum: Origin of the frame; None before the first used fix.
+        refused: Why no fix can be used; empty if fixes are used.
     """
 
     def __init__(self, rule: FixRule | None = None, gauge: Gauge = Gauge.YAW) -> None:
@@ -56,7 +56,7 @@ class LiveFixes:
     def placed(
         self, stamps: Stamps, places: Floats, quality: Floats
     ) -> tuple[Booleans, Floats, dict[str, int]]:
-        """Return where fixes are that are used.
+        """Return the positions of the used fixes.
 
         Args:
             stamps: (N,), nanoseconds.
@@ -64,8 +64,8 @@ class LiveFixes:
             quality: (N, 11), as `PoseColumns` has it.
 
         Returns:
-            Which of them are used, (N,), where these are, (M, 3), metres, and how many are not, by
-            reason.
+            Which fixes are used, (N,), their positions (M, 3), metres, and the number of the other
+            fixes by reason.
         """
         fixes = fixes_of_rows(places, quality)
         kept, dropped = self.rule.usable(fixes, level=self._is_level)
@@ -84,10 +84,10 @@ class LiveFixes:
         return kept, used.positions(level=self._is_level), dropped
 
     def mixed(self, antennas: list[str]) -> str:
-        """Return which receivers take turns on the topic; empty while none do.
+        """Return a warning if fixes of several receivers alternate on the topic; else empty.
 
         Args:
-            antennas: The frames of new fixes, as they follow each other.
+            antennas: Frames of the new fixes, in order.
         """
         for each in antennas:
             if not self._antennas or self._antennas[-1] != each:

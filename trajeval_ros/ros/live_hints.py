@@ -1,4 +1,4 @@
-"""The diagnosis of a run while it goes on, in the words of the node's parameters."""
+"""The diagnosis of a live run, with the names of the node's parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajeval_ros.ros.parameter_table import PARAMETERS
 _OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)(?:[ =](?=[\w.+-]))?")
 _PARAMETERS = {each.name for each in PARAMETERS}
 _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
-# What a few of the pairs can't tell: how often messages come, and what is between them.
+# These need all messages, and the trail has only some of the pairs.
 _NOT_BY_SOME_PAIRS = {
     "few_pairs", "keyframes", "stamps_rounded", "duplicated", "truth_held", "truth_frozen",
     "truth_bridged", "gap_bridged", "restart",
@@ -60,9 +60,9 @@ def hints_about(
 
 
 def in_parameters(text: str) -> str:
-    """Return a sentence with options that are parameters as such: `hand_eye:=auto`.
+    """Return a sentence with options as parameters, `hand_eye:=auto`, if they exist.
 
-    Others stay as they are: `trajeval evaluate` and `trajeval finish` take them.
+    Other options stay: they are those of `trajeval evaluate` and `trajeval finish`.
     """
 
     def parameter(option: re.Match[str]) -> str:

@@ -1,4 +1,4 @@
-"""The body that is evaluated, where the groundtruth is of a marker on it."""
+"""The evaluated body, if the groundtruth is measured at a marker on it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from trajeval_ros.ros.static_transform import StaticTransform
 
 
 class MarkerBody:
-    """Knows the marker's pose in the body, or comes to know it, and moves states by it.
+    """Has or finds the marker's pose in the body, and moves states by it.
 
     Attributes:
-        source: Where the pose is from: a file, frames, or `auto`; `none` for no marker.
-        transform: Looks frames up; None where it is from elsewhere.
-        hand_eye: The pose; None while it isn't known, or if it isn't applied.
+        source: Source of the pose: a file, frames, or `auto`; `none` for no marker.
+        transform: Looks up the frames; None for other sources.
+        hand_eye: The pose; None while it is unknown, or if it is not applied.
         of_marker: Whether the groundtruth has no orientation, so that the estimate is moved to
             the marker and not the groundtruth to the body.
-        why_not: Why nothing is applied although it was asked for; empty otherwise.
+        why_not: Why the requested pose is not applied; else empty.
     """
 
     def __init__(
@@ -36,13 +36,13 @@ class MarkerBody:
         transform: StaticTransform | None = None,
         rotation_frame: str = "world",
     ) -> None:
-        """Create it with what is known; `rotation_frame` is of the estimates' covariances."""
+        """Create it; `rotation_frame` is that of the estimates' covariances."""
         self.source, self.transform = source, transform
         self.hand_eye: HandEye | None = None
         self.of_marker = False
         self.why_not = ""
         self._found, self._rotation_frame = known, rotation_frame
-        self._without: list[str] = []  # of rotation and lever arm, what isn't applied and why
+        self._without: list[str] = []  # which of rotation and lever arm is not applied, and why
 
     @property
     def is_wanted(self) -> bool:
@@ -50,11 +50,11 @@ class MarkerBody:
         return self.source != NONE
 
     def look(self, calibration: Calibration | None, *, is_spent: bool) -> bool:
-        """Look for the pose; returns whether to wait no longer.
+        """Look for the pose; return whether to stop waiting.
 
         Args:
-            calibration: What the data tell so far, of the first estimate.
-            is_spent: Whether the time to wait is over.
+            calibration: Calibration of the first estimate so far.
+            is_spent: Whether the time limit is reached.
         """
         if self.transform is not None:
             self._found = self.transform.take() or self._found
@@ -74,7 +74,7 @@ class MarkerBody:
         return is_spent or self._found is not None
 
     def settle(self, *, is_oriented: bool, has_scale: bool) -> None:
-        """Apply from now on what is known.
+        """Apply the pose from now on, if it is known.
 
         Args:
             is_oriented: Whether the groundtruth has orientations.
@@ -92,25 +92,25 @@ class MarkerBody:
             self.why_not = ""
 
     def truth(self, rows: Floats) -> Floats:
-        """Return groundtruth states (N, 10) as they are to be paired."""
+        """Return groundtruth states (N, 10) of the evaluated body."""
         if self.hand_eye is None or self.of_marker:
             return rows
         return body_rows(rows, self.hand_eye)
 
     def estimated(self, rows: Floats) -> Floats:
-        """Return estimated states (N, 10) or (N, 46) as they are to be paired."""
+        """Return estimated states (N, 10) or (N, 46) of the evaluated body."""
         if self.hand_eye is None or not self.of_marker:
             return rows
         return marker_rows(rows, self.hand_eye, self._rotation_frame)
 
     def renamed(self, groundtruth: str, estimate: str) -> tuple[str, str]:
-        """Return the names of the bodies of both sides, as they are paired."""
+        """Return the names of the bodies of both sides in pairs."""
         if self.hand_eye is None:
             return groundtruth, estimate
         return self.hand_eye.names(groundtruth, estimate, of_marker=self.of_marker)
 
     def leaves_out_velocities_of(self, rows: Floats, *, is_truth: bool) -> bool:
-        """Return whether states (N, 10) of a side have velocities that a lever arm makes void."""
+        """Return whether states (N, 10) of a side have velocities that a lever arm invalidates."""
         if self.hand_eye is None or self.of_marker is is_truth:
             return False
         velocities = rows[:, VELOCITY]
@@ -118,7 +118,7 @@ class MarkerBody:
 
     @property
     def said(self) -> str:
-        """What a reader of the results must know of it; empty if there is nothing."""
+        """A sentence for the warnings of the results; empty if there is nothing to report."""
         if self.why_not:
             return f"hand_eye {self.source} not applied: {self.why_not}"
         if self.hand_eye is None or self.source != AUTO:
@@ -136,7 +136,7 @@ class MarkerBody:
 
     @property
     def state(self) -> dict[str, Any] | None:
-        """What `trajeval finish` must know of it; None for nothing."""
+        """The state for `trajeval finish`; None if nothing is applied."""
         if self.hand_eye is None:
             return None
         return {

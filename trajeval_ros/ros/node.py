@@ -1,4 +1,4 @@
-"""What the node of the live evaluator does: what it publishes, answers, and says."""
+"""The node of the live evaluator: its publishers, services and log."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
@@ -25,10 +24,11 @@ from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.node_log import log
-from trajeval_ros.ros.output_folder import Autosave, Finisher, make_folder
+from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
 from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
+from trajeval_ros.ros.result_writing import ResultWriting
 from trajeval_ros.ros.revised_outputs import RevisedOutputs
 from trajeval_ros.ros.sides import Side, TimeAt, name_apart
 from trajeval_ros.ros.simulated_clock import SimulatedClock
@@ -43,15 +43,15 @@ class EvaluatorNode:
     """Evaluates estimate topics against a groundtruth topic, side by side."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        """Advertise, make the output folder, and begin.
+        """Create publishers, services and the output folder, and start.
 
         Args:
             node: Publishes, subscribes and serves.
             values: Its parameters.
 
         Raises:
-            SettingsError: A parameter means nothing.
-            InputError: The output folder can't be made.
+            SettingsError: A parameter is invalid.
+            InputError: The output folder can't be created.
         """
         self._node, self._values = node, values
         self._settings = parameters.settings_of(self._values)
@@ -75,15 +75,12 @@ class EvaluatorNode:
         self._snapshots: dict[str, Snapshot] = {}
         self._newest: dict[str, Update] = {}
         self._snapshot_at = 0.0
-        self._autosaving = Autosave()
-        self._saved = Future()
-        self._ended: list[Finisher] = []  # of runs before a reset, still writing
-        self._complaint = ""
+        self._results = ResultWriting(lambda: self._run, self._log)
         self._advertise()
         self._log(f"output folder: {self._run.finisher.folder}")
 
     def finish(self) -> bool:
-        """Evaluate what is left, and write everything; returns whether it was written."""
+        """Evaluate the last messages and write everything; return whether it was written."""
         self._line.clear()
         try:
             self._run.drain(self._time_at)
@@ -96,7 +93,7 @@ class EvaluatorNode:
         for each in self._picture.close():
             self._log(each, warn=True)
         troubles = self._run.close()
-        self._finish_folders(self._run)
+        self._results.finish_left_folders(self._run)
         for each in troubles:
             self._log_error(each)
         if not self._run.has_pairs:
@@ -141,7 +138,7 @@ class EvaluatorNode:
         for each in self._outputs.values():
             each.advertise_lengths(self._lengths)
         self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
-        # Whoever waits for ~/save must not keep other services waiting.
+        # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
         self._node.create_service(Trigger, RESET, self._reset, callback_group=asked)
         self._node.create_service(Trigger, SAVE, self._save, callback_group=asked)
@@ -149,16 +146,16 @@ class EvaluatorNode:
 
     @property
     def tick_period_s(self) -> float:
-        """How long to wait between two ticks, seconds."""
+        """Time between two ticks, seconds."""
         period: float = 1.0 / self._values["publish_rate"]
         return period
 
     @property
     def _lengths(self) -> list[str]:
-        """The lengths of sub-trajectories that end while the run goes on."""
+        """The lengths of sub-trajectories that are evaluated during the run."""
         return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
 
-    # What happens again and again.
+    # Periodic work.
 
     def tick(self) -> None:
         """Take messages, evaluate them, publish their errors."""
@@ -192,7 +189,7 @@ class EvaluatorNode:
                 estimate.peaks.see("staleness_s", side.silent_s)
 
     def report(self) -> None:
-        """Match publishers, look for jumps, and publish what is about the window."""
+        """Match publishers, detect jumps, and publish the errors of the window."""
         self._match()
         for estimate in self._run.estimates:
             for jump in estimate.digest():
@@ -219,7 +216,7 @@ class EvaluatorNode:
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
 
     def _publish_revised(self, estimate: LiveEstimate) -> float | None:
-        """Publish how the newest path is, if it is anew; returns its position ATE, metres."""
+        """Publish the errors of the newest path if it is new; return its position ATE, metres."""
         truth = self._run.groundtruth.stream.status
         is_new = estimate.renew_slow(truth.child_frame)
         revised = estimate.slow.revised
@@ -235,19 +232,12 @@ class EvaluatorNode:
         return None if position is None else position.rmse
 
     def _tell_of_segments(self) -> None:
-        """Report which segments have begun, and write the results of folders that are complete."""
+        """Report new segments, and write the results of complete folders."""
         news, self._run.news = self._run.news, []
         for each in news:
             self._log(each.text)
             self._events.publish("run", each)
-        self._finish_folders(self._run)
-
-    def _finish_folders(self, run: LiveRun) -> None:
-        """Write the results of folders that a run has left."""
-        for finisher in run.ended():
-            self._log(f"results of {finisher.folder} are complete")
-            finisher.finish_alone()
-            self._ended.append(finisher)
+        self._results.finish_left_folders(self._run)
 
     def _match(self) -> None:
         if self._time_at is not None:
@@ -261,7 +251,7 @@ class EvaluatorNode:
             self._log(said)
 
     def tell(self) -> None:
-        """Write the counts, publish diagnostics, save now and then, renew the terminal's line."""
+        """Write counts, publish diagnostics, save periodically, update the status line."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         self._run.write_states()
@@ -279,7 +269,7 @@ class EvaluatorNode:
             notices += twins
             if self._broadcaster is not None:
                 notices += self._broadcaster.notices(estimate.name)
-            # Each jump has been an event of its own.
+            # Every jump was published as an event.
             standing = [each for each in notices if each.kind != "jump"]
             told = estimate.standing.renew(standing)
             for each in told:
@@ -310,57 +300,17 @@ class EvaluatorNode:
         self._diagnostics.publish(message)
         for news in self._picture.news():
             self._log(f"no output in Rerun: {news}", warn=True)
-        self._complain()
-        self._autosave()
+        self._results.tell(self._values["autosave_period"])
         if (line := self._line.show(parts)) is not None:
             self._log(line)
 
-    def _autosave(self) -> None:
-        if self._run.finisher.poll():
-            self._tell_saved()
-        for each in self._ended:
-            if each.poll() and each.trouble:
-                self._log(f"results can't be written to {each.folder}: {each.trouble}", warn=True)
-        self._ended = [each for each in self._ended if each.is_busy]
-        finisher, period_s = self._run.finisher, self._values["autosave_period"]
-        if self._autosaving.is_due(finisher, period_s):
-            self._begin_to_save()
-        if late := self._autosaving.why_late(finisher, period_s):
-            self._log(late)
-
-    def _begin_to_save(self) -> str:
-        """Start to write result.json; returns why it can't be written, empty if it can."""
-        if not self._run.has_pairs:
-            return self._run.why_no_pair()
-        self._autosaving.saved()
-        try:
-            self._run.save()
-        except TrajevalError as error:
-            self._log(str(error), warn=True)
-            return str(error)
-        return ""
-
-    def _tell_saved(self) -> None:
-        """Let those go on who wait until something is written."""
-        saved, self._saved = self._saved, Future()
-        saved.set_result(None)
-
-    # What is answered.
+    # Services and parameters.
 
     async def _save(self, request: Any, response: Any) -> Any:
         """Answer ~/save when result.json is written."""
         del request
-        while self._run.finisher.is_busy:  # with what was there before the newest pairs
-            await self._saved
-        finisher = self._run.finisher
-        if why_not := self._begin_to_save():
-            return _answered(response, why_not)
-        await self._saved
-        result = finisher.folder / "result.json"
-        if finisher is not self._run.finisher:
-            return _answered(response, f"{result}, interrupted by ~/reset, is now written")
-        said = finisher.trouble or str(result)
-        return _answered(response, said, success=not finisher.trouble)
+        success, message = await self._results.saved()
+        return _answered(response, message, success=success)
 
     def _reset(self, request: Any, response: Any) -> Any:
         """Answer ~/reset: end this run, whose results stay, and begin another one."""
@@ -373,7 +323,7 @@ class EvaluatorNode:
         ended.conclude(self._time_at)
         for trouble in ended.close():
             self._log(trouble, warn=True)
-        self._finish_folders(ended)
+        self._results.finish_left_folders(ended)
         for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
             side.leave()
         if ended.body.transform is not None:
@@ -381,10 +331,7 @@ class EvaluatorNode:
         self._match()
         self._picture = self._new_picture(self._picture)
         self._snapshots, self._newest = {}, {}
-        if ended.has_pairs:
-            ended.finisher.finish_alone()
-            self._ended.append(ended.finisher)
-        self._tell_saved()
+        self._results.finish(ended)
         said = (
             f"previous results are in {ended.finisher.folder}, new results in "
             f"{self._run.finisher.folder}"
@@ -394,7 +341,7 @@ class EvaluatorNode:
         return _answered(response, said, success=True)
 
     def _set(self, changes: list[Any]) -> Any:
-        """Answer to parameters that are set while it runs."""
+        """Accept or reject parameters that are set during the run."""
         from rcl_interfaces.msg import SetParametersResult
 
         known = {each.name: each for each in PARAMETERS}
@@ -414,7 +361,7 @@ class EvaluatorNode:
         self._run.change(settings, parameters.words_of(values))
         return SetParametersResult(successful=True)
 
-    # What is said.
+    # Log.
 
     def _log(self, text: str, warn: bool = False) -> None:
         self._line.clear()
@@ -423,18 +370,6 @@ class EvaluatorNode:
     def _log_error(self, text: str) -> None:
         self._line.clear()
         self._node.get_logger().error(one_line(text))
-
-    def _complain(self) -> None:
-        """State once what is wrong with the disk, and that it is well again."""
-        troubles = [each.writer.trouble for each in self._run.estimates if each.writer.trouble]
-        if self._run.has_pairs and self._run.finisher.trouble:
-            troubles.append(self._run.finisher.trouble)
-        complaint = troubles[0] if troubles else ""
-        if complaint != self._complaint:
-            folder = self._run.finisher.folder
-            said = f"results can't be written to {folder}: {complaint}" if complaint else ""
-            self._log(said or f"results are written to {folder} again", warn=bool(complaint))
-        self._complaint = complaint
 
     def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         said = (
@@ -452,11 +387,11 @@ class EvaluatorNode:
 
     @property
     def _time_at(self) -> TimeAt | None:
-        """What tells simulated times; None where time isn't simulated."""
+        """The function that returns simulated times; None without simulated time."""
         return self._simulated_time.at if self._node.get_parameter("use_sim_time").value else None
 
 
 def _answered(response: Any, message: str, *, success: bool = False) -> Any:
-    """Return a `std_srvs/Trigger` response; names from elsewhere can't break its line."""
+    """Return a `std_srvs/Trigger` response; control characters in the message are escaped."""
     response.success, response.message = success, one_line(message)
     return response

@@ -1,4 +1,4 @@
-"""The log of a node, in lines that names and sentences from elsewhere can't break."""
+"""The log of a node; control characters in texts are escaped."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def log(node: Node, text: str, warn: bool = False) -> None:
     """Log a sentence, as information or as a warning."""
     logger, line = node.get_logger(), one_line(text)
-    if warn:  # rclpy wants one severity of each line of code
+    if warn:  # rclpy needs a separate call for every severity
         logger.warning(line)
     else:
         logger.info(line)

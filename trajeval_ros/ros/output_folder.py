@@ -1,7 +1,7 @@
-"""The folder that a live run leaves, and the process that evaluates it again and again.
+"""The output folder of a live run, and the process that evaluates it repeatedly.
 
-Evaluating a long run takes longer than messages may wait, and the node mustn't. So another process
-does it, which reads the pairs from disk as `trajeval finish` always does.
+The evaluation of a long run would delay messages in the node. Therefore another process does it.
+It reads the pairs from disk, like `trajeval finish`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from pathlib import Path
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.temporary import collect_leftovers
 
-_MOST_SHARE = 0.05  # of a core, for saving again and again
+_MOST_SHARE = 0.05  # of a core, for periodic saving
 _NICE = 10
 
 
 def make_folder(name: str) -> Path:
-    """Make the folder for a run; one that exists is left alone, and a number appended.
+    """Create the folder for a run; if it exists, with a number appended to its name.
 
     Args:
         name: As the user gave it; empty for the date and time.
@@ -59,34 +59,34 @@ class Finisher:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being written."""
+        """Whether a process is writing."""
         return self._process is not None
 
     @property
     def is_due(self) -> bool:
-        """Whether to write again of one's own accord takes no more of the machine than it may."""
+        """Whether writing again now stays within the limit of CPU time."""
         return not self.is_busy and time.monotonic() >= self._next_at
 
     @property
     def least_period_s(self) -> float:
-        """How often to write at the most, so that it takes no more than its share, seconds."""
+        """Shortest period of writing within the limit of CPU time, seconds."""
         return self._took_s / _MOST_SHARE
 
     def save(self) -> None:
-        """Start to write result.json."""
+        """Start a process that writes result.json."""
         self._start(["--json", str(self.folder / "result.json")], quiet=True)
 
     def poll(self) -> bool:
-        """Return whether writing has ended since the last call; `trouble` tells how."""
+        """Return whether writing has ended since the last call; `trouble` has its error."""
         if self._process is None or self._process.poll() is None:
             return False
         self._end()
         return True
 
     def finish(self, *, quiet: bool) -> bool:
-        """Write everything, figures included, and wait for it; returns whether it was written.
+        """Write everything, including figures, and wait; return whether it was written.
 
-        Tables are printed unless it is to be quiet.
+        Without `quiet`, tables are printed.
         """
         if self._process is not None:
             self._end()
@@ -94,7 +94,7 @@ class Finisher:
         return self._end()
 
     def finish_alone(self) -> None:
-        """Start to write everything, and don't wait for it, nor for what is being written."""
+        """Start to write everything without waiting; a process that is writing is ended."""
         if self._process is not None:
             self._process.terminate()
             self._end()
@@ -105,7 +105,7 @@ class Finisher:
         command = [sys.executable, "-m", "trajeval_ros", "finish", str(self.folder), *options]
         command += ["--quiet"] if quiet else []
         self._began = time.monotonic()
-        # A session of its own: what ends the node with Ctrl-C must not end it half way.
+        # A session of its own, so that Ctrl-C in the terminal does not interrupt it.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -128,7 +128,7 @@ class Finisher:
 
 
 class Autosave:
-    """Says when result.json is to be written again, and why that is later than was asked for."""
+    """Decides when result.json is written again, and explains a longer period than requested."""
 
     def __init__(self) -> None:
         """Create it: the first time is a period from now."""
@@ -140,11 +140,11 @@ class Autosave:
         self._saved_at = time.monotonic()
 
     def is_due(self, finisher: Finisher, period_s: float) -> bool:
-        """Return whether to write now; a period of 0 is never."""
+        """Return whether to write now; never with a period of 0."""
         return 0.0 < period_s <= time.monotonic() - self._saved_at and finisher.is_due
 
     def why_late(self, finisher: Finisher, period_s: float) -> str:
-        """Return why it is written less often than asked for; once for each doubling."""
+        """Return why it is written less often than requested; once per doubling of the period."""
         real_s = finisher.least_period_s
         if not 0.0 < period_s < real_s or real_s < 2.0 * self._told_s:
             return ""

@@ -1,4 +1,4 @@
-"""The values of the evaluator's parameters, and the settings that they ask for."""
+"""The values of the evaluator's parameters, and the settings made from them."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def declare(node: Node) -> dict[str, Any]:
     """Declare all parameters and return their values.
 
     Raises:
-        SettingsError: A value given at the start means nothing, or topics are missing.
+        SettingsError: An initial value is invalid, or topics are missing.
     """
     from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
     values = {}
     for each in PARAMETERS:
-        # YAML takes `window: 500` for a number and `max_gap: 1` for an integer; both are meant
-        # well, hence dynamic types.
+        # YAML reads `window: 500` as a number and `max_gap: 1` as an integer. Both are valid,
+        # therefore types are dynamic.
         descriptor = ParameterDescriptor(
             description=each.description, read_only=not each.is_live, dynamic_typing=True
         )
@@ -91,10 +91,10 @@ def about_unknown(node: Node) -> list[str]:
 
 
 def converted(parameter: NodeParameter, value: Any) -> Any:
-    """Return a value as the type that the parameter has, however YAML read it.
+    """Return a value converted to the type of the parameter.
 
     Raises:
-        SettingsError: It is of no such type, or outside of the parameter's range.
+        SettingsError: The type does not fit, or the value is outside of the parameter's range.
     """
     wanted, is_number = parameter.default, isinstance(value, int | float)
     if isinstance(wanted, bool):
@@ -121,7 +121,7 @@ def converted(parameter: NodeParameter, value: Any) -> Any:
 
 
 def words_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings as `protocol_from` takes them, and as the command line has them."""
+    """Return the settings as arguments of `protocol_from`, like those of the command line."""
     states = values["align_states"]
     return {
         "gauge": values["gauge"] or None,
@@ -154,22 +154,22 @@ def fixes_of(values: dict[str, Any]) -> FixRule:
 
 
 def segmentation_of(values: dict[str, Any]) -> Segmentation:
-    """Return when a segment ends and another one begins."""
+    """Return the rules for new segments."""
     return Segmentation(values["on_time_jump"], values["on_restart"])
 
 
 def finds_offset(values: dict[str, Any]) -> bool:
-    """Return whether the clocks' offset is to be estimated and applied."""
+    """Return whether to estimate and apply the clock offset."""
     return bool(values["time_offset"] == AUTO)
 
 
 def names_frames(hand_eye: str) -> bool:
-    """Return whether the parameter hand_eye asks for two frames of static transforms."""
+    """Return whether the parameter hand_eye names two frames of static transforms."""
     return re.fullmatch(r"[\w/~]*tf_static:.*", hand_eye) is not None
 
 
 def known_hand_eye_of(values: dict[str, Any]) -> HandEye | None:
-    """Return the transform that the parameter hand_eye names a file of; None for no file.
+    """Return the transform in the file that hand_eye names; None if it names no file.
 
     Raises:
         InputError: The file can't be read, or is no transform.
@@ -188,10 +188,10 @@ def _time_offset(text: str) -> float:
 
 
 def settings_of(values: dict[str, Any]) -> OnlineSettings:
-    """Return what the values ask for.
+    """Return the settings of the evaluation.
 
     Raises:
-        SettingsError: They contradict each other, or mean nothing.
+        SettingsError: Values are invalid or contradict each other.
     """
     return OnlineSettings(
         protocol=protocol_from("default", **words_of(values)),

@@ -1,4 +1,4 @@
-"""From the bytes of messages to the states that the live evaluator takes, and what they tell."""
+"""Conversion of messages to the states of the live evaluator, with counts and notes."""
 
 from __future__ import annotations
 
@@ -59,16 +59,16 @@ class StateColumns(NamedTuple):
 
 @dataclass
 class StreamStatus:
-    """What a stream has told beside its states.
+    """Counts, frames and notes of a stream.
 
     Attributes:
         poses: Number of poses, repeated stamps included.
         first: The earliest stamp, nanoseconds; None before the first pose.
         last: The latest one.
-        frame: The frame that poses are in, as the first message had it.
-        child_frame: The body that they are of.
-        dropped: Number of messages that are no poses, by reason.
-        notes: Changes on the way, one sentence each.
+        frame: Frame of the poses, from the first message.
+        child_frame: Name of their body.
+        dropped: Number of messages without a valid pose, by reason.
+        notes: Changes during the run, as sentences.
     """
 
     poses: int = 0
@@ -87,14 +87,14 @@ class StreamStatus:
         return (self.last - self.first) / NANOSECONDS
 
     def note(self, sentence: str) -> bool:
-        """Keep a sentence unless it is known, or many are; returns whether it is new."""
+        """Store a new sentence, up to a limit; return whether it was stored."""
         if len(self.notes) >= _MOST_NOTES or sentence in self.notes:
             return False
         self.notes.append(sentence)
         return True
 
     def drop(self, reason: str, number: int) -> None:
-        """Count what is no pose."""
+        """Count messages without a valid pose."""
         count_up(self.dropped, reason, number)
 
 
@@ -102,13 +102,13 @@ class PoseStream:
     """Decodes the messages of one topic.
 
     Attributes:
-        status: What they have told so far.
-        arrivals: How much later than their stamps they come.
-        news: What nobody has been told yet.
+        status: Counts, frames and notes so far.
+        arrivals: Delay of messages relative to their timestamps.
+        news: Notices that are not published yet.
         trouble: Why messages give no poses at present; empty if they do.
-        fixes: How GNSS fixes are used, if the topic carries these.
-        begins_anew: Whether time may begin anew, as in a bag that is played in a loop.
-        heard_at: When the last of them came, by `time.monotonic`; None before.
+        fixes: Selects GNSS fixes, if the topic carries fixes.
+        begins_anew: Whether time may start again, as in a bag that is played in a loop.
+        heard_at: Time of the last message, by `time.monotonic`; None before the first.
     """
 
     def __init__(
@@ -141,13 +141,13 @@ class PoseStream:
 
     @property
     def patience_s(self) -> float:
-        """How long to wait for a message before that is told: some of the stream's own periods."""
+        """Time without a message that is reported: some of the stream's own periods."""
         status = self.status
         period_s = status.duration_s / (status.poses - 1) if status.poses > 1 else 0.0
         return max(_STALE_AFTER_S, _STALE_PERIODS * period_s)
 
     def up(self, given: str | None) -> UpAxis:
-        """Return which axis points up: the one given, or what the name of the frame tells."""
+        """Return the up axis: the given one, or the one that follows from the frame's name."""
         return UpAxis(given) if given else UpAxis.of_frame(self.status.frame)
 
     def poses(
@@ -165,16 +165,16 @@ class PoseStream:
         return found
 
     def last_poses(self) -> StateColumns:
-        """Return the states that still wait for their stamps to be trusted: no more will come."""
+        """Return the states whose timestamps are still under test, at the end of the run."""
         none = np.empty(0, dtype=np.int64)
         found = self._trusted(StateColumns(none, np.empty((0, WIDTH)), none), at_end=True)
         self._count(found)
         return found
 
     def path(self, payload: bytes) -> StateColumns:
-        """Return all states of a path; which of them are new, `count_new` is told.
+        """Return all states of a path; `count_new` counts those that are new.
 
-        Those whose stamps stand alone are counted with each path that has them.
+        States with an isolated timestamp are counted with every path that contains them.
         """
         self._see_type(PATH_TYPE)
         found = self._states(decode_path(payload))
@@ -184,7 +184,7 @@ class PoseStream:
         return found.picked(poses[rows]) if trust.lone else found
 
     def count_new(self, new: StateColumns, arrived_ns: int) -> None:
-        """Count the states that a path, which arrived at a time, is the first to have."""
+        """Count the new states of a path that arrived at a time, nanoseconds."""
         self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
         self._count(new)
 
@@ -195,7 +195,7 @@ class PoseStream:
             self.status.note(f"format: {message_type}")
 
     def _states(self, columns: PoseColumns) -> StateColumns:
-        """Return what the columns hold, without poses that have no time."""
+        """Return the states in the columns, without poses that have no timestamp."""
         status = self.status
         status.drop("undecodable", columns.undecodable)
         for _, frame, child_frame in columns.frames:
@@ -206,14 +206,14 @@ class PoseStream:
             states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
         if columns.covariances is not None:
             states_ = np.hstack([states_, columns.covariances.reshape(-1, 36)])
-        timed = stamps != 0  # a stamp that nobody has set
+        timed = stamps != 0  # a timestamp that was not set
         untimed = int(np.count_nonzero(~timed))
         status.drop("zero_stamp", untimed)
         self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
         return StateColumns(stamps[timed], states_[timed], columns.rows[timed])
 
     def _fix_states(self, columns: PoseColumns, quality: Floats) -> StateColumns:
-        """Return the fixes that are used, in metres, without those that have no time."""
+        """Return the used fixes, in metres, without those that have no timestamp."""
         status = self.status
         timed = columns.stamps != 0
         status.drop("undecodable", columns.undecodable)
@@ -233,9 +233,9 @@ class PoseStream:
         return StateColumns(stamps[kept], states(positions), rows[kept], as_sent)
 
     def _trusted(self, found: StateColumns, *, at_end: bool = False) -> StateColumns:
-        """Return the states whose stamps can be trusted by now, and what is no pose at all.
+        """Return the states whose timestamps are trusted by now, and all invalid poses.
 
-        Those that have waited are as of the first of these messages.
+        States that waited get the row of the first of these messages.
         """
         poses, before = _are_poses(found.states), self._trust.lone
         self._batch += 1
@@ -254,7 +254,7 @@ class PoseStream:
         return trusted if poses.all() else trusted.joined(found.picked(~poses))
 
     def _tell_lone(self, trust: StampTrust) -> None:
-        """Note how many stamps no others agree with, and tell it once."""
+        """Count isolated timestamps, and report them once."""
         if not trust.lone:
             return
         if not self._lone_note:
@@ -264,7 +264,7 @@ class PoseStream:
         self.status.notes = [*notes, trust.said]
 
     def _see_trouble(self, poses: int, dropped: int) -> None:
-        """Report, once, that messages come and give no poses."""
+        """Report once that messages arrive without valid poses."""
         self._in_a_row = 0 if poses else self._in_a_row + dropped
         if poses:
             self.trouble = ""
@@ -287,14 +287,14 @@ class PoseStream:
         status.last = latest if status.last is None else max(status.last, latest)
 
     def _see_step_back(self, stamps: Stamps) -> None:
-        """Report, once, that time doesn't go on: live errors are about the newest pairs alone."""
+        """Report once that time steps back, because live errors use the newest pairs only."""
         before, self._previous = self._previous, int(stamps[-1])
         steps = np.diff(stamps if before is None else np.concatenate([[before], stamps]))
         self._tell_step_back(-float(steps.min(initial=0)) / NANOSECONDS)
 
     def _tell_step_back(self, back_s: float) -> None:
         if self.begins_anew:
-            return  # whoever begins anew with it will tell
+            return  # the new segment reports it
         told = any("timestamps step back" in each for each in self.status.notes)
         if told or back_s < NEAR_NS / NANOSECONDS:
             return
@@ -320,7 +320,7 @@ class PoseStream:
 
 
 def _are_poses(rows: Floats) -> Booleans:
-    """Return which states (N, 10) are finite, and have a quaternion of some length or none."""
+    """Return which states (N, 10) are finite, with a valid quaternion or without one."""
     rows = rows[:, :WIDTH]
     finite = np.isfinite(rows[:, POSITION]).all(axis=1)
     return np.logical_and(finite, ~np.isposinf(rows).any(axis=1))

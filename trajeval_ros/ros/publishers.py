@@ -58,7 +58,7 @@ class Outputs:
         for each in (*NEES_NUMBERS, *PROTECTION_LEVELS.values()) if judges else ():
             self._advertise(each)
         self._stamped = StampedErrors(node, name)
-        # Whoever comes late sees the newest alignment and paths at once.
+        # Late subscribers receive the newest alignment and paths at once.
         self._alignment = advertise(
             node, TransformStamped, f"~/{name}/{ALIGNMENT}", 1, latched=True
         )

@@ -1,4 +1,4 @@
-"""What the node shows in Rerun: handed to threads that nobody waits for."""
+"""Output in Rerun, drawn on threads that never delay the node."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ class RerunOutput:
     """Draws a live run on every sink that the parameter `rerun` names.
 
     Attributes:
-        trouble: Why there is no picture at all; empty if there is, or none was asked for.
-        address: Where viewers find it; empty if nothing is served.
+        trouble: Why there is no picture; empty if there is one, or none was requested.
+        address: Address for viewers; empty if nothing is served.
     """
 
     def __init__(
         self, value: str, run: LiveRun, gauge: Gauge, before: RerunOutput | None = None
     ) -> None:
-        """Start to draw; a sink that can't be had is told by `news`, and the node runs on.
+        """Start to draw; `news` reports sinks that are not available, and the node continues.
 
         Args:
-            value: Of the parameter.
-            run: What to draw.
-            gauge: Of its alignments.
-            before: The picture of the run that this one follows, which ends.
+            value: Value of the parameter `rerun`.
+            run: The run to draw.
+            gauge: Gauge of its alignments.
+            before: Picture of the previous run, which ends.
         """
         self._run = run
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
@@ -69,14 +69,14 @@ class RerunOutput:
         self._put(lambda scene: scene.update(name, update))
 
     def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
-        """Show where an estimate jumps."""
+        """Show a jump of an estimate."""
         text = f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
         self._put(lambda scene: scene.event(jump.stamp, text))
 
     def snapshot(
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
     ) -> None:
-        """Show the errors of the window, the alignment, and how sure the estimate is."""
+        """Show the errors of the window, the alignment, and the estimate's covariance."""
         name, stamps = estimate.name, estimate.evaluator.store.stamps()
         if len(stamps):
             stamp = int(stamps[-1])
@@ -86,7 +86,7 @@ class RerunOutput:
             self._put(lambda scene: scene.uncertainty(name, *uncertain))
 
     def news(self) -> list[str]:
-        """Return what has gone wrong since the last call."""
+        """Return the problems since the last call."""
         troubles = [self.trouble, *(stream.trouble for stream, _ in self._streams)]
         new = [each for each in troubles if each and each not in self._told]
         self._told.update(new)
@@ -94,11 +94,11 @@ class RerunOutput:
 
     @property
     def dropped(self) -> int:
-        """Number of updates that some sink didn't get."""
+        """Number of updates that a sink did not receive."""
         return sum(stream.dropped for stream, _ in self._streams)
 
     def close(self) -> list[str]:
-        """Draw the end and have everything out; returns what has gone wrong."""
+        """Draw the end and write everything; return the problems."""
         for estimate in self._run.estimates:
             self.snapshot(estimate, estimate.snapshot(), None)
         for stream, _ in self._streams:

@@ -18,28 +18,28 @@ if TYPE_CHECKING:
     from trajeval_ros.ros.node import EvaluatorNode
     from trajeval_ros.ros.watch_node import WatchNode
 
-# Services and the simulated clock are served so often. An executor makes its wait set anew for
-# every event, which at /clock's rate alone would take longer than all evaluation.
+# Period of serving services and the simulated clock. An executor rebuilds its wait set for every
+# event, which at the rate of /clock would take longer than the evaluation.
 _SERVE_EVERY_S = 0.1
 _REPORT_EVERY_S = 0.5
 _TELL_EVERY_S = 1.0
 
 
 class PeriodicTask:
-    """Something to do again and again."""
+    """Periodic work."""
 
     def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
         """Create it.
 
         Args:
-            do: What to do.
-            period_s: Returns how long to wait until the next time.
+            do: The work.
+            period_s: Returns the time until the next call, seconds.
         """
         self.next_at = time.monotonic()
         self._do, self._period_s = do, period_s
 
     def do_if_due(self, now: float) -> None:
-        """Do it if it is time; what was missed is not made up for."""
+        """Do it if it is due; missed periods are not repeated."""
         if now >= self.next_at:
             self._do()
             self.next_at = max(self.next_at + self._period_s(), now)
@@ -52,7 +52,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         arguments: ROS arguments, from `--ros-args` on.
 
     Raises:
-        SettingsError: ROS doesn't take the arguments, or a parameter means nothing.
+        SettingsError: ROS rejects the arguments, or a parameter is invalid.
         InputError: ROS can't be imported, or the output folder can't be made.
     """
     require_ros()
@@ -63,7 +63,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         node = Node("evaluator")
         work = _evaluator_or_watch(node)
         give_way()
-        executor = SingleThreadedExecutor()  # the other executors pass over callback groups
+        executor = SingleThreadedExecutor()  # other executors ignore callback groups
         executor.add_node(node)
         duties = [
             PeriodicTask(work.tick, lambda: work.tick_period_s),
@@ -73,7 +73,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
         ]
         try:
             _work(duties, stop)
-        finally:  # a defect is told, and takes nothing along
+        finally:  # results are written also after an exception
             executor.shutdown()
             written = work.finish()
             node.destroy_node()
@@ -81,7 +81,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
 
 
 def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
-    """Return what the node does, as its parameters ask."""
+    """Return the evaluator, or the watch if there is no groundtruth topic."""
     values = parameters.declare(node)
     for each in parameters.about_unknown(node):
         log(node, each, warn=True)

@@ -1,4 +1,4 @@
-"""When a live run's segments begin, as the node's parameters say."""
+"""When segments of a live run start, by the node's parameters."""
 
 from __future__ import annotations
 
@@ -23,6 +23,6 @@ class Segmentation:
     on_restart: str = "ignore"
 
     def __post_init__(self) -> None:
-        """Refuse other words."""
+        """Refuse unknown values."""
         require_one_of(self.on_time_jump, ("reset", "segment", "ignore"), "on_time_jump")
         require_one_of(self.on_restart, ("segment", "ignore"), "on_restart")

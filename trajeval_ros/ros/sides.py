@@ -1,4 +1,4 @@
-"""One side of the comparison on the network: a topic, or transforms, and how to read them."""
+"""The source of one side: a topic or transforms, and its decoder."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from trajeval_ros.ros.transform_stream import TransformStream
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# From when messages were received to what time it was then.
+# From times of reception to simulated times.
 TimeAt = Callable[[NDArray[np.int64]], NDArray[np.int64]]
 _POINT_TYPE = "geometry_msgs/msg/PointStamped"
 
 
 class Side:
-    """Where the poses of groundtruth or of an estimate come from.
+    """The source of the poses of groundtruth or of an estimate.
 
     Attributes:
-        source: What the user named, with topics as they are after remapping.
-        name: The same, fit for a part of a topic's or a file's name; see `name_apart`.
+        source: The user's text, with topics after remapping.
+        name: The same as a part of topic and file names; see `name_apart`.
         stream: Decodes the messages.
     """
 
     def __init__(self, node: Node, source: str, fixes: LiveFixes | None = None) -> None:
-        """Start to look for publishers.
+        """Start to search for publishers.
 
         Args:
             node: Subscribes.
             source: A topic, or TOPIC:PARENT.CHILD of transforms.
-            fixes: Of the groundtruth how GNSS fixes are used: it may be positions alone, but no
-                path. None for an estimate.
+            fixes: For groundtruth, which may have positions only but is no path: selects GNSS
+                fixes. None for an estimate.
 
         Raises:
-            SettingsError: The source is neither, or transforms can't be received.
+            SettingsError: The source is invalid, or transforms can't be received.
         """
         topic, colon, frames = source.partition(":")
         try:
@@ -64,7 +64,7 @@ class Side:
         if colon:
             self.stream = self._transforms(frames)
             types = TRANSFORM_TYPES[:1]
-            # As offline: what is static may be known to all robots, what moves to one of them.
+            # As offline: static transforms may be common to all robots, others have a namespace.
             static = {
                 node.resolve_topic_name(each): TopicInput(node, each, types, is_static=True)
                 for each in (f"{topic}_static", "/tf_static")
@@ -77,7 +77,7 @@ class Side:
             self.inputs = [TopicInput(node, topic, readable)]
 
     def match(self) -> list[Notice]:
-        """Connect to the publishers that there are now; returns what to tell."""
+        """Connect to the present publishers; return notices."""
         told = [
             Notice("publishers", OK if said.startswith("subscribed") else WARN, said)
             for said in filter(None, (each.match() for each in self.inputs))
@@ -108,7 +108,7 @@ class Side:
         return found
 
     def leave(self) -> None:
-        """Subscribe no more."""
+        """Unsubscribe."""
         for each in self.inputs:
             each.leave()
 
@@ -120,12 +120,12 @@ class Side:
 
     @property
     def lost(self) -> int:
-        """Messages that were published and never arrived."""
+        """Number of published messages that did not arrive."""
         return sum(each.losses.count for each in self.inputs)
 
     @property
     def loss_is_exact(self) -> bool:
-        """Whether all losses could be seen."""
+        """Whether all losses could be detected."""
         return all(each.losses.is_exact for each in self.inputs)
 
     def _transforms(self, frames: str) -> TransformStream:
@@ -143,14 +143,14 @@ class Side:
 
 
 def name_apart(sides: list[Side], namespace: str) -> None:
-    """Name estimates by their topics, without the node's own namespace, which its topics have.
+    """Name estimates by their topics, without the node's own namespace.
 
     Args:
         sides: The estimates.
         namespace: The node's.
 
     Raises:
-        SettingsError: Two would have the same name.
+        SettingsError: Two estimates have the same name.
     """
     inside = f"{namespace.rstrip('/')}/"
     short = [part_of_topic(each.source.removeprefix(inside)) for each in sides]

@@ -35,7 +35,7 @@ class ClockSamples:
     def see(self, received: int, time_ns: int) -> None:
         """Take a simulated time and when it was received, nanoseconds."""
         if self._samples and (time_ns < self._samples[-1][1] or received < self._samples[-1][0]):
-            self._samples.clear()  # time begins anew
+            self._samples.clear()  # time starts again
         self._samples.append((received, time_ns))
 
     def at(self, received: Stamps) -> Stamps:
@@ -58,15 +58,15 @@ class ClockSamples:
 
 
 class SimulatedClock:
-    """Listens to /clock by hand, since an executor doesn't tell when its messages came."""
+    """Reads /clock directly, because an executor does not report times of reception."""
 
     def __init__(self, node: Node) -> None:
-        """Start to look for whoever publishes it."""
+        """Start to search for publishers."""
         self._input = TopicInput(node, TOPIC, (TYPE,), is_optional=True)
         self._samples = ClockSamples()
 
     def match(self) -> None:
-        """Connect to whoever publishes it now."""
+        """Connect to the present publishers."""
         self._input.match()
 
     def at(self, received: Stamps) -> Stamps:

@@ -1,4 +1,4 @@
-"""What is found about one estimate beside the ticks: hints, and the errors of its newest path."""
+"""Slow evaluation of one estimate on a thread: hints, and the errors of its newest path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.live_hints import hints_about
 
 _MOST_SHARE = 0.03  # of a core
-# Hints are looked for after so much of a run, and again whenever it is longer by such a factor.
+# Span of the run before the first hints, and factor of its growth before the next ones.
 _FIRST_S = 5.0
 _GROWTH = 1.3
 
@@ -29,15 +29,15 @@ class _Findings:
 
 
 class SlowEvaluation:
-    """Evaluates again and again what takes too long for a tick.
+    """Evaluates repeatedly what takes too long for a tick.
 
     Attributes:
-        hints: What the newest look has found.
-        revised: The evaluation of the newest path; None for estimates that are no paths.
+        hints: Newest hints.
+        revised: Evaluation of the newest path; None for estimates that are not paths.
     """
 
     def __init__(self) -> None:
-        """Create it with nothing."""
+        """Create it without results."""
         self.hints: list[Notice] = []
         self.revised: Evaluation | None = None
         self._task: BackgroundTask[_Findings] = BackgroundTask(_MOST_SHARE)
@@ -54,15 +54,15 @@ class SlowEvaluation:
         *,
         of_clocks: bool,
     ) -> bool:
-        """Take what has been found, and look anew where it is time to; returns whether it has.
+        """Take results, and start again if due; return whether a path was evaluated.
 
         Args:
-            trail: The run in few pairs.
-            path: The newest path; None for estimates that are no paths.
+            trail: The run, thinned to few pairs.
+            path: Newest path; None for estimates that are not paths.
             protocol: The settings.
             ups: The up axes of groundtruth and estimate.
-            bodies: The names of the bodies that they are of.
-            of_clocks: Whether to look at the clocks.
+            bodies: Names of the bodies of both sides.
+            of_clocks: Whether to test the clocks.
         """
         found = self._task.take()
         if found is not None:
@@ -76,7 +76,7 @@ class SlowEvaluation:
         span_s = int(stamps[-1] - stamps[0]) / NANOSECONDS if len(stamps) else 0.0
         if span_s >= self._hints_at_s:
             self._hints_at_s = _GROWTH * span_s
-            some = Pairs(stamps.copy(), truth.copy(), estimate.copy())  # which go on changing
+            some = Pairs(stamps.copy(), truth.copy(), estimate.copy())  # since they change
         if path is not None and path.version != self._version:
             newest, self._version = path.pairs(), path.version
 
@@ -93,5 +93,5 @@ class SlowEvaluation:
         return has_revised
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop."""
         self._task.close()

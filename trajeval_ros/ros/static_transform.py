@@ -53,7 +53,7 @@ class StaticTransform:
         self._edges: dict[EdgeKey, Edge] = {}
 
     def match(self) -> str:
-        """Connect to the publishers that there are now; returns what to tell."""
+        """Connect to the present publishers; return a sentence for the log."""
         return self._input.match()
 
     def leave(self) -> None:

@@ -52,7 +52,7 @@ class Losses:
         self._last: dict[bytes, int] = {}
 
     def see(self, info: dict[str, Any], publishers: int) -> None:
-        """Take the middleware's word on a message of a topic with so many publishers."""
+        """Take the middleware's information on a message, and the number of publishers."""
         number = info.get("publication_sequence_number")
         identity = bytes((info.get("publisher_gid") or {}).get("data", b""))
         if number is None or (publishers > 1 and not identity):
@@ -60,7 +60,7 @@ class Losses:
             self._last.clear()
             return
         last = self._last.get(identity)
-        # A publisher that begins anew counts from one again.
+        # A publisher that restarts counts from one again.
         if last is not None and number > last:
             self.count += number - last - 1
         self._last[identity] = number
@@ -117,7 +117,7 @@ class TopicInput:
         return self._profile is not None and bool(self._profile.durability == latched)
 
     def match(self) -> str:
-        """Connect to the publishers that there are now; returns what to tell, mostly nothing."""
+        """Connect to the present publishers; return a sentence for the log, or an empty text."""
         publishers = publishers_of(self._node, self._name, self._types)
         if not publishers:
             unknown = self._types is None and self._node.count_publishers(self._name)
@@ -201,7 +201,7 @@ def _polled() -> Any:
 
 
 def _no_events() -> Any:
-    """Return no handlers of events, which would join the wait set; the graph tells the same."""
+    """Return no event handlers: they join the wait set, and the graph has the same information."""
     from rclpy.node import SubscriptionEventCallbacks  # its own module has another name in Humble
 
     return SubscriptionEventCallbacks(use_default_callbacks=False)

@@ -1,4 +1,4 @@
-"""One line on a terminal, renewed each second; elsewhere a line of the log now and then."""
+"""One status line on a terminal, updated every second; otherwise periodic lines of the log."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ class StatusLine:
     """Writes to stderr, as the log does, so that results can be piped."""
 
     def __init__(self) -> None:
-        """Look whether anybody watches."""
+        """Determine whether stderr is a terminal."""
         self._width = _width()
         self._shown = False
         self._log_at = 0.0
 
     def show(self, parts: list[str]) -> str | None:
-        """Show what is to be told of each estimate, cut to the terminal's width.
+        """Show the status of all estimates, cut to the terminal's width.
 
         Returns:
-            The whole line, now and then, to be logged where there is no terminal to renew it on.
+            The whole line for the log, periodically, if there is no terminal.
         """
         text = one_line("  |  ".join(parts))
         if not self._width:
@@ -45,13 +45,13 @@ class StatusLine:
         return None
 
     def clear(self) -> None:
-        """Make way for another line."""
+        """Clear the line before other output."""
         if self._shown:
             self._write(_BEGIN_ANEW)
             self._shown = False
 
     def _write(self, text: str) -> None:
-        """Write to the terminal, which may be gone."""
+        """Write to the terminal, which may have been closed."""
         try:
             sys.stderr.write(text)
             sys.stderr.flush()
@@ -60,7 +60,7 @@ class StatusLine:
 
 
 def _width() -> int:
-    """Return how many columns the terminal has; 0 for none, or one that nobody sees.
+    """Return the number of columns of the terminal; 0 if there is none, or it has no size.
 
     `ros2 launch` with emulate_tty makes a terminal without a size, and prefixes its lines.
     """
@@ -71,9 +71,9 @@ def _width() -> int:
 
 
 def leave_lost_terminal() -> None:
-    """Print nothing where the terminal is gone, as when an SSH session drops.
+    """Discard output if the terminal was closed, as when an SSH session ends.
 
-    To write there fails, and would end what is still to be done, in other processes as well.
+    Writing to it fails, and would end this and other processes before their work is done.
     """
     for stream in (1, 2):
         with contextlib.suppress(OSError):
@@ -91,9 +91,9 @@ def summary(
     Args:
         name: The estimate's.
         snapshot: Its evaluation.
-        window: What its ATE is about, in words of the parameter.
+        window: Window of its ATE, as in the parameter.
         newest_m: Position error of the newest pair.
-        missing: The topic that nothing has come from yet; empty if there is none.
+        missing: A topic without messages so far; empty if there is none.
     """
     if not snapshot.pairs:
         waiting = f"{counted(snapshot.waiting, 'pose')} waiting for groundtruth"

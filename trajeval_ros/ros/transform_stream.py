@@ -97,7 +97,7 @@ class TransformStream(PoseStream):
 
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
         """Add transforms to an edge that moves."""
-        timed = columns.stamps != 0  # a stamp that nobody has set
+        timed = columns.stamps != 0  # a timestamp that was not set
         trust = self._trusts.setdefault(key, StampTrust())
         before = trust.lone
         stamps, numbers = trust.take(columns.stamps[timed], columns.numbers[timed])
@@ -118,7 +118,7 @@ class TransformStream(PoseStream):
         self._keep(key, new if known is None or known.is_static else known.joined(new))
 
     def _begin_anew(self) -> None:
-        """Forget what moved: its time has begun anew."""
+        """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
         self._way, self._leading, self._until = [], None, _NEVER
 

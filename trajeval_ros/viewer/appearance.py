@@ -1,4 +1,4 @@
-"""How every entity of the picture looks, live and recorded: logged once, before its data."""
+"""Styles of all entities, live and recorded; logged once, before the data."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def declare(
 ) -> None:
     """Log once how everything looks, in a world in which this axis is up.
 
-    What only some runs have is declared where it comes: it would cost a kilobyte each.
+    Entities that only some runs have are declared with their data, since each costs a kilobyte.
     """
     rerun, _ = sdk()
     way = "DOWN" if up.name.startswith("-") else "UP"
@@ -87,7 +87,7 @@ def declare_length(recording: Any, estimate: EstimateEntities, length: str, plac
 
 
 def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
-    """Log once how errors beside their uncertainty look."""
+    """Log once how errors and their uncertainty look."""
     rerun, _ = sdk()
     name, colour = estimate.name, estimate.colour
     _declare_ellipsoids(recording, estimate.uncertainty, colour)

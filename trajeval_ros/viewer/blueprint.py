@@ -14,7 +14,7 @@ from trajeval_ros.viewer.layout_parts import until_now, whole_run, with_panels
 from trajeval_ros.viewer.legend import ROW, WIDTH, rows_of
 from trajeval_ros.viewer.sdk import sdk
 
-_MOST_COLOURED = 1  # estimates that are told apart by colour can't be coloured by error
+_MOST_COLOURED = 1  # estimate coloured by error; several need a colour per estimate
 
 
 def blueprint(
@@ -29,12 +29,12 @@ def blueprint(
     """Return the layout.
 
     Args:
-        estimates: What is drawn.
-        gauge: Of the alignments.
-        is_live: Follow what comes; else the whole run is there already.
-        has_consistency: Whether errors are drawn within their bands.
+        estimates: Entities of the estimates.
+        gauge: Gauge of the alignments.
+        is_live: Whether data arrive during the display.
+        has_consistency: Whether errors are drawn with their bands.
         has_map: Whether latitudes and longitudes are known.
-        bounds: Least and greatest coordinates (3,), (3,) of what is drawn, if known.
+        bounds: Smallest and largest coordinates (3,), (3,) of all paths, if known.
     """
     _, layout = sdk()
     # A legend of several estimates would cover the plot.
@@ -54,7 +54,7 @@ def blueprint(
 
 
 def _map() -> Any:
-    """Return the map, behind the space: a viewer asks OpenStreetMap for its tiles."""
+    """Return the map, in a hidden tab, since a viewer requests its tiles from OpenStreetMap."""
     _, layout = sdk()
     return layout.MapView(origin=f"/{scene_entities.MAP}", name="Map")
 

@@ -1,4 +1,4 @@
-"""What is logged of every entity: a row by the live scene, a column by the recorded one."""
+"""Data of all entities: rows for the live scene, columns for the recorded scene."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class EntityData:
     def send(
         self, recording: Any, entity: str, stamps: Stamps, lengths: Indices | None = None
     ) -> None:
-        """Log a row for each of stamps (M,): of one element, or of so many (M,)."""
+        """Log a row per timestamp (M,), with one element or with `lengths` (M,) elements."""
         rerun, _ = sdk()
         columns = self.archetype.columns(**self.fields)
         times = rerun.TimeColumn(TIMELINE, timestamp=stamps.astype("datetime64[ns]"))
@@ -84,7 +84,7 @@ def poses(positions: Floats, quaternions: Floats | None) -> EntityData:
 
 
 def ellipsoids(centres: Floats, covariances: Floats, factor: float = 1.0) -> EntityData:
-    """Return three sigma, so many times enlarged, of covariances (N, 3, 3) about (N, 3)."""
+    """Return three sigma, times a factor, of covariances (N, 3, 3) at centres (N, 3)."""
     rerun, _ = sdk()
     half_axes, directions = ellipsoid_axes(covariances)
     fields = {
@@ -122,11 +122,11 @@ def numbers(values: Sequence[float] | Floats) -> EntityData:
     return EntityData(rerun.Scalars, {"scalars": values})
 
 
-# Of which there is only one at a time.
+# Entities with a single element.
 
 
 def alignment(similarity: Similarity) -> Any:
-    """Return what moves an estimate into the groundtruth's frame, its scale included."""
+    """Return the alignment of an estimate with the groundtruth's frame, including its scale."""
     rerun, _ = sdk()
     return rerun.Transform3D(
         translation=similarity.translation,
@@ -148,7 +148,7 @@ def marker(position: Floats, colour: colours.Colour, label: str = "") -> Any:
 
 
 def start(position: Floats) -> Any:
-    """Return where the groundtruth started, (3,)."""
+    """Return a marker at the start of the groundtruth, (3,)."""
     return marker(position, colours.GROUNDTRUTH, "groundtruth starts here")
 
 
@@ -166,11 +166,11 @@ def summary(markdown: str) -> Any:
 
 
 def send_origin(recording: Any, origin: Floats) -> None:
-    """Log where the picture's origin is in the groundtruth's frame, (3,), metres."""
+    """Log the picture's origin in the groundtruth's frame, (3,), metres."""
     rerun, _ = sdk()
     recording.send_property("origin", rerun.AnyValues(groundtruth_m=origin))
 
 
 def _narrow(points: Floats) -> Any:
-    """Return coordinates as Rerun has them, so that it need not look at each."""
+    """Return coordinates in Rerun's type, which avoids a conversion per value."""
     return points.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Rerun's file on a disk that takes no more, of which Rerun says only that it doesn't."""
+"""Detection of a full disk under Rerun's file, which Rerun reports without a reason."""
 
 from __future__ import annotations
 

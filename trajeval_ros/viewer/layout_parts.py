@@ -1,4 +1,4 @@
-"""Parts of a layout that every picture has: times that are shown, and the panels around it."""
+"""Common parts of all layouts: time ranges and panels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def with_panels(views: Any) -> Any:
 
 
 def until_now() -> Any:
-    """Return the times up to the cursor, for what grows as the run goes on."""
+    """Return the times up to the cursor, for entities that grow during the run."""
     _, layout = sdk()
     return layout.VisibleTimeRanges(
         [

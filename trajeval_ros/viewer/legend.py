@@ -11,7 +11,7 @@ from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.scene_entities import LEGEND, EstimateEntities
 from trajeval_ros.viewer.sdk import sdk
 
-# The strip is so many units wide, a row of it so high, and a letter about so wide.
+# Width of the strip, height of a row and width of a letter, in units of the view.
 WIDTH, ROW = 1000.0, 46.0
 _RAMP_END, _NAMES_BEGIN = 180.0, 250.0
 _LETTER = 12.0
@@ -51,7 +51,7 @@ def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> Non
 
 
 def rows_of(estimates: int) -> int:
-    """Return in how many rows the names of so many estimates and of the groundtruth stand."""
+    """Return the number of rows for the names of N estimates and of the groundtruth."""
     return -(-(1 + estimates) // _MOST_BESIDE)
 
 
@@ -69,5 +69,5 @@ def scale(full_m: float) -> tuple[str, Any]:
 
 
 def shortened(name: str, letters: int) -> str:
-    """Return a name of at most so many letters: the end of a long one says more."""
+    """Return a name with a limited number of letters: the end of a long one."""
     return name if len(name) <= letters else f"…{name[1 - letters :]}"

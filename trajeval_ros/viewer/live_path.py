@@ -1,4 +1,4 @@
-"""A path that grows while it is drawn: in few rows for the viewer, and few bytes for the file."""
+"""A path that grows while it is drawn, with few rows in the viewer and few bytes in the file."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from trajeval_ros.viewer.scene_entities import PathEntities
 
 Log = Callable[[int, str, Any], None]
 
-DRAWN_EVERY_NS = 100_000_000  # poses that are closer in time are left out
-_PIECE = 200  # poses, of which each is a row that stays in sight
-_HEAD = 20  # poses that are sent again with each new one
+DRAWN_EVERY_NS = 100_000_000  # poses closer in time are dropped
+_PIECE = 200  # poses of a row that stays visible
+_HEAD = 20  # poses that are sent again with every new one
 _MOST_ROWS = 100_000  # of a history
 _NEVER = np.iinfo(np.int64).min
 
@@ -30,7 +30,7 @@ class Thinning:
         self._last = _NEVER
 
     def pick(self, stamps: Stamps) -> NDArray[np.int64]:
-        """Return which of N new stamps to draw, by index; those of the past are passed over."""
+        """Return the indices of the new timestamps (N,) to draw; older ones are dropped."""
         slots = stamps // DRAWN_EVERY_NS
         newest = np.maximum.accumulate(np.concatenate([[self._last], slots]))
         if len(slots):
@@ -41,8 +41,8 @@ class Thinning:
 class LivePath:
     """Draws one path, pose by pose.
 
-    A piece that is whole is `past`, and never sent again. `recent` is the piece in the making, and
-    `newest` its end: each is sent again as it grows, the short one often, the long one seldom.
+    Complete pieces are `past`, and are sent once. `recent` is the piece that grows, and `newest`
+    its end. Both are sent again as they grow, `newest` often and `recent` rarely.
     """
 
     def __init__(self, entities: PathEntities, log: Log) -> None:
@@ -58,7 +58,7 @@ class LivePath:
         self._usual_ns = 0.0
 
     def add(self, stamp: int, point: Floats) -> int:
-        """Add a pose (3,); returns for how long there was none before, ns, if that is a gap."""
+        """Add a position (3,); return the step since the previous one, ns, if a gap, else 0."""
         gap = 0
         step = stamp - self._stamp if self._piece else 0
         if self._usual_ns and is_gap(step, self._usual_ns):
@@ -78,7 +78,7 @@ class LivePath:
         return gap
 
     def draw_to(self, stamp: int, point: Floats) -> None:
-        """Draw up to a pose (3,) that need not be one of those added."""
+        """Draw up to a position (3,), which may be different from those added."""
         if self._piece:
             begin = (len(self._piece) - 1) // _HEAD * _HEAD
             head = np.array([*self._piece[begin:], point])
@@ -95,10 +95,10 @@ class LivePath:
 
 
 class RowHistory:
-    """Rows by stamp, all of a run; beyond a number of rows every other one is forgotten."""
+    """Rows of a whole run by timestamp; beyond a limit every second row is dropped."""
 
     def __init__(self, width: int) -> None:
-        """Create it empty, for rows of so many numbers."""
+        """Create it empty, for rows of `width` numbers."""
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0

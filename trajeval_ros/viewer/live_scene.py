@@ -1,4 +1,4 @@
-"""The picture of a live run, drawn as it goes on; all of it happens on a stream's own thread."""
+"""The picture of a live run, drawn incrementally on the thread of a sink."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _NEVER = np.iinfo(np.int64).min
 
 
 class LiveEstimatePicture:
-    """What is known of one estimate's picture."""
+    """The state of one estimate's picture."""
 
     def __init__(self, entities: scene_entities.EstimateEntities, log: Any) -> None:
         """Create it without a pose."""
@@ -58,12 +58,12 @@ class LiveEstimatePicture:
         self.snapshot: Snapshot | None = None
         self.drawn_at = self.told_at = _NEVER
         self.coloured = 0
-        self.is_revised = False  # as a path's newest version is
-        self.lengths: dict[str, int] = {}  # with the stamp of the newest error that was drawn
+        self.is_revised = False  # whether errors of the newest path exist
+        self.lengths: dict[str, int] = {}  # timestamp of the newest drawn error by length
 
 
 class LiveScene:
-    """Draws on the recording that there is at present; without one it only remembers.
+    """Draws on the present recording; without one it only stores the data.
 
     Attributes:
         blueprint: The layout.
@@ -87,7 +87,7 @@ class LiveScene:
         self.blueprint = self._layout()
 
     def begin(self, recording: Any) -> None:
-        """Draw on a recording from now on, and first what came before it."""
+        """Draw on a recording from now on, starting with the data so far."""
         self._recording = recording
         recording.send_recording_name(self._title)
         appearance.declare(recording, self._entities, self._gauge, self._up)
@@ -109,11 +109,11 @@ class LiveScene:
             self._draw_again(each.entities.path.past, stamps, rows[:, 3:])
 
     def leave(self) -> None:
-        """Draw no more, until another recording begins."""
+        """Stop drawing until another recording begins."""
         self._recording = None
 
     def finish(self) -> None:
-        """Draw what is drawn now and then for the last time."""
+        """Draw all periodic entities for the last time."""
         for each in self._estimates.values():
             stamps, _ = each.memory.columns()
             if len(stamps) and each.similarity is not None:
@@ -125,7 +125,7 @@ class LiveScene:
         self._frame()
 
     def groundtruth(self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP) -> None:
-        """Take groundtruth: stamps (N,), and rows (N, 10) of position, xyzw and velocity."""
+        """Take groundtruth: timestamps (N,), and states (N, 10)."""
         usable = np.isfinite(states[:, :3]).all(axis=1)
         stamps, states = stamps[usable], states[usable]
         if not len(stamps):
@@ -169,7 +169,7 @@ class LiveScene:
                 self._recording.send_blueprint(self.blueprint)
 
     def pairs(self, name: str, stamps: Stamps, truth: Floats, states: Floats) -> None:
-        """Take pairs of an estimate: stamps (N,), groundtruth and estimate (N, 10)."""
+        """Take pairs of an estimate: timestamps (N,), groundtruth and estimate (N, 10)."""
         each = self._estimates[name]
         if not len(stamps) or self._origin is None:
             return
@@ -190,7 +190,7 @@ class LiveScene:
             self._log(stamp, each.entities.pose, pose.row())
 
     def update(self, name: str, update: Update) -> None:
-        """Take the errors of the newest pair, as they are published."""
+        """Take the published errors of the newest pair."""
         each = self._estimates[name]
         if update.stamp is None:
             return
@@ -200,7 +200,7 @@ class LiveScene:
             self._end(each, end)
 
     def snapshot(self, name: str, stamp: int, snapshot: Snapshot, revised_m: float | None) -> None:
-        """Take the state of an evaluation as of a stamp, as it is published."""
+        """Take the published state of an evaluation at a timestamp."""
         each = self._estimates[name]
         each.snapshot = snapshot
         if revised_m is not None and not each.is_revised:
@@ -272,7 +272,7 @@ class LiveScene:
             self.event(self._begin, text_panel.origin_in_words(self._origin), warn=False)
 
     def _end(self, each: LiveEstimatePicture, end: RelativeEnd) -> None:
-        """Draw the error of a sub-trajectory, unless its length has had one just now."""
+        """Draw the error of a sub-trajectory, with a limited rate per length."""
         if end.length not in each.lengths:
             each.lengths[end.length] = _NEVER
             if self._recording is not None:
@@ -284,7 +284,7 @@ class LiveScene:
             self._log(end.stamp, entity, entity_data.numbers([end.position_m]).row())
 
     def _align(self, each: LiveEstimatePicture, stamp: int, similarity: Similarity) -> None:
-        """Move the estimate, and tell of it if that is far."""
+        """Move the estimate, and report large movements."""
         before, each.similarity = each.similarity, similarity
         self._log(stamp, each.entities.frame, entity_data.alignment(similarity))
         level = self._up.matrix @ similarity.rotation @ self._up.matrix.T
@@ -306,7 +306,7 @@ class LiveScene:
             )
 
     def _colour(self, each: LiveEstimatePicture, stamp: int) -> None:
-        """Colour the whole path by its errors under the present alignment."""
+        """Colour the whole path by its errors with the present alignment."""
         assert each.similarity is not None
         stamps, rows = each.memory.columns()
         difference = rows[:, :3] - each.similarity.positions(rows[:, 3:])
@@ -322,7 +322,7 @@ class LiveScene:
         self._log(stamp, each.entities.by_error, path.row())
 
     def _correspond(self, each: LiveEstimatePicture, stamp: int) -> None:
-        """Join poses with their groundtruth, evenly over the run."""
+        """Connect poses with their groundtruth, evenly over the run."""
         assert each.similarity is not None
         _, rows = each.memory.columns()
         rows = rows[:: max(1, len(rows) // _MOST_CORRESPONDENCES)]
@@ -345,7 +345,7 @@ class LiveScene:
         return blueprint(self._entities, self._gauge, is_live=True, has_map=has_map, bounds=bounds)
 
     def _frame(self) -> None:
-        """Have whoever opens the recording see all of the run."""
+        """Set the view so that a newly opened recording shows the whole run."""
         _, truth = self._truth_memory.columns()
         paths = [truth] if len(truth) else []
         for each in self._estimates.values():
@@ -357,7 +357,7 @@ class LiveScene:
             self._recording.send_blueprint(seen, make_active=False)
 
     def _draw_again(self, entity: str, stamps: Stamps, points: Floats) -> None:
-        """Draw a path that a new recording hasn't seen."""
+        """Draw a path on a new recording."""
         if len(stamps) > 1:
             cuts = np.flatnonzero(gaps(stamps)) + 1
             strips = [each for each in np.split(points, cuts) if len(each) > 1]

@@ -15,7 +15,7 @@ _USUAL_STEPS = 5.0
 
 
 def origin_for(positions: Floats) -> Floats:
-    """Return what to subtract from positions (N, 3), so that float32 draws them, (3,), metres.
+    """Return the origin to subtract from positions (N, 3) before float32, (3,), metres.
 
     Rerun's coordinates are float32: at a UTM northing of 5e6 m they step by half a metre.
     """
@@ -24,32 +24,32 @@ def origin_for(positions: Floats) -> Floats:
 
 
 def between_origins(similarity: Similarity, truth: Floats, estimate: Floats) -> Similarity:
-    """Return an alignment as one of coordinates from these origins, (3,) and (3,)."""
+    """Return an alignment of coordinates relative to these origins, (3,) and (3,)."""
     moved = similarity.positions(estimate[None])[0] - truth
     return Similarity(similarity.rotation, moved, similarity.scale)
 
 
 def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the least and the greatest coordinates of paths (N, 3), (3,) and (3,)."""
+    """Return the smallest and largest coordinates of paths (N, 3), (3,) and (3,)."""
     low = np.min([each.min(axis=0) for each in paths], axis=0)
     high = np.max([each.max(axis=0) for each in paths], axis=0)
     return low, high
 
 
 def gaps(stamps: Stamps) -> Booleans:
-    """Return which of N - 1 steps between stamps (N,) no line should be drawn across."""
+    """Return which of the N - 1 steps between timestamps (N,) are gaps without a line."""
     steps = np.diff(stamps)
     usual = float(np.median(steps)) if len(steps) else 0.0
     return np.asarray(steps > _least_gap_ns(usual))
 
 
 def is_gap(step_ns: int, usual_ns: float) -> bool:
-    """Return whether no line should be drawn across a step."""
+    """Return whether a step is a gap without a line."""
     return step_ns > _least_gap_ns(usual_ns)
 
 
 def _least_gap_ns(usual_ns: float) -> float:
-    """Return what a gap is longer than: keyframes are far apart, hence five usual steps."""
+    """Return the shortest gap: five usual steps, because keyframes are far apart."""
     return max(_GAP_NS, _USUAL_STEPS * usual_ns)
 
 
@@ -58,11 +58,11 @@ def pieces(count: int, is_gap: Booleans, most: int) -> Indices:
 
     Args:
         count: N.
-        is_gap: (N - 1,) steps that are not to be drawn; a piece ends before one, standing still.
-        most: Number of pieces at the most.
+        is_gap: (N - 1,) which steps are gaps; a piece repeats its last point instead.
+        most: Largest number of pieces.
 
     Returns:
-        The points of each piece, by index, (M, P).
+        Indices of the points of every piece, (M, P).
     """
     steps = count - 1
     if steps < 1:
@@ -76,14 +76,14 @@ def pieces(count: int, is_gap: Booleans, most: int) -> Indices:
 
 
 def spread(count: int, most: int) -> Indices:
-    """Return at most so many rows of N, evenly, the first and the last among them."""
+    """Return at most `most` of N rows, evenly spaced, including the first and the last."""
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(np.int64)
 
 
 def peaks(values: Floats, most: int) -> Indices:
-    """Return at most so many rows of values (N,), the greatest of each of many equal runs."""
+    """Return at most `most` rows of values (N,): the largest of each of equal blocks."""
     count = len(values)
     if count <= most:
         return np.arange(count)

@@ -21,7 +21,7 @@ _NAME = "rerun.exe" if sys.platform == "win32" else "rerun"
 
 
 def free_port() -> int:
-    """Return a port of this machine that nobody listens at."""
+    """Return a free port of this machine."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])

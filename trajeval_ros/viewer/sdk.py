@@ -23,7 +23,7 @@ def sdk() -> tuple[Any, Any]:
     Raises:
         InputError: rerun-sdk isn't installed, or doesn't fit the packages that are.
     """
-    # It looks here when it is imported. What its log says at length, we say in a sentence.
+    # It reads this at import. Its log is verbose; this package reports one sentence instead.
     is_ours = "RUST_LOG" not in os.environ
     os.environ.setdefault("RUST_LOG", "off")
     try:

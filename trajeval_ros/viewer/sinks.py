@@ -1,4 +1,4 @@
-"""Where a live picture goes: a file, viewers that come here, or a viewer elsewhere."""
+"""Destinations of a live picture: a file, a server for viewers, or a viewer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class FileTarget:
         return recording
 
     def check(self, recording: Any) -> bool:
-        """Have everything in the file."""
+        """Write everything to the file."""
         try:
             flush_to(self._path, recording)
             self._whole = self._path.stat().st_size
@@ -78,7 +78,7 @@ class FileTarget:
 
 
 class ServerTarget:
-    """A server on this machine, for viewers that come, go, and come back."""
+    """A server on this machine, for viewers that connect at any time."""
 
     name = "server"
     check_every_s = 1.0
@@ -106,7 +106,7 @@ class ServerTarget:
         return recording
 
     def check(self, recording: Any) -> bool:
-        """Do nothing: the server never fails for what viewers do."""
+        """Return True: the server does not depend on its viewers."""
         del recording
         return True
 
@@ -116,7 +116,7 @@ class ServerTarget:
 
 
 class ViewerTarget:
-    """A viewer that listens somewhere, as `rerun` does when it is started."""
+    """A viewer that listens at an address, such as the program `rerun`."""
 
     name = "viewer"
     check_every_s = 2.0
@@ -137,8 +137,8 @@ class ViewerTarget:
         self._address = match[1].strip("[]"), int(match[2])
 
     def open(self, blueprint: Any) -> Any | None:
-        """Return a recording that the viewer shows, None while it isn't there."""
-        # To connect where nobody listens takes five seconds and may hang later.
+        """Return a recording that the viewer shows; None while no viewer listens."""
+        # A connection to a closed port takes five seconds and may hang later.
         if not self._is_there():
             return None
         recording = _recording(self._id, flush_s=0.5)
@@ -146,12 +146,12 @@ class ViewerTarget:
         return recording
 
     def check(self, recording: Any) -> bool:
-        """Return whether it is still there; a connection that is lost never comes back."""
+        """Return whether the viewer listens; a lost connection is never restored."""
         del recording
         return self._is_there()
 
     def close(self, recording: Any) -> None:
-        """End; to flush a viewer that doesn't read hangs, to disconnect doesn't."""
+        """Disconnect; flushing to a viewer that does not read would hang."""
         recording.disconnect()
 
     def _is_there(self) -> bool:
@@ -163,12 +163,12 @@ class ViewerTarget:
 
 
 def sinks_for(value: str, file: Path, recording_id: str) -> list[Sink]:
-    """Return the sinks that a value of the parameter `rerun` asks for.
+    """Return the sinks for a value of the parameter `rerun`.
 
     Args:
-        value: `none`, `file`, `serve`, `serve:PORT` or `connect:URL`; all but `none` keep a file.
-        file: Which one.
-        recording_id: Tells viewers that it is all one recording.
+        value: `none`, `file`, `serve`, `serve:PORT` or `connect:URL`; all but `none` write a file.
+        file: The file.
+        recording_id: Identifies the recording on all sinks.
 
     Raises:
         SettingsError: It is none of these.

@@ -1,8 +1,8 @@
-"""A live picture that nobody has to wait for: a thread of its own behind a queue that drops.
+"""A live picture that never blocks the node: a thread per sink, behind a queue that drops.
 
-Rerun's `log` may block for seconds, or for ever where a viewer connects and doesn't read, and a
-file beside such a connection stops growing with it. So every sink has a recording, a thread and a
-queue of its own, and whoever fills the queue never waits.
+Rerun's `log` may block for seconds, or forever if a viewer connects and does not read. A file of
+the same recording then stops growing, too. Therefore every sink has its own recording, thread and
+queue, and filling the queue never waits.
 """
 
 from __future__ import annotations
@@ -27,45 +27,44 @@ Job = Callable[[], object]
 
 
 def give_way() -> None:
-    """Have Python's threads take turns ten times as often as they do by default.
+    """Switch between Python's threads ten times as often as by default.
 
-    A thread that draws would otherwise keep the interpreter for 5 ms from one that has messages to
-    take.
+    Otherwise a thread that draws delays the thread that takes messages by 5 ms.
     """
     sys.setswitchinterval(_SWITCH_S)
 
 
 class Sink(Protocol):
-    """Where a recording goes.
+    """The destination of a recording.
 
     Attributes:
-        name: What it is, for the user.
-        check_every_s: How often `check` is to be called.
+        name: Name for messages.
+        check_every_s: Period of `check`, seconds.
     """
 
     name: str
     check_every_s: float
 
     def open(self, blueprint: Any) -> Any | None:
-        """Return a new recording, None if there is nobody to receive it yet.
+        """Return a new recording; None if there is no receiver yet.
 
         Raises:
             TrajevalError: There will never be one.
         """
 
     def check(self, recording: Any) -> bool:
-        """Have it out so far; returns False if it is lost and may be opened again.
+        """Write the data so far; return False if the sink is lost and may be opened again.
 
         Raises:
             TrajevalError: It is lost for good.
         """
 
     def close(self, recording: Any) -> None:
-        """Have all of it out, and end."""
+        """Write everything, and end."""
 
 
 class Drawing(Protocol):
-    """What draws on a recording, and remembers while there is none."""
+    """Draws on a recording, and stores the data while there is none."""
 
     blueprint: Any
 
@@ -73,13 +72,13 @@ class Drawing(Protocol):
         """Draw on a recording from now on."""
 
     def leave(self) -> None:
-        """Draw no more."""
+        """Stop drawing."""
 
     def finish(self) -> None:
-        """Draw what comes last."""
+        """Draw the end."""
 
     def dropped(self, count: int) -> None:
-        """Show how many updates were not drawn."""
+        """Show the number of updates that were not drawn."""
 
 
 class DrawingThread:
@@ -91,11 +90,11 @@ class DrawingThread:
     """
 
     def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:
-        """Create it; the sink is opened by the thread, since that may take long.
+        """Create it; the thread opens the sink, since this may take long.
 
         Args:
-            sink: Where it goes.
-            drawing: What draws.
+            sink: The destination.
+            drawing: Draws on its recordings.
             after: A stream that is closing, whose port or file this one takes over.
         """
         self.name = sink.name
@@ -112,19 +111,19 @@ class DrawingThread:
         self._thread.start()
 
     def put(self, job: Job) -> None:
-        """Have something drawn, in order; never waits."""
-        # Nobody is woken: that would hand the interpreter over in the middle of a callback.
+        """Add a drawing job, without waiting."""
+        # The thread is not woken: this would release the interpreter in the middle of a callback.
         if len(self._jobs) < _MOST_WAITING:
             self._jobs.append(job)
         else:
             self.dropped += 1
 
     def end(self) -> None:
-        """Stop, and don't wait for it."""
+        """Stop without waiting."""
         self._closing.set()
 
     def close(self) -> bool:
-        """Have everything out and end; returns whether that was possible in a few seconds."""
+        """Write everything and end; return whether this was possible in a few seconds."""
         self.end()
         self._thread.join(_PATIENCE_S)
         return not self._thread.is_alive()
@@ -151,7 +150,7 @@ class DrawingThread:
             self._guarded(lambda: self._sink.close(self._recording))
 
     def _tend(self) -> None:
-        """Open the sink, or look after it."""
+        """Open the sink, or check it."""
         if self._recording is None:
             recording = self._sink.open(self._drawing.blueprint)
             if recording is not None:
@@ -165,7 +164,7 @@ class DrawingThread:
             self._drawing.dropped(self.dropped)
 
     def _guarded(self, action: Job) -> None:
-        """Do something; whatever goes wrong ends the picture, and never the node."""
+        """Run a job; an exception ends the picture, but not the node."""
         try:
             action()
         except TrajevalError as error:

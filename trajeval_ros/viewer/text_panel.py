@@ -100,7 +100,7 @@ def origin_in_words(origin: Floats) -> str:
 
 
 def gap_in_words(name: str, step_ns: int) -> str:
-    """State that an estimate had no pair for so many nanoseconds."""
+    """State that an estimate had no pair for a number of nanoseconds."""
     return f"{name}: no pairs for {step_ns / NANOSECONDS:.1f} s"
 
 
@@ -119,7 +119,7 @@ def _scales(gauge: Gauge, alignments: Sequence[Alignment | None]) -> list[Row]:
 
 
 def _aligned_by(gauge: Gauge, alignments: Sequence[Alignment | None]) -> Row:
-    """Return the row of gauge and states in few words."""
+    """Return the row with gauge and number of states."""
     if gauge is Gauge.NONE:
         return "Aligned by", ["nothing"] * len(alignments)
     texts = [

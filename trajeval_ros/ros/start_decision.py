@@ -1,0 +1,92 @@
+"""When a live run starts to evaluate: clock offset and marker pose may have to be found first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.online.state_rows import QUATERNION
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.marker_body import MarkerBody
+
+_DECISION_S = 60.0
+
+
+class StartDecision:
+    """Decides on one clock offset and one body for all estimates.
+
+    Both are found from the first estimate: estimates with different offsets could not be ranked.
+    The clock offset of a path is never known.
+
+    Attributes:
+        holds: Whether messages are only stored, because the decision is still open.
+        about_clocks: Which clock offset was found, as a sentence; empty if none was requested.
+    """
+
+    def __init__(self, body: MarkerBody, *, find_offset: bool) -> None:
+        """Create it; nothing is held if neither marker pose nor offset are requested.
+
+        Args:
+            body: Finds the marker pose, if one is requested.
+            find_offset: Whether to find the clock offset, and apply it if it is significant.
+        """
+        self._body, self._finds_offset = body, find_offset
+        self.holds, self.about_clocks = find_offset or body.is_wanted, ""
+        self._is_oriented: bool | None = None  # the groundtruth; None before its first state
+
+    @property
+    def waits_for(self) -> str:
+        """What must be known before anything is evaluated; empty once it is."""
+        if not self.holds:
+            return ""
+        clocks = "the clock offset" if self._finds_offset else ""
+        marker = f"hand_eye {self._body.source}" if self._body.is_wanted else ""
+        return " and ".join(filter(None, (clocks, marker)))
+
+    def see_groundtruth(self, states: Floats) -> None:
+        """Take groundtruth states (N, 10), N > 0, which have orientations or have none."""
+        if self._is_oriented is None:
+            self._is_oriented = not np.isnan(states[0, QUATERNION.start])
+
+    def look(self, estimates: Sequence[LiveEstimate], *, at_end: bool = False) -> float | None:
+        """Return the clock offset, seconds, at the moment of the decision; otherwise None.
+
+        The decision is made when everything is known, or after one minute of held messages.
+
+        Args:
+            estimates: Newest segments of all estimates.
+            at_end: Decide now, because no further messages follow.
+        """
+        if not self.holds:
+            return None
+        first, held_s = estimates[0], max(each.held_s for each in estimates)
+        is_spent = at_end or held_s >= _DECISION_S
+        is_significant = first.clock.report.is_significant
+        is_known = is_significant or first.revised is not None or not self._finds_offset
+        if self._body.is_wanted:
+            is_known &= self._body.look(first.clock.calibration, is_spent=is_spent)
+            if self._is_oriented is None and not at_end and held_s < math.inf:
+                return None
+        if not (is_known or is_spent):
+            return None
+        self.holds = False
+        if self._body.is_wanted:
+            gauge = first.evaluator.settings.protocol.gauge
+            self._body.settle(
+                is_oriented=self._is_oriented is not False, has_scale=gauge.has_scale
+            )
+        return self._offset_s(first) if self._finds_offset else first.evaluator.offset_s
+
+    def _offset_s(self, first: LiveEstimate) -> float:
+        known, name = first.clock.report, first.name
+        if not known.is_significant or known.offset_s is None:
+            self.about_clocks = f"no time offset applied ({name}: {known.reason})"
+            return 0.0
+        self.about_clocks = (
+            f"time offset of {known.offset_s:.4f} s applied, estimated from the first "
+            f"{known.span_s:.0f} s of {name} (+- {known.half_width_95_s:.2g} s, 95 %)"
+        )
+        return known.offset_s
