@@ -29,6 +29,7 @@ class Fingerprints:
         self._memory = memory
         self._known: dict[str, list[Any]] = {}
         self._of_source: dict[str, str] = {}
+        self._names: dict[Path, frozenset[str] | None] = {}
         self._changed = False
         self._saved_at = time.monotonic()
         with contextlib.suppress(OSError):  # without stored hashes, all files are read
@@ -59,19 +60,41 @@ class Fingerprints:
         if is_url(path):
             digest.update(_remote_state(path).encode())
             return digest.hexdigest()
-        # The format of a file that was hashed before is not detected again.
-        known = str(Path(source).absolute()) in self._known and Path(source).is_file()
-        local = Path(source) if known else parse_source(source).path
         try:
-            inside = sorted(local.rglob("*")) if local.is_dir() else ()
-            files = [each for each in inside if each.is_file()]
-            for file in files or [local, *_read_beside(local)]:
+            for file in self._files_of(source):
                 digest.update(self._file(file).encode())
         except OSError as error:
             raise InputError(
-                f"{error.filename or local} can't be read: {reason_of(error)}"
+                f"{error.filename or source} can't be read: {reason_of(error)}"
             ) from error
         return digest.hexdigest()
+
+    def _files_of(self, source: str) -> list[Path]:
+        """Return the files of this machine that a SOURCE reads."""
+        local = Path(source)
+        # The format of a file that was hashed before is not detected again.
+        if str(local.absolute()) not in self._known or not local.is_file():
+            local = parse_source(source).path
+            if local.is_dir():
+                files = [each for each in sorted(local.rglob("*")) if each.is_file()]
+                return files or [local]
+        return [local, *self._read_beside(local)]
+
+    def _read_beside(self, path: Path) -> list[Path]:
+        """Return the files that belong to one: KITTI's timestamps, the log of an sqlite bag."""
+        inside = self._names_in(path.parent)
+        names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
+        beside = [path.with_name(name) for name in names if inside is None or name in inside]
+        return [each for each in beside if each.is_file() and each != path]
+
+    def _names_in(self, folder: Path) -> frozenset[str] | None:
+        """Return the names in a folder, listed once; None if it can't be listed."""
+        if folder not in self._names:
+            try:
+                self._names[folder] = frozenset(each.name for each in folder.iterdir())
+            except OSError:
+                self._names[folder] = None
+        return self._names[folder]
 
     def _file(self, path: Path) -> str:
         name, state = str(path.absolute()), path.stat()
@@ -88,13 +111,6 @@ class Fingerprints:
             self._known[name] = [*now, digest.hexdigest()]
             self._changed = True
         return digest.hexdigest()
-
-
-def _read_beside(path: Path) -> list[Path]:
-    """Return the files that belong to another: KITTI's timestamps, the log of an sqlite bag."""
-    names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
-    beside = [path.with_name(name) for name in names]
-    return [each for each in beside if each.is_file() and each != path]
 
 
 def _remote_state(url: str) -> str:

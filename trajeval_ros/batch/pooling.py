@@ -112,5 +112,6 @@ def write_pooled(
 def read_pooled(path: Path) -> list[dict[str, Any]]:
     """Return the rows that `write_pooled` wrote."""
     _, parquet = load_pyarrow()
-    rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+    with parquet.ParquetFile(path) as file:  # `read_table` imports pandas, if installed
+        rows: list[dict[str, Any]] = file.read(use_threads=False).to_pylist()
     return rows

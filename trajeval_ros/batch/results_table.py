@@ -8,11 +8,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from trajeval_ros import __version__
 from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.columns import arrow_array
 
 if TYPE_CHECKING:
     import pyarrow
@@ -25,7 +28,6 @@ CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood
 INTEGRITY = "integrity"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
-_ROW = "row"
 
 _TEXTS = ("algorithm", "sequence", "trial", "status", "reason", "kind", "metric", "length")
 _COLUMNS = {
@@ -160,15 +162,20 @@ class ResultsTable:
         """Yield the same row by row; memory holds one group of rows."""
         names = list(columns)
         sets = {
-            name: self._arrow.array(
-                [values] if isinstance(values, str) else list(values), self._arrow.string()
-            )
+            name: [values] if isinstance(values, str) else list(values)
             for name, values in allowed.items()
         }
         for rows in self._groups([*dict.fromkeys((*names, *sets))]):
             for name, values in sets.items():
-                rows = rows.filter(self._compute.is_in(rows.column(name), values))
+                rows = rows.filter(self._is_one_of(rows.column(name), values))
             yield from rows.select(names).to_pylist()
+
+    def _is_one_of(self, column: Any, values: Sequence[str | None]) -> Any:
+        texts = arrow_array(
+            self._arrow, np.array([each for each in values if each is not None], dtype=str)
+        )
+        found = self._compute.is_in(column, texts)
+        return self._compute.or_(found, column.is_null()) if None in values else found
 
     def distinct(self, columns: Iterable[str]) -> list[dict[str, Any]]:
         """Return the distinct values of some columns, in order of first occurrence.
@@ -179,11 +186,7 @@ class ResultsTable:
         names = list(columns)
         found: dict[tuple[Any, ...], None] = {}
         for rows in self._groups(names):
-            # The order of the groups differs between CPUs.
-            numbered = rows.append_column(_ROW, self._arrow.array(range(rows.num_rows)))
-            groups = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "min")])
-            some = groups.sort_by(f"{_ROW}_min").select(names)
-            found.update(dict.fromkeys(zip(*some.to_pydict().values(), strict=True)))
+            found.update(dict.fromkeys(zip(*rows.to_pydict().values(), strict=True)))
         return [dict(zip(names, values, strict=True)) for values in found]
 
     def _groups(self, names: Sequence[str]) -> Iterator[pyarrow.Table]:

@@ -26,10 +26,10 @@ def arrow_table(columns: Columns) -> pyarrow.Table:
         InputError: pyarrow is not installed.
     """
     pyarrow = _load_pyarrow()
-    return pyarrow.table({name: _arrow_array(pyarrow, array) for name, array in columns.items()})
+    return pyarrow.table({name: arrow_array(pyarrow, array) for name, array in columns.items()})
 
 
-def _arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
+def arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
     """Return a column, (N,), as an Arrow array.
 
     `pyarrow.array` imports pandas if it is installed, which takes longer than a table.
