@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.state import State
@@ -43,7 +43,7 @@ def solve_with_ceres(
         others = lie.to_matrix(lie.normalized(np.array(values[count + 1 : 2 * count])))
         return State(
             np.array(values[:count]),
-            np.concatenate([(lie.exp(first_turn) @ start.rotations[0])[None], others]),
+            np.concatenate([(so3.exp(first_turn) @ start.rotations[0])[None], others]),
             np.array(values[2 * count : 3 * count]),
             np.array(values[3 * count :]),
             start.biases,
@@ -99,9 +99,9 @@ def _jacobian(problem: Problem, state: State, root: float) -> np.ndarray:
     inertial = problem.inertial(state)
     rows, size = np.arange(len(by_point)), by_point.shape[1]
     visual = np.zeros((len(by_point), size, 3 * count + problem.landmarks, 3))
-    by_turn = by_point @ lie.skew(rays)
+    by_turn = by_point @ so3.skew(rays)
     first = problem.keyframe_of == 0
-    by_turn[first] = by_turn[first] @ lie.left_jacobian(state.first_turn)
+    by_turn[first] = by_turn[first] @ so3.left_jacobian(state.first_turn)
     visual[rows, :, problem.keyframe_of] = -by_point
     visual[rows, :, count + problem.keyframe_of] = by_turn
     visual[rows, :, 3 * count + problem.landmark_of] = by_point

@@ -41,8 +41,9 @@ from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.live.live_folder import evaluate_folder, write_revised
+from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.pair_file import FORMAT
+from trajeval_ros.io.live.revised_file import write_revised
 from trajeval_ros.io.requests.covariance_file import read_joint_covariance
 from trajeval_ros.io.requests.hand_eye_file import read_hand_eye
 from trajeval_ros.io.requests.protocol_file import read_protocol

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
@@ -47,9 +47,9 @@ class Case:
             self.preintegrated,
         )
         estimate = {name: np.array(value) for name, value in given["est"].items()}
-        self.reference_rotation = lie.exp(column["ref_rotvec0"])
+        self.reference_rotation = so3.exp(column["ref_rotvec0"])
         self.state = State.at(
-            estimate["p"], lie.exp(estimate["rotvec"]), estimate["v"], estimate["X"]
+            estimate["p"], so3.exp(estimate["rotvec"]), estimate["v"], estimate["X"]
         ).referred_to(self.reference_rotation, column["ref_p0"])
 
     def trajectory(self, side: str) -> Trajectory:

@@ -40,14 +40,14 @@ PATIENCE_S = 300.0
 # Of each room, which files are tested by which tests, the quickest first.
 ROOMS = {
     "metrics": {
-        "association evo_association coverage no_match frame_association": (
-            "association kitti_protocol online_revised"
-        ),
+        "association bracket nearest_association evo_association coverage no_match "
+        "frame_association": ("association kitti_protocol online_revised"),
         "alignment moments weighted_alignment": "alignment evaluation_laws",
-        "errors drift span_alignment matrix_errors sub_trajectories": (
+        "absolute_errors relative_errors drift span_alignment matrix_errors sub_trajectories "
+        "sub_trajectory_length": (
             "sub_trajectories relative_error kitti_protocol benchmark_protocols degenerate"
         ),
-        "statistics columns score settings protocol": (
+        "statistics columns score settings protocol named_protocols": (
             "statistics protocol columns benchmark_protocols"
         ),
         "pair_steps log_histogram enough_pairs": "coverage no_match degenerate",
@@ -57,7 +57,7 @@ ROOMS = {
         "orientation_sum rotation_freedom": "rotation_freedom",
         "pose_relations relative_evaluation": "relative_error evo_reference",
         "states_table": "states_table",
-        "evaluation input_summary": (
+        "evaluation pair_alignment input_summary": (
             "degenerate columns kitti_protocol benchmark_protocols relative_error evaluation_laws"
         ),
     },

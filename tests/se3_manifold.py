@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import bernoulli
 
 from trajeval_ros.continuous_time.manifolds import LocalVariable
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _STEP = 1e-30
 
 def _basis() -> Array:
     """Return ad of the six unit twists, (6, 6, 6)."""
-    translation, rotation = lie.skew(np.eye(6)[:, :3]), lie.skew(np.eye(6)[:, 3:])
+    translation, rotation = so3.skew(np.eye(6)[:, :3]), so3.skew(np.eye(6)[:, 3:])
     nothing = np.zeros_like(rotation)
     return np.block([[rotation, translation], [nothing, rotation]])
 

@@ -29,10 +29,12 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.protocol_file import read_protocol
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.score import PointTable
 from trajeval_ros.metrics.span_alignment import align_spans
-from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.pipeline.pipeline import evaluate
 

@@ -17,7 +17,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())

@@ -34,7 +34,7 @@ from trajeval_ros.consistency.s_transformation import (
     errors_of,
 )
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError, SettingsError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import at_arms
 from trajeval_ros.geometry.similarity import Similarity
@@ -126,7 +126,7 @@ def test_it_forgets_which_gauge_the_covariance_came_from(
 ) -> None:
     problem, state = scene.measured(np.random.default_rng(0)), scene.truth
     truth = trajectory_of(scene, scene.truth)
-    turn, shift = lie.exp(0.9 * DOWN), np.array([4.0, -1.0, 2.0])
+    turn, shift = so3.exp(0.9 * DOWN), np.array([4.0, -1.0, 2.0])
     elsewhere = trajectory_of(scene, state.transformed(turn, shift))
     # Turned with its states, velocities as well.
     there = np.kron(np.eye(3 * len(truth)), turn)

@@ -30,7 +30,7 @@ from trajeval_ros.consistency.nees import (
     pose_nees,
 )
 from trajeval_ros.consistency.s_transformation import STransformation, carried, errors_of
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
@@ -296,6 +296,6 @@ def test_honest_samples_few_runs() -> None:
 def test_runs_begin_in_a_frame_of_their_own() -> None:
     scene = scene_of("rec", "random")
     state = Sampler(scene).draw(np.random.default_rng(1)).state
-    turn = lie.yaw_of_matrix(state.rotations[0] @ scene.truth.rotations[0].T)
+    turn = so3.yaw_of_matrix(state.rotations[0] @ scene.truth.rotations[0].T)
     assert abs(float(turn)) > 0.1
     assert np.linalg.norm(state.positions[0] - scene.truth.positions[0]) > 0.1

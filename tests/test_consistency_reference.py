@@ -12,7 +12,7 @@ from gauge_reference import Case
 from visual_inertial_scenes import relative, to_left
 
 from trajeval_ros.consistency.nees import diagonal_blocks, joint_nees, pose_nees
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
@@ -34,7 +34,7 @@ def test_errors_covariance_and_nees(
     truth, estimate = case.trajectory("gt"), case.trajectory("est")
     run = aligned_run(gauge, states, truth, estimate, covariance)
     assert run.similarity.scale == pytest.approx(expected["scale"], rel=1e-9)
-    turn = lie.log(run.similarity.rotation[None])[0]
+    turn = so3.log(run.similarity.rotation[None])[0]
     np.testing.assert_allclose(turn, expected["rotvec"], atol=1e-9)
     assert relative(run.similarity.translation, np.array(expected["t"])) < 1e-9
     errors, joint = np.array(expected["error"]).reshape(-1, 9), np.array(expected["cov"])

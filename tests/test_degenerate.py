@@ -23,8 +23,9 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 
 BASE = Protocol(lengths=(Length(2.0, "m"), Length(1.0, "s"), Length(20.0, "%")))

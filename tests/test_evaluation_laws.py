@@ -31,7 +31,7 @@ from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import ATE_METRICS
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 
 LENGTHS = (Length(4.0, "m"), Length(2.0, "s"), Length(25.0, "%"))

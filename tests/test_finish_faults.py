@@ -18,8 +18,9 @@ import pytest
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.live.live_folder import evaluate_folder, write_revised
+from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.pair_file import FORMAT, PairWriter
+from trajeval_ros.io.live.revised_file import write_revised
 from trajeval_ros.io.results.result_json import result_of
 
 COUNT = 200

@@ -17,11 +17,12 @@ from trajeval_ros import Evaluation, Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.absolute_errors import absolute_errors
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.errors import absolute_errors
 from trajeval_ros.metrics.evaluation import evaluate_pairs
-from trajeval_ros.metrics.protocol import PROTOCOLS
-from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.intake import Limits
@@ -331,7 +332,7 @@ def numbers_held(thing: object, seen: set[int]) -> int:
 
 @pytest.mark.parametrize("speed", [0.0, 3.0], ids=["at rest", "moving"])
 def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("trajeval_ros.online.relative_errors.MOST_OPEN_STARTS", 1000)
+    monkeypatch.setattr("trajeval_ros.online.live_relative_errors.MOST_OPEN_STARTS", 1000)
     evaluator = OnlineEvaluator(
         OnlineSettings(
             Protocol(lengths=(Length(2, "m"), Length(1, "s"))),

@@ -13,7 +13,7 @@ from strategies import make_estimate, make_groundtruth, seeds
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.up_axis import UP_AXES, Z_UP, UpAxis
-from trajeval_ros.metrics.errors import absolute_errors
+from trajeval_ros.metrics.absolute_errors import absolute_errors
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.state_rows import Pairs, states
 

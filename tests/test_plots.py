@@ -14,7 +14,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol, metres
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report import canvas
 from trajeval_ros.report.figure_style import FigureStyle, house_style

@@ -11,9 +11,11 @@ import pytest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol, metres
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.metrics.sub_trajectory_length import Length
 
 
 @pytest.mark.parametrize(("modality", "gauge"), MODALITIES.items())

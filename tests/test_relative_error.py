@@ -13,8 +13,9 @@ from strategies import Array, make_element, make_estimate, make_groundtruth, see
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics import relative_evaluation
-from trajeval_ros.metrics.errors import absolute_errors, relative_errors
+from trajeval_ros.metrics.absolute_errors import absolute_errors
 from trajeval_ros.metrics.protocol import Protocol, metres
+from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.pipeline.pipeline import evaluate
 
 PRECISE = 1e-10

@@ -13,13 +13,13 @@ from strategies import Array, seeds
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.metrics.sub_trajectories import (
-    Length,
     Selection,
     nearest_ends,
     select,
     select_states,
     select_turns,
 )
+from trajeval_ros.metrics.sub_trajectory_length import Length
 
 RULES = ("nearest", "toolbox", "first-past", "evo")
 

@@ -17,7 +17,7 @@ from visual_inertial_scenes import (
 )
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.io.tracks.tracks_folder import read_tracks_folder
 from trajeval_ros.visual_inertial.examination import Examination, MeasurementModel, examine
 from trajeval_ros.visual_inertial.gauge_covariance import (
@@ -55,7 +55,7 @@ def _problem(noise: BiasNoise) -> tuple[Problem, State]:
         bias_noise=noise,
     )
     state = scene.disturbed(np.random.default_rng(1))
-    state = state.referred_to(lie.exp(np.full(3, 0.2)) @ state.rotations[0], state.positions[0])
+    state = state.referred_to(so3.exp(np.full(3, 0.2)) @ state.rotations[0], state.positions[0])
     biases = 0.1 * np.random.default_rng(2).standard_normal((4, 6))
     return problem, dataclasses.replace(state, biases=biases)
 
@@ -73,7 +73,7 @@ def test_preintegrated_motion_follows_the_biases_to_first_order() -> None:
     computed = preintegrate(rates, forces, steps, ImuNoise(1.0, 1.0))
     for place, unit in enumerate(1e-5 * np.eye(6)):
         ahead, behind = integrated(unit), integrated(-unit)
-        turn = lie.log(np.swapaxes(behind[0], 1, 2) @ ahead[0])
+        turn = so3.log(np.swapaxes(behind[0], 1, 2) @ ahead[0])
         differences = np.concatenate([turn, ahead[1] - behind[1], ahead[2] - behind[2]], axis=1)
         np.testing.assert_allclose(
             computed.by_biases[:, :, place], differences / 2e-5, rtol=1e-6, atol=1e-10
@@ -93,7 +93,7 @@ def test_normal_equations_are_those_of_the_numeric_jacobian() -> None:
 
 def test_cost_does_not_depend_on_the_gauge() -> None:
     problem, state = _problem(BiasNoise(0.1, 0.2, 0.03, 0.04))
-    moved = state.transformed(lie.exp(np.array([0.0, 0.0, 1.2])), np.array([3.0, -2.0, 1.0]))
+    moved = state.transformed(so3.exp(np.array([0.0, 0.0, 1.2])), np.array([3.0, -2.0, 1.0]))
     assert problem.cost(moved) == pytest.approx(problem.cost(state), rel=1e-9)
     slope = gradient(problem.normal_equations(state)) @ state.gauge_basis
     assert np.abs(slope).max() < 1e-9 * np.abs(gradient(problem.normal_equations(state))).max()
@@ -125,7 +125,7 @@ def test_free_covariance_becomes_that_of_fixation(selection: KeyframeSelection) 
     np.testing.assert_allclose(carried, fixed, atol=1e-9 * np.abs(fixed).max())
     np.testing.assert_allclose(moved.biases, state.biases, atol=0.0)
     # In a world that is turned, biases stay as certain: they are in the body.
-    turned = lie.exp(np.array([0.0, 0.0, 0.7])) @ state.reference_rotation
+    turned = so3.exp(np.array([0.0, 0.0, 0.7])) @ state.reference_rotation
     carried, _ = transform(fixed, state, turned, start[0])
     places = np.setdiff1d(np.arange(len(fixed)), state.motion_places)
     np.testing.assert_allclose(

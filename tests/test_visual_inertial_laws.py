@@ -19,7 +19,7 @@ from visual_inertial_scenes import (
 )
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
@@ -45,7 +45,7 @@ def _anywhere(scene: Scene, seed: int) -> State:
     """Return a state that is no minimum, with a first rotation away from its reference."""
     generator = np.random.default_rng(seed)
     state = scene.disturbed(generator)
-    reference = lie.exp(generator.uniform(-0.5, 0.5, 3)) @ state.rotations[0]
+    reference = so3.exp(generator.uniform(-0.5, 0.5, 3)) @ state.rotations[0]
     return state.referred_to(reference, state.positions[0] + 1.0)
 
 
@@ -68,11 +68,11 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
     visual = problem.visual(state)
     # E U, with the first rotation turned into left coordinates.
     turned = motion[:, 3:6].copy()
-    turned[0] = lie.left_jacobian(state.first_turn) @ turned[0]
+    turned[0] = so3.left_jacobian(state.first_turn) @ turned[0]
     relative_motion = (
         landmarks.reshape(-1, 3, 4)[problem.landmark_of]
         - motion[problem.keyframe_of, :3]
-        + lie.skew(visual.rays) @ turned[problem.keyframe_of]
+        + so3.skew(visual.rays) @ turned[problem.keyframe_of]
     )
     scale = np.abs(visual.by_point).max() * np.abs(basis).max()
     assert np.abs(visual.by_point @ relative_motion).max() < 1e-12 * scale
@@ -84,7 +84,7 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
 @given(st.floats(-3.0, 3.0), st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3))
 def test_cost_is_constant_on_the_orbit(small: Scene, yaw: float, translation: list[float]) -> None:
     problem, state = small.measured(np.random.default_rng(0)), _anywhere(small, 0)
-    moved = state.transformed(lie.exp(yaw * E_Z), np.array(translation))
+    moved = state.transformed(so3.exp(yaw * E_Z), np.array(translation))
     assert problem.cost(moved) == pytest.approx(problem.cost(state), rel=1e-12)
 
 
@@ -145,8 +145,8 @@ def _start(problem: Problem, state: State) -> State:
     noise = np.concatenate([noise, np.zeros(state.landmarks.size)])
     start = state.moved(noise)
     turn = state.reference_rotation
-    angle = lie.yaw_of_matrix(turn @ start.rotations[0].T)
-    rotation = lie.exp(angle * E_Z)
+    angle = so3.yaw_of_matrix(turn @ start.rotations[0].T)
+    rotation = so3.exp(angle * E_Z)
     moved = start.transformed(rotation, state.reference_position - rotation @ start.positions[0])
     return moved.referred_to(state.reference_rotation, state.reference_position)
 
@@ -155,8 +155,8 @@ def _start(problem: Problem, state: State) -> State:
 def test_transformation_to_another_reference_rotation(yaw: float) -> None:
     """With a new reference, the appendix's J_r^-1 J_r would be off by a percent."""
     problem, state = solved(scene_of("rec", "random"), 3)
-    tilt = lie.exp(np.array([0.05, -0.08, 0.0]))
-    rotation = lie.exp(yaw * E_Z) @ tilt @ state.reference_rotation
+    tilt = so3.exp(np.array([0.05, -0.08, 0.0]))
+    rotation = so3.exp(yaw * E_Z) @ tilt @ state.reference_rotation
     covariance, moved = transform(
         free_covariance(problem, state), state, rotation, np.array([3.0, -2.0, 1.0])
     )

@@ -16,7 +16,7 @@ from visual_inertial_scenes import (
 )
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
@@ -60,7 +60,7 @@ def test_normal_equations_with_lever_arm_and_weights(profile: str) -> None:
     problem = scene.measured(np.random.default_rng(0))
     problem = _changed(problem, lever_arm=LEVER_ARM, weights=_weights(problem))
     state = scene.disturbed(np.random.default_rng(1))
-    state = state.referred_to(lie.exp(np.full(3, 0.2)) @ state.rotations[0], state.positions[0])
+    state = state.referred_to(so3.exp(np.full(3, 0.2)) @ state.rotations[0], state.positions[0])
     jacobian, normal = numeric_jacobian(problem, state), problem.normal_equations(state)
     residuals = stacked_residuals(problem, state)
     assert relative(gradient(normal), jacobian.T @ residuals) < 1e-6
@@ -142,7 +142,7 @@ def _visual_hessian(problem: Problem, state: State) -> np.ndarray:
     jacobian = np.zeros((*by_point.shape[:2], 2 * count + problem.landmarks, 3))
     rows = np.arange(len(by_point))
     jacobian[rows, :, 2 * problem.keyframe_of] = -by_point
-    jacobian[rows, :, 2 * problem.keyframe_of + 1] = by_point @ lie.skew(rays)
+    jacobian[rows, :, 2 * problem.keyframe_of + 1] = by_point @ so3.skew(rays)
     jacobian[rows, :, 2 * count + problem.landmark_of] = by_point
     jacobian = jacobian.reshape(by_point.shape[0] * by_point.shape[1], -1)
     # Metres and radians apart.
@@ -168,7 +168,7 @@ def test_images_alone_leave_a_similarity_or_a_rigid_motion_open(
     )
     moves = np.abs(problem.residuals(scaled)[0]).max()
     assert moves > 0.1 if freedom == 6 else moves < 1e-9
-    turn = lie.exp(np.array([0.3, -0.5, 0.8]))
+    turn = so3.exp(np.array([0.3, -0.5, 0.8]))
     turned = truth.transformed(turn, np.array([1.0, 2.0, 3.0]))
     assert np.abs(problem.residuals(turned)[0]).max() < 1e-9
 

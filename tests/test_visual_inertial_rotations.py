@@ -8,7 +8,7 @@ from hypothesis import given
 from scipy.spatial.transform import Rotation
 from strategies import Array, seeds
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 
 
 def _vectors(seed: int, longest: float = 3.1, count: int = 20) -> Array:
@@ -23,21 +23,21 @@ def _vectors(seed: int, longest: float = 3.1, count: int = 20) -> Array:
 def test_exponential_and_logarithm_are_scipys(seed: int) -> None:
     vectors = _vectors(seed)
     expected = Rotation.from_rotvec(vectors)
-    np.testing.assert_allclose(lie.exp(vectors), expected.as_matrix(), atol=1e-14)
-    np.testing.assert_allclose(lie.log(lie.exp(vectors)), vectors, atol=1e-13)
+    np.testing.assert_allclose(so3.exp(vectors), expected.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(so3.log(so3.exp(vectors)), vectors, atol=1e-13)
     yaw = lie.yaw(np.asarray(expected.as_quat()))
-    np.testing.assert_allclose(lie.yaw_of_matrix(lie.exp(vectors)), yaw, atol=1e-12)
+    np.testing.assert_allclose(so3.yaw_of_matrix(so3.exp(vectors)), yaw, atol=1e-12)
 
 
 @given(seeds)
 def test_left_jacobian_is_the_derivative_of_the_exponential(seed: int) -> None:
     vectors, step = _vectors(seed), 1e-6
     directions = np.random.default_rng(seed + 1).normal(size=vectors.shape)
-    ahead, behind = (lie.exp(vectors + sign * step * directions) for sign in (1.0, -1.0))
-    numeric = lie.log(ahead @ np.swapaxes(behind, 1, 2)) / (2.0 * step)
-    analytic = np.einsum("nij,nj->ni", lie.left_jacobian(vectors), directions)
+    ahead, behind = (so3.exp(vectors + sign * step * directions) for sign in (1.0, -1.0))
+    numeric = so3.log(ahead @ np.swapaxes(behind, 1, 2)) / (2.0 * step)
+    analytic = np.einsum("nij,nj->ni", so3.left_jacobian(vectors), directions)
     np.testing.assert_allclose(analytic, numeric, atol=1e-8)
-    product = lie.left_jacobian(vectors) @ lie.inverse_left_jacobian(vectors)
+    product = so3.left_jacobian(vectors) @ so3.inverse_left_jacobian(vectors)
     np.testing.assert_allclose(product, np.tile(np.eye(3), (len(vectors), 1, 1)), atol=1e-12)
 
 
@@ -45,12 +45,12 @@ def test_left_jacobian_is_the_derivative_of_the_exponential(seed: int) -> None:
 def test_series_join_the_closed_forms(angle: float) -> None:
     direction = np.array([0.48, -0.6, 0.64])
     below, above = (direction * (angle + step) for step in (-1e-12, 1e-12))
-    for function in (lie.exp, lie.left_jacobian, lie.inverse_left_jacobian):
+    for function in (so3.exp, so3.left_jacobian, so3.inverse_left_jacobian):
         np.testing.assert_allclose(function(below), function(above), atol=1e-11)
 
 
 @given(seeds)
 def test_skew_is_the_cross_product(seed: int) -> None:
     left, right = _vectors(seed), _vectors(seed + 1)
-    product = np.einsum("nij,nj->ni", lie.skew(left), right)
+    product = np.einsum("nij,nj->ni", so3.skew(left), right)
     np.testing.assert_allclose(product, np.cross(left, right), atol=1e-14)

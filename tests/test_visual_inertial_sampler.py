@@ -8,7 +8,7 @@ import scipy.sparse
 from visual_inertial_scenes import frobenius, scene_of
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.motion import shape
@@ -69,7 +69,7 @@ def test_run_states_the_estimators_own_covariance(long: Scene, *, of_a_track: bo
 def _turn_between(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
     centred, turned = points - points.mean(axis=0), moved - moved.mean(axis=0)
     turn = np.linalg.lstsq(centred, turned, rcond=None)[0].T
-    return lie.exp(lie.log(turn[None]))[0]
+    return so3.exp(so3.log(turn[None]))[0]
 
 
 def test_tracks_end(long: Scene) -> None:

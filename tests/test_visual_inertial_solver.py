@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from visual_inertial_scenes import CONFIGURATIONS, scene_of
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.visual_inertial.scene import Scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, SolverResult, solve
 
@@ -19,8 +19,8 @@ def _solve(scene: Scene, seed: int, handling: GaugeHandling, **settings: float) 
 
 def _position_rmse(scene: Scene, solution: SolverResult) -> float:
     truth, state = scene.truth, solution.state
-    angle = lie.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
-    turn = lie.exp(angle * np.array([0.0, 0.0, 1.0]))
+    angle = so3.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
+    turn = so3.exp(angle * np.array([0.0, 0.0, 1.0]))
     aligned = state.transformed(turn, truth.positions[0] - turn @ state.positions[0])
     return float(np.sqrt(np.mean(np.sum((aligned.positions - truth.positions) ** 2, axis=1))))
 

@@ -14,7 +14,7 @@ from watched_flights import SECOND, flight
 from benchmarks.watch_faults import FAULTS
 from trajeval_ros import Trajectory
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.watchdog.alarm_book import AlarmBook
@@ -300,7 +300,7 @@ def imu_in(axes: Floats, late_ns: int = 0) -> InertialReadings:
 
 
 def test_an_imu_in_other_axes_is_found_and_said() -> None:
-    axes = lie.exp(np.array([0.5, 1.0, -1.2]))
+    axes = so3.exp(np.array([0.5, 1.0, -1.2]))
     found = watched(WatchedRun(flight().estimate, imu=imu_in(axes)))
     (said,) = [each for each in found.notices if "IMU frame is rotated" in each]
     told_deg = float(said.split(" deg")[0].split()[-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
@@ -76,5 +76,5 @@ def frobenius(value: np.ndarray, expected: np.ndarray) -> float:
 def to_left(covariance: np.ndarray, state: State) -> np.ndarray:
     """Return the covariance with the first rotation perturbed on the left as all others."""
     turn = np.eye(len(covariance))
-    turn[3:6, 3:6] = lie.left_jacobian(state.first_turn)
+    turn[3:6, 3:6] = so3.left_jacobian(state.first_turn)
     return turn @ covariance @ turn.T

@@ -40,9 +40,10 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.alignment import align
     from trajeval_ros.metrics.association import AssociationRule
     from trajeval_ros.metrics.evaluation import Evaluation
-    from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
+    from trajeval_ros.metrics.named_protocols import PROTOCOLS
+    from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.statistics import Statistics
-    from trajeval_ros.metrics.sub_trajectories import Length
+    from trajeval_ros.metrics.sub_trajectory_length import Length
     from trajeval_ros.online.evaluator import OnlineEvaluator
     from trajeval_ros.online.live_settings import OnlineSettings
     from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
@@ -109,14 +110,14 @@ _HOMES = {
     "HandEye": "geometry.marker",
     "InputError": "exceptions",
     "JointCovariance": "consistency.joint_covariance",
-    "Length": "metrics.sub_trajectories",
+    "Length": "metrics.sub_trajectory_length",
     "MODALITIES": "geometry.gauge",
     "NoMatchError": "exceptions",
     "Noise": "continuous_time.samples",
     "OnlineEvaluator": "online.evaluator",
     "OnlineSettings": "online.live_settings",
     "Outcome": "pipeline.outcome",
-    "PROTOCOLS": "metrics.protocol",
+    "PROTOCOLS": "metrics.named_protocols",
     "Protocol": "metrics.protocol",
     "Request": "pipeline.request",
     "RunOutcome": "pipeline.outcome",

@@ -14,6 +14,7 @@ from trajeval_ros.batch.record_store import RECORDS, RecordStore
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.report import canvas
 from trajeval_ros.report.comparison_figures import figure_of
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import FigureStyle
 
 FIGURES = "figures"
@@ -52,7 +53,7 @@ def write_figure_files(
 
 def _write(draft: FigureDraft, folder: Path, style: FigureStyle) -> str:
     name = re.sub(r"[^\w.-]+", "_", draft.name)
-    canvas.save_all(
+    save_all(
         {name: partial(canvas.titled, partial(figure_of, draft.plot), draft.title)}, folder, style
     )
     return name

@@ -31,7 +31,7 @@ from trajeval_ros.calibration.significance import (
 )
 from trajeval_ros.calibration.solve import COLUMNS_OF, CalibrationFit, basis_of, solve
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.upright import upright
@@ -203,7 +203,7 @@ def _judged(
     values = {
         "offset": np.array([base / NANOSECONDS + fitted.unknowns.offset_s]),
         "skew": np.array([fitted.unknowns.skew]),
-        "turn": lie.log(fitted.unknowns.turn[None])[0],
+        "turn": so3.log(fitted.unknowns.turn[None])[0],
         "lever": fitted.unknowns.lever_m,
     }
 

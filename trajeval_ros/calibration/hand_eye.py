@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 
 _PASSES = 3
@@ -24,7 +24,7 @@ def closest_rotation(
     weighted = targets if weights is None else targets * weights[:, None]
     scatter = weighted.T @ vectors
     if about_z:
-        return lie.about_gravity(float(lie.yaw_of_matrix(scatter)))
+        return so3.about_gravity(float(so3.yaw_of_matrix(scatter)))
     left, _, right = np.linalg.svd(scatter)
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation: Floats = left @ proper @ right

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
 from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds, nearest_rows
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.thinning import every_nth
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -62,7 +62,7 @@ class Unknowns:
         return Unknowns(
             self.offset_s + float(step[0]),
             self.skew + float(step[1]),
-            lie.exp(step[TURN]) @ self.turn,
+            so3.exp(step[TURN]) @ self.turn,
             self.lever_m + step[LEVER],
             self.scale + float(step[8]),
         )
@@ -220,7 +220,7 @@ class Increments:
             turned -= lie.rotation_vector(lie.multiply(before.turns, inverse))
             jacobian[:, ROTATION, 0] = turned / (2.0 * reach_s)
             carried = at.scale * self._body.steps[rows] + self.turned[rows] @ at.lever_m
-            jacobian[:, POSITION, TURN] = -lie.skew(carried)
+            jacobian[:, POSITION, TURN] = -so3.skew(carried)
             jacobian[:, ROTATION, TURN] = -self.turned[rows]
             marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
             jacobian[:, POSITION, LEVER] = -marker_turned
@@ -287,9 +287,9 @@ class Increments:
         if marker.turns is None:
             turned = None if self.turned is None else self.turned[rows] @ at.lever_m
             carried = at.scale * self._body.steps[rows] + (0.0 if turned is None else turned)
-            jacobian[:, POSITION, TURN] = lie.skew(carried @ at.turn.T)
+            jacobian[:, POSITION, TURN] = so3.skew(carried @ at.turn.T)
             return
-        jacobian[:, POSITION, TURN] = -lie.skew(marker.steps[rows] @ at.turn.T)
+        jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
         in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
         jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
 

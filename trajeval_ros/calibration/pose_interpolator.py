@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.association import bracket_stamps, mix
+from trajeval_ros.metrics.bracket import bracket_stamps, mix
 
 GAP_S = 0.5
 _USUAL_STEPS = 4.0  # of sparse keyframes: a gap is longer than so many of them

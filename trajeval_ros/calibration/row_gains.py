@@ -25,7 +25,7 @@ from trajeval_ros.calibration.observability import observability
 from trajeval_ros.calibration.robust_fit import fit, huber_cost
 from trajeval_ros.calibration.significance import CHANCE, INSIGNIFICANT, Parameter, chance_of
 from trajeval_ros.calibration.solve import CalibrationFit, basis_of
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 
 LEAST_OF_ROTATIONS = 0.02
 LEAST_OF_POSITIONS = -0.5
@@ -100,7 +100,7 @@ def _by_rotations_alone(
     alone = fit(increments, solution.fit.unknowns, basis, (ROTATION,))
     if alone is None:
         return 1.0
-    value = lie.log(alone.unknowns.turn[None])[0]
+    value = so3.log(alone.unknowns.turn[None])[0]
     covariance = alone.covariance[TURN, TURN] + systematic_rad**2 * np.eye(3)
     shown = observability(increments, alone)["turn"]
     axes = shown.directions[shown.seen]

@@ -309,13 +309,13 @@ def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
 def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
     from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.writing import write_text
-    from trajeval_ros.report import canvas
+    from trajeval_ros.report.figure_output import save_all
 
     write_text(folder / "study.json", json_text(study.numbers(), indent=1))
     write_text(folder / "tables.md", study.tables())
     if find_spec("matplotlib") is not None:
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
-        canvas.save_all(study.figures(), folder, look)
+        save_all(study.figures(), folder, look)
 
 
 def _print(folder: Path, study: GaugeStudy) -> None:

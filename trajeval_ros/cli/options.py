@@ -9,7 +9,8 @@ import typer
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
-from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS, PROTOCOLS
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS
 
 GNSS = "GNSS fixes and surveyed points"
 INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (

@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.ground_image import GroundImage, parse_bounds, read_ground_image
 from trajeval_ros.io.writing import refused_by_disk
-from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.motion_figures import COLOURS_BY, PLOTS, motion_drawings
 
@@ -124,4 +124,4 @@ class Plotting:
                     raise InputError(f"{file} exists; choose another folder with --output")
         with refused_by_disk(f"the folder {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
-        return canvas.save_all(drawings, folder, self.style)
+        return save_all(drawings, folder, self.style)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import (
     POSE_DOF,
@@ -208,7 +208,7 @@ def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
     truth, other = groundtruth.quaternions, aligned.quaternions
     assert truth is not None
     assert other is not None
-    return lie.log(lie.to_matrix(other) @ np.swapaxes(lie.to_matrix(truth), 1, 2))
+    return so3.log(lie.to_matrix(other) @ np.swapaxes(lie.to_matrix(truth), 1, 2))
 
 
 def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.continuous_time.samples import Samples
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats, Indices
 
 SIZE = 20
@@ -61,7 +61,7 @@ class GPSegments:
         while True:
             rows = _rows(len(samples), size, breaks)
             middle = rows[:, rows.shape[1] // 2]
-            turns = lie.log(
+            turns = so3.log(
                 se3.transposed(samples.poses[middle, None, :3, :3]) @ samples.poses[rows, :3, :3]
             )
             if size <= _SMALLEST or np.linalg.norm(turns, axis=-1).max() < MOST_TURN_RAD:
@@ -97,11 +97,11 @@ class GPSegments:
             poses = references @ se3.exp(means)
             jacobian = se3.left_jacobian(-means)
         else:
-            rotations = references[:, :3, :3] @ lie.exp(means[:, 3:])
+            rotations = references[:, :3, :3] @ so3.exp(means[:, 3:])
             poses = se3.poses(rotations, references[:, :3, 3] + means[:, :3])
             jacobian = np.zeros((len(means), 6, 6))
             jacobian[:, :3, :3] = se3.transposed(rotations)
-            jacobian[:, 3:, 3:] = lie.left_jacobian(-means[:, 3:])
+            jacobian[:, 3:, 3:] = so3.left_jacobian(-means[:, 3:])
         spread = jacobian * np.sqrt(variances)[:, None, :]
         return poses, spread @ se3.transposed(spread)
 

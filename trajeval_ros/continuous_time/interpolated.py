@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.samples import Belief, Samples
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 
 
@@ -23,8 +23,8 @@ class LinearInterpolation:
         samples = self.samples
         before, share = _before(samples, times)
         start, end = samples.poses[before], samples.poses[before + 1]
-        turns = lie.log(se3.transposed(start[:, :3, :3]) @ end[:, :3, :3])
-        rotations = start[:, :3, :3] @ lie.exp(share * turns)
+        turns = so3.log(se3.transposed(start[:, :3, :3]) @ end[:, :3, :3])
+        rotations = start[:, :3, :3] @ so3.exp(share * turns)
         positions = (1.0 - share) * start[:, :3, 3] + share * end[:, :3, 3]
         return Belief(se3.poses(rotations, positions), sample_covariances(samples, len(times)))
 

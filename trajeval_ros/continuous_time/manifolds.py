@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.lie import skew
+from trajeval_ros.geometry.so3 import skew
 
 # Of the inverse Jacobian's quadratic term, as a series in the squared angle.
 _SERIES = np.polynomial.Polynomial(
@@ -83,16 +83,16 @@ class Rotations:
 
     def between(self, first: Floats, second: Floats) -> Floats:
         """Return the rotation vectors (N, 3) from first to second (N, 3, 3)."""
-        return lie.log(se3.transposed(first) @ second)
+        return so3.log(se3.transposed(first) @ second)
 
     def plus(self, states: Floats, steps: Floats) -> Floats:
         """Return the rotations (N, 3, 3) turned by rotation vectors (N, 3) in the body."""
-        turned: Floats = states @ lie.exp(steps)
+        turned: Floats = states @ so3.exp(steps)
         return turned
 
     def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return J_r^-1 and J_l^-1 (N, 3, 3): each other's transpose."""
-        left = lie.inverse_left_jacobian(steps)
+        left = so3.inverse_left_jacobian(steps)
         return se3.transposed(left), left
 
     def local(self, steps: Floats, rates: Floats) -> LocalVariable:

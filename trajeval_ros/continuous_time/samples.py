@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import lie, se3, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
@@ -129,7 +129,7 @@ class Samples:
     def step_turns(self) -> Floats:
         """Return the angles (N - 1,) between neighbours, rad."""
         turns = se3.transposed(self.poses[:-1, :3, :3]) @ self.poses[1:, :3, :3]
-        angles: Floats = np.linalg.norm(lie.log(turns), axis=1)
+        angles: Floats = np.linalg.norm(so3.log(turns), axis=1)
         return angles
 
     def _merged(self) -> Samples:
@@ -153,8 +153,8 @@ class Samples:
             return sums / counts.reshape(-1, *([1] * (columns.ndim - 1)))
 
         base = self.poses[first, :3, :3]
-        turns = means(lie.log(se3.transposed(base[group]) @ self.poses[:, :3, :3]))
-        poses = se3.poses(base @ lie.exp(turns), means(self.poses[:, :3, 3]))
+        turns = means(so3.log(se3.transposed(base[group]) @ self.poses[:, :3, :3]))
+        poses = se3.poses(base @ so3.exp(turns), means(self.poses[:, :3, 3]))
         return Samples(
             self.origin,
             means(self.times),

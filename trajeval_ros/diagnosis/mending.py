@@ -17,7 +17,7 @@ from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.metrics.input_summary import InputSummary
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.apply import Ate
+    from trajeval_ros.calibration.calibrated import Ate
     from trajeval_ros.calibration.calibration_request import CalibrationRequest
     from trajeval_ros.metrics.protocol import Protocol
 

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 
 POSE_DOF = 6  # of a perturbation: position first, rotation second
@@ -169,7 +169,7 @@ def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
     turns = len(axes)
     normals = np.zeros((count, POSE_DOF, dimension(gauge)))
     normals[0, :3, turns:] = np.eye(3)
-    normals[0, 3:6, :turns] = (axes @ lie.inverse_left_jacobian(first_turn)).T
+    normals[0, 3:6, :turns] = (axes @ so3.inverse_left_jacobian(first_turn)).T
     return normals
 
 

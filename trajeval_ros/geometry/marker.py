@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -155,6 +155,6 @@ def at_arms(covariances: Floats, arms: Floats) -> Floats:
     """
     # The perturbation of p + R l by R <- Exp(dphi) R: dp - [R l]x dphi.
     change = np.broadcast_to(np.eye(6), (len(arms), 6, 6)).copy()
-    change[:, :3, 3:] = -lie.skew(arms)
+    change[:, :3, 3:] = -so3.skew(arms)
     moved: Floats = change @ covariances @ change.swapaxes(1, 2)
     return moved

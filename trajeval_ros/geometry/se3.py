@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 
 # Squared angle, rad^2, below which series replace closed forms that cancel.
@@ -38,30 +38,30 @@ def inverse(pose: Floats) -> Floats:
 def exp(twist: Floats) -> Floats:
     """Return the poses (..., 4, 4) of twists (..., 6)."""
     translation, rotation = twist[..., :3], twist[..., 3:]
-    return poses(lie.exp(rotation), times(lie.left_jacobian(rotation), translation))
+    return poses(so3.exp(rotation), times(so3.left_jacobian(rotation), translation))
 
 
 def log(pose: Floats) -> Floats:
     """Return the twists (..., 6) of poses (..., 4, 4), with angles of at most pi."""
-    rotation = lie.log(pose[..., :3, :3])
-    translation = times(lie.inverse_left_jacobian(rotation), pose[..., :3, 3])
+    rotation = so3.log(pose[..., :3, :3])
+    translation = times(so3.inverse_left_jacobian(rotation), pose[..., :3, 3])
     return np.concatenate([translation, rotation], axis=-1)
 
 
 def adjoint(pose: Floats) -> Floats:
     """Return Ad_T (..., 6, 6), with T Exp(x) = Exp(Ad_T x) T, eq. (2); its determinant is 1."""
     rotation = pose[..., :3, :3]
-    return _triangular(rotation, lie.skew(pose[..., :3, 3]) @ rotation)
+    return _triangular(rotation, so3.skew(pose[..., :3, 3]) @ rotation)
 
 
 def left_jacobian(twist: Floats) -> Floats:
     """Return J_l (..., 6, 6) with Exp(x + d) = Exp(J_l d) Exp(x). J_r(x) = J_l(-x)."""
-    return _triangular(lie.left_jacobian(twist[..., 3:]), _coupling(twist))
+    return _triangular(so3.left_jacobian(twist[..., 3:]), _coupling(twist))
 
 
 def inverse_left_jacobian(twist: Floats) -> Floats:
     """Return the inverse of J_l (..., 6, 6), for angles below 2 pi."""
-    turn = lie.inverse_left_jacobian(twist[..., 3:])
+    turn = so3.inverse_left_jacobian(twist[..., 3:])
     return _triangular(turn, -turn @ _coupling(twist) @ turn)
 
 
@@ -112,7 +112,7 @@ def _triangular(diagonal: Floats, corner: Floats) -> Floats:
 
 def _coupling(twist: Floats) -> Floats:
     """Return the block Q (..., 3, 3) of J_l (Barfoot, State Estimation for Robotics, eq. 7.86)."""
-    r, f = lie.skew(twist[..., :3]), lie.skew(twist[..., 3:])
+    r, f = so3.skew(twist[..., :3]), so3.skew(twist[..., 3:])
     s = np.sum(np.square(twist[..., 3:]), axis=-1)[..., None, None]
     small = s < _SMALL
     # Small angles use the series; 1 replaces them in the closed forms to avoid a division by zero.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.gauge import Gauge
 
@@ -67,7 +67,7 @@ class Chart:
     def elements(self, deltas: Floats) -> Floats:
         """Return the elements (K, 4, 4) at coordinates (K, d)."""
         count = len(deltas)
-        linear = lie.exp(deltas[:, self.turns] @ self.axes)
+        linear = so3.exp(deltas[:, self.turns] @ self.axes)
         if self.gauge.has_scale:
             linear = np.exp(deltas[:, -1])[:, None, None] * linear
         shift = deltas[:, :3] if self.gauge.has_translation else np.zeros((count, 3))
@@ -78,7 +78,7 @@ class Chart:
         moves = np.zeros((len(positions), 6, self.dimension))
         if self.gauge.has_translation:
             moves[:, :3, :3] = np.eye(3)
-        moves[:, :3, self.turns] = lie.skew(self.centre) @ self.axes.T
+        moves[:, :3, self.turns] = so3.skew(self.centre) @ self.axes.T
         moves[:, 3:, self.turns] = self.axes.T
         if self.gauge.has_scale:
             moves[:, :3, -1] = positions - self.centre

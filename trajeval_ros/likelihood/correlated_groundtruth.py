@@ -14,7 +14,7 @@ import numpy as np
 from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses
 from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior, ObservedPosterior
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
@@ -101,7 +101,7 @@ def _apart(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
 
 
 def _turns(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
-    return lie.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ moved[:, :3, :3])
+    return so3.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ moved[:, :3, :3])
 
 
 def _normal_equations(
@@ -109,12 +109,12 @@ def _normal_equations(
 ) -> tuple[Floats, Floats]:
     """Return the information (d, d) and gradient (d,) of the log density by an alignment."""
     twists = chart.twists(moved[:, :3, 3])
-    by_delta = twists[:, :3] - lie.skew(moved[:, :3, 3]) @ twists[:, 3:]
+    by_delta = twists[:, :3] - so3.skew(moved[:, :3, 3]) @ twists[:, 3:]
     parts = [(groundtruth.positions, _apart(groundtruth, moved), by_delta)]
     if groundtruth.rotations is not None:
         turns = _turns(groundtruth, moved)
         into_body = se3.transposed(groundtruth.poses[:, :3, :3])
-        carried = lie.inverse_left_jacobian(turns) @ into_body
+        carried = so3.inverse_left_jacobian(turns) @ into_body
         parts.append((groundtruth.rotations, turns, carried @ twists[:, 3:]))
     information = np.zeros((chart.dimension, chart.dimension))
     gradient = np.zeros(chart.dimension)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.likelihood.residuals import Residuals, Slope
 
@@ -108,7 +108,7 @@ def _first_alignment(residuals: Residuals) -> Floats:
             u, _, vt = np.linalg.svd(both)
             rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
         else:
-            rotation = lie.exp(np.array([0.0, 0.0, lie.yaw_of_matrix(both)]))
+            rotation = so3.exp(np.array([0.0, 0.0, so3.yaw_of_matrix(both)]))
         if gauge.has_scale and size > 0.0:
             scale = max(float(np.vdot(spread, rotation)) / size, 1e-6)
     return se3.poses(scale * rotation, p_mean - scale * rotation @ q_mean)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import scales
@@ -91,8 +91,8 @@ def _scale_of(error: AbsoluteErrorDensity) -> Condition:
 def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
     """The level rotation vector that, after a yaw, makes the alignment's rotation."""
     rotation = error.mode.element[:3, :3]
-    yaw = np.array([0.0, 0.0, lie.yaw_of_matrix(rotation)])
-    tilt = lie.log(rotation @ lie.exp(-yaw))[:2]
+    yaw = np.array([0.0, 0.0, so3.yaw_of_matrix(rotation)])
+    tilt = so3.log(rotation @ so3.exp(-yaw))[:2]
     return _condition(tilt, error.covariance[3:5, 3:5])
 
 

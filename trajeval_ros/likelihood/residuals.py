@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
@@ -140,7 +140,7 @@ class Residuals:
             else:
                 # Of a point, not of a body: what turns with the body moves it, too.
                 residuals = missed[..., :3, 3]
-                by_delta = by_delta[:, :3] - lie.skew(residuals) @ by_delta[:, 3:]
+                by_delta = by_delta[:, :3] - so3.skew(residuals) @ by_delta[:, 3:]
             root = self.root[some]
             whitened[some] = se3.times(root, residuals)
             jacobian = (root @ by_delta).reshape(self.axes * len(root), len(gradient))

@@ -14,7 +14,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
@@ -165,7 +165,7 @@ def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
     """
     if gauge.turns_about_gravity_only:
         sine, cosine = target[1, 0] - target[0, 1], target[0, 0] + target[1, 1]
-        return lie.about_gravity(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
+        return so3.about_gravity(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
     # scipy's LAPACK takes a third of the time, but its import takes as long as an evaluation.
     u, d, vt = np.linalg.svd(target)
     flip = -1.0 if _is_mirrored(u @ vt) else 1.0
@@ -284,7 +284,7 @@ def align_first(
                     "the first rotations differ by half a turn about a horizontal axis, so the "
                     "yaw is undetermined; check the vertical axes of both trajectories (--up)"
                 )
-            rotation = lie.about_gravity(float(lie.yaw(between)))
+            rotation = so3.about_gravity(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position
     similarity = Similarity(rotation, translation if gauge.has_translation else np.zeros(3))
     return Alignment(similarity, 1)

@@ -12,28 +12,27 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
+from trajeval_ros.metrics.bracket import between, bracket_stamps
 from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
-from trajeval_ros.metrics.evo_association import match
 from trajeval_ros.metrics.frame_association import match_rows
 from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
+from trajeval_ros.metrics.nearest_association import nearest_pairs
 from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
 
-_ROUNDS = 8
 _LONGEST_S = 1e9  # limit of time differences and gaps; int64 nanoseconds hold more
 AUTO, AT_GROUNDTRUTH = "auto", "groundtruth-stamps"
 # Methods that interpolate one side at the timestamps of the other.
@@ -182,7 +181,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         continuous = fit_trajectory(groundtruth.in_order(), rule.model, rule.noise)
         truth, rows, dropped = _modelled(groundtruth, shifted, continuous)
     else:
-        truth_rows, rows = _NEAREST[rule.method](groundtruth, shifted, rule)
+        truth_rows, rows = nearest_pairs(groundtruth, shifted, rule)
         truth = groundtruth[truth_rows]
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
@@ -275,212 +274,6 @@ def _at_groundtruth(
         groundtruth_rows=rows,
         interpolation=meter.found if bracket.is_between else None,
     )
-
-
-def between(trajectory: Trajectory, stamps: Indices, bracket: Bracket) -> Trajectory:
-    """Return the states of a trajectory at other timestamps: linear, orientations by slerp.
-
-    Args:
-        trajectory: M states in order of time.
-        stamps: (N,), nanoseconds; only those with a usable bracket are evaluated.
-        bracket: The position of every stamp between the states.
-    """
-    rows = np.flatnonzero(bracket.usable)
-    start, end, fraction = bracket.start, bracket.end, bracket.fraction
-    if len(rows) < len(stamps):
-        start, end, fraction = start[rows], end[rows], fraction[rows]
-        stamps = stamps[rows]
-    quaternions = trajectory.quaternions
-    positions = mix(trajectory.positions, start, end, fraction)
-    assert positions is not None
-    return dataclasses.replace(
-        trajectory,
-        stamps=stamps,
-        positions=positions,
-        quaternions=None if quaternions is None else _slerp(quaternions, start, end, fraction),
-        velocities=mix(trajectory.velocities, start, end, fraction),
-        gyroscope_biases=mix(trajectory.gyroscope_biases, start, end, fraction),
-        accelerometer_biases=mix(trajectory.accelerometer_biases, start, end, fraction),
-        covariances=None,
-        frames=None,
-        matrices=None,
-        fixes=None,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Bracket:
-    """The position of N timestamps between the timestamps of a sorted trajectory.
-
-    Attributes:
-        start: (N,) index of the state at or before the timestamp.
-        end: (N,) index of the state after it; equal to `start` if they coincide.
-        fraction: (N,) position between the two states, in [0, 1].
-        early: (N,) whether the timestamp is before all states.
-        late: (N,) whether it is after all states.
-        gap: (N,) whether it is in a gap.
-    """
-
-    start: Indices
-    end: Indices
-    fraction: Floats
-    early: Booleans
-    late: Booleans
-    gap: Booleans
-
-    @property
-    def usable(self) -> Booleans:
-        """Whether the trajectory has a state at the timestamp, or one on both sides, (N,)."""
-        usable: Booleans = ~(self.early | self.late | self.gap)
-        return usable
-
-    @property
-    def is_between(self) -> bool:
-        """Whether a usable stamp lies between two states, and not on one."""
-        return bool((self.usable & (self.start != self.end)).any())
-
-    def until(self, count: int) -> Bracket:
-        """Return the bracket of the first `count` timestamps."""
-        columns = (getattr(self, field.name) for field in dataclasses.fields(self))
-        return Bracket(*(column[:count] for column in columns))
-
-    @staticmethod
-    def reasons(side: str) -> tuple[str, str, str]:
-        """Return the reasons why timestamps are not usable, in the order early, late, gap.
-
-        Args:
-            side: The interpolated side, `groundtruth` or `estimate`.
-        """
-        return f"before_{side}", f"after_{side}", f"in_{side}_gap"
-
-    def dropped(self, side: str) -> dict[str, int]:
-        """Return how many timestamps are not usable, by reason."""
-        counts = (int(np.count_nonzero(mask)) for mask in (self.early, self.late, self.gap))
-        return dict(zip(self.reasons(side), counts, strict=True))
-
-
-def bracket_stamps(times: Indices, stamps: Indices, max_gap_s: float) -> Bracket:
-    """Return where stamps (N,) are between sorted, distinct times (M,), M > 0, nanoseconds."""
-
-    def at(stamps: Indices) -> tuple[NDArray[Any], ...]:
-        end = np.minimum(times.searchsorted(stamps), len(times) - 1)
-        at_end = times[end]
-        # A timestamp that coincides with a state uses that state alone, also the first one.
-        start = np.where(at_end == stamps, end, np.maximum(end - 1, 0))
-        at_start = times[start]
-        step = at_end - at_start
-        early, late = stamps < times[0], stamps > times[-1]
-        gap = (step > round(max_gap_s * NANOSECONDS)) & ~late
-        fraction = np.where(early | late, 0.0, (stamps - at_start) / np.maximum(step, 1))
-        return start, end, fraction, early, late, gap
-
-    return Bracket(*lie.by_blocks(at, stamps))
-
-
-def mix(
-    column: Floats | None,
-    start: Indices,
-    end: Indices,
-    fraction: Floats,
-) -> Floats | None:
-    """Return a column (M, k) linearly interpolated between rows `start` and `end`, (N, k)."""
-    if column is None:
-        return None
-
-    def at(start: Indices, end: Indices, fraction: Floats) -> tuple[Floats]:
-        first = column.take(start, axis=0)
-        return (first + fraction[:, None] * (column.take(end, axis=0) - first),)
-
-    return lie.by_blocks(at, start, end, fraction)[0]
-
-
-def _slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -> Floats:
-    """Return quaternions (M, 4) interpolated between rows `start` and `end`, (N, 4)."""
-
-    def at(start: Indices, end: Indices, fraction: Floats) -> tuple[Floats]:
-        first, last = quaternions.take(start, axis=0), quaternions.take(end, axis=0)
-        return (lie.normalized(lie.slerp(first, last, fraction)),)
-
-    return lie.by_blocks(at, start, end, fraction)[0]
-
-
-def _one_to_one(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
-) -> tuple[Indices, Indices]:
-    """Pair greedily, closest first, every state at most once (rule of TUM and of rpg's toolbox).
-
-    `rpg` excludes the limit itself and compares timestamps as the toolbox reads them.
-    """
-    limit = rule.max_time_difference_s
-    truth_times: NDArray[Any] = groundtruth.stamps
-    times: NDArray[Any] = estimate.stamps
-    reach: float = round(limit * NANOSECONDS)
-    if rule.method == "rpg":
-        truth_times, times, reach = _float_seconds(truth_times), _float_seconds(times), limit
-    truth_order = np.argsort(truth_times, kind="stable")
-    in_order = truth_times[truth_order]
-    low = np.searchsorted(in_order, times - reach, side="left")
-    count = np.searchsorted(in_order, times + reach, side="right") - low
-    row = np.repeat(np.arange(len(count)), count)
-    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    truth = truth_order[low[row] + place]
-    difference = np.abs(truth_times[truth] - times[row])
-    if rule.method == "rpg":
-        close = difference < limit
-        row, truth, difference = row[close], truth[close], difference[close]
-    order = np.lexsort((truth, row, difference))
-    row, truth = row[order], truth[order]
-    taken_row: Indices = np.full(len(estimate), -1, dtype=np.int64)
-    taken_truth = np.zeros(len(groundtruth), dtype=bool)
-    # A pair that is the closest one of both of its states is accepted, and all other pairs of
-    # these states are removed. Then other pairs are the closest. A few rounds are usually enough.
-    for _ in range(_ROUNDS):
-        if not len(row):
-            break
-        rank = np.arange(len(row))
-        first_of_row = np.full(len(estimate), len(row))
-        first_of_truth = np.full(len(groundtruth), len(row))
-        np.minimum.at(first_of_row, row, rank)
-        np.minimum.at(first_of_truth, truth, rank)
-        both = (first_of_row[row] == rank) & (first_of_truth[truth] == rank)
-        taken_row[row[both]] = truth[both]
-        taken_truth[truth[both]] = True
-        free = (taken_row[row] < 0) & ~taken_truth[truth]
-        row, truth = row[free], truth[free]
-    # Long chains of competing pairs, such as equal rates half a period apart, go one by one.
-    for one, other in zip(row.tolist(), truth.tolist(), strict=True):
-        if taken_row[one] < 0 and not taken_truth[other]:
-            taken_row[one] = other
-            taken_truth[other] = True
-    rows = np.flatnonzero(taken_row >= 0)
-    return taken_row[rows], rows
-
-
-def _evo(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
-) -> tuple[Indices, Indices]:
-    """Pair as evo does: every state of the shorter trajectory with the nearest of the other.
-
-    Timestamps are compared as evo reads them.
-    """
-    driven_by_truth = len(groundtruth) < len(estimate)
-    short, long = (groundtruth, estimate) if driven_by_truth else (estimate, groundtruth)
-    short_rows, long_rows = match(
-        _float_seconds(short.stamps), _float_seconds(long.stamps), rule.max_time_difference_s
-    )
-    return (short_rows, long_rows) if driven_by_truth else (long_rows, short_rows)
-
-
-_NEAREST = {"nearest": _one_to_one, "rpg": _one_to_one, "evo": _evo}
-
-
-def _float_seconds(stamps: Indices) -> Floats:
-    """Return timestamps in float64 seconds, as rpg and evo read them; resolution 2.4e-7 s.
-
-    A difference equal to the limit is then rounded as in these tools.
-    """
-    seconds: Floats = stamps // NANOSECONDS + (stamps % NANOSECONDS) / NANOSECONDS
-    return seconds
 
 
 def _distinct(rows: Indices, count: int) -> int:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.metrics.errors import RelativeErrors
+from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.statistics import Statistics, statistics_in_place
 
 PERCENT = 100.0

@@ -23,7 +23,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.upright import between_own_axes, upright
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AssociationRule, associate
-from trajeval_ros.metrics.evaluation import align_pairs
+from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
 

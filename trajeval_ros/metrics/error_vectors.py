@@ -8,7 +8,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.metrics.errors import position_errors, rotation_errors
+from trajeval_ros.metrics.absolute_errors import position_errors, rotation_errors
 from trajeval_ros.metrics.evaluation import Evaluation
 
 

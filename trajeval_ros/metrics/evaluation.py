@@ -13,32 +13,32 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.flattening import flattened
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.alignment import Alignment, align, align_first
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associate
 from trajeval_ros.metrics.columns import arrow_table, pandas_frame
 from trajeval_ros.metrics.drift import Drift
-from trajeval_ros.metrics.errors import AbsoluteErrors, RelativeErrors, absolute_errors
+from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.pose_relations import pose_errors
-from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.relative_evaluation import (
     SubTrajectoryErrors,
     relative_evaluation,
     rmse_text,
 )
-from trajeval_ros.metrics.score import Recall, Score
+from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.metrics.weighted_alignment import align_by_groundtruth, align_weighted
+from trajeval_ros.metrics.sub_trajectory_length import Length
 
 if TYPE_CHECKING:
     import pandas
     import pyarrow
-
 
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
@@ -289,13 +289,13 @@ def evaluate_pairs(
         score=None
         if protocol.score is None
         else protocol.score.score(
-            _point_errors(pairs, groundtruth, absolute, protocol.score.dimensions),
+            point_errors(pairs, groundtruth, absolute, protocol.score.dimensions),
             len(groundtruth),
         ),
         recall=None
         if protocol.recall is None
         else protocol.recall.recall(
-            _point_errors(pairs, groundtruth, absolute, protocol.recall.dimensions),
+            point_errors(pairs, groundtruth, absolute, protocol.recall.dimensions),
             len(groundtruth),
         ),
     )
@@ -320,80 +320,6 @@ def _absolute_errors(
 
     columns = lie.by_blocks(at, np.arange(len(pairs)))
     return AbsoluteErrors(**dict(zip(names, columns, strict=True)))
-
-
-def _point_errors(
-    pairs: Association, groundtruth: Trajectory, absolute: AbsoluteErrors, dimensions: int
-) -> Floats:
-    """Return the position errors of the groundtruth states in a pair, (K,), metres."""
-    errors = absolute.horizontal_m if dimensions == 2 else absolute.position_m
-    assert errors is not None
-    return errors[_nearest_of_each_point(pairs, groundtruth)]
-
-
-def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
-    """Return, for every groundtruth state in a pair, the row of the pair closest in time, (K,)."""
-    points = pairs.groundtruth_rows
-    assert points is not None
-    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
-    closest_first = np.lexsort((apart, points))
-    return closest_first[np.unique(points[closest_first], return_index=True)[1]]
-
-
-def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
-    """Return the alignment by all pairs or by the first ones (tutorial, Table I).
-
-    With `apply="scale"` only its scale is kept.
-
-    Raises:
-        InputError: The pairs lack orientations or covariances that the protocol needs.
-        DegenerateGeometryError: Too few states, or no motion, for the gauge.
-    """
-    alignment = _alignment_of(pairs, protocol)
-    return alignment.scale_alone if protocol.apply == "scale" else alignment
-
-
-def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:
-    truth, estimate = pairs.groundtruth, pairs.estimate
-    if protocol.align_states == 1:
-        return align_first(
-            protocol.gauge,
-            truth.positions[0],
-            None if truth.quaternions is None else truth.quaternions[0],
-            estimate.positions[0],
-            None if estimate.quaternions is None else estimate.quaternions[0],
-        )
-    first, way = slice(protocol.align_states), protocol.align_with
-    p, q = truth.positions[first], estimate.positions[first]
-    orientations = None
-    if truth.quaternions is not None and estimate.quaternions is not None:
-        orientations = truth.quaternions[first], estimate.quaternions[first]
-    elif way == "poses":
-        raise InputError(
-            "align with poses needs orientations on both sides, and one side has none; use "
-            "align with positions"
-        )
-    if protocol.align_weights == "covariance":
-        covariances = _known_covariances(estimate, "the estimate")[first]
-        return align_weighted(protocol.gauge, p, q, covariances, orientations, way)
-    if protocol.align_weights == GROUNDTRUTH_WEIGHTS:
-        axes = slice(2 if protocol.gauge is Gauge.PLANAR else 3)
-        covariances = _known_covariances(truth, "the groundtruth")[first, axes, axes]
-        return align_by_groundtruth(protocol.gauge, p, q, covariances, orientations, way)
-    return align(protocol.gauge, p, q, orientations=orientations, align_with=way)
-
-
-def _known_covariances(side: Trajectory, who: str) -> Floats:
-    """Return the covariances of a trajectory, all of which must have a position."""
-    covariances = side.covariances
-    if covariances is not None:
-        variances = np.diagonal(covariances[:, :3, :3], axis1=1, axis2=2)
-        if (np.isfinite(variances) & (variances > 0.0)).all():
-            return covariances
-    raise InputError(
-        f"{side.name or who} has pairs without a position covariance, which the weighting of the "
-        "alignment needs; use alignment weighting none"
-    )
 
 
 def _on_plane(trajectory: Trajectory) -> Trajectory:

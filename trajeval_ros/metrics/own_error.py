@@ -17,8 +17,9 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.fixes import COVARIANCE_APPROXIMATED
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.evaluation import Evaluation, align_pairs
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.fix_jumps import jumps_of
+from trajeval_ros.metrics.pair_alignment import align_pairs
 
 # White share of a fix's variance; the rest is correlated over time.
 _WHITE = 0.2

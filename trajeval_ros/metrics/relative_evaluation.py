@@ -17,17 +17,17 @@ from trajeval_ros.geometry.trajectory import Trajectory, turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.drift import PooledDrift, statistics_per_length
-from trajeval_ros.metrics.errors import RelativeErrors, relative_errors
 from trajeval_ros.metrics.pose_relations import distance_errors, pose_errors
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.relative_errors import RelativeErrors, relative_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import (
-    Length,
     select,
     select_frames,
     select_states,
     select_turns,
 )
+from trajeval_ros.metrics.sub_trajectory_length import Length
 
 _MOST_HELD = 100_000  # sub-trajectories of a length that are kept in memory, 5 MB
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
+from trajeval_ros.metrics.association import Association
 
 
 @dataclass(frozen=True)
@@ -180,3 +184,21 @@ class Score:
 def _require_dimensions(dimensions: int) -> None:
     if dimensions not in (2, 3):
         raise SettingsError(f"dimensions must be 2 (horizontal) or 3, not {dimensions}")
+
+
+def point_errors(
+    pairs: Association, groundtruth: Trajectory, absolute: AbsoluteErrors, dimensions: int
+) -> Floats:
+    """Return the position errors of the groundtruth states in a pair, (K,), metres."""
+    errors = absolute.horizontal_m if dimensions == 2 else absolute.position_m
+    assert errors is not None
+    return errors[_nearest_of_each_point(pairs, groundtruth)]
+
+
+def _nearest_of_each_point(pairs: Association, groundtruth: Trajectory) -> NDArray[np.int64]:
+    """Return, for every groundtruth state in a pair, the row of the pair closest in time, (K,)."""
+    points = pairs.groundtruth_rows
+    assert points is not None
+    apart = np.abs(groundtruth.stamps[points] - pairs.estimate.stamps)
+    closest_first = np.lexsort((apart, points))
+    return closest_first[np.unique(points[closest_first], return_index=True)[1]]

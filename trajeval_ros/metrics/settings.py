@@ -7,21 +7,12 @@ import math
 from typing import Any
 
 from trajeval_ros.continuous_time.samples import Noise
-from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.metrics.association import INTERPOLATING
-from trajeval_ros.metrics.protocol import PROTOCOLS, Protocol
-from trajeval_ros.metrics.sub_trajectories import parse_lengths
-
-
-def protocol_named(name: str) -> Protocol:
-    """Return a protocol by name.
-
-    Raises:
-        SettingsError: The name is unknown.
-    """
-    require_one_of(name, PROTOCOLS, "protocol")
-    return PROTOCOLS[name]
+from trajeval_ros.metrics.named_protocols import protocol_named
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.sub_trajectory_length import parse_lengths
 
 
 def protocol_from(

@@ -15,6 +15,7 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, add_counts
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.geometry.upright import between_own_axes
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import (
     AT_GROUNDTRUTH,
@@ -23,7 +24,6 @@ from trajeval_ros.metrics.association import (
     AssociationRule,
 )
 from trajeval_ros.metrics.coverage import Coverage
-from trajeval_ros.metrics.errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
@@ -31,11 +31,11 @@ from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.live_alignment import LiveAlignment
 from trajeval_ros.online.live_consistency import judge_window, window_integrity
 from trajeval_ros.online.live_coverage import LiveCompleteness, LiveCoverage
+from trajeval_ros.online.live_relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.marker_rows import marker_rows
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import Pairing
-from trajeval_ros.online.relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.sparse_pairing import SparsePairing
 from trajeval_ros.online.state_rows import (

@@ -10,7 +10,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.metrics.errors import lengths
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.online.live_relative_errors import RelativeEnd, RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
-from trajeval_ros.online.relative_errors import RelativeEnd, RunningErrors
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.integrity import Integrity

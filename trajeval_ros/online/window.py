@@ -10,7 +10,7 @@ import numpy as np
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.errors import lengths
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.online.state_rows import (
     POSITION,
     WIDTH,

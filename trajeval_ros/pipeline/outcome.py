@@ -15,7 +15,7 @@ from trajeval_ros.metrics.states_table import AlignedBy
 from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.calibration.calibrated import Calibrated
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.consistency.result import Consistency
     from trajeval_ros.likelihood.assessment import Assessment

@@ -39,7 +39,7 @@ from trajeval_ros.pipeline.request import Request
 from trajeval_ros.pipeline.several_runs import compared_with, with_bayes_factors, with_own_errors
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.calibration.calibrated import Calibrated
     from trajeval_ros.metrics.association import Association
     from trajeval_ros.watchdog.limits import WatchLimits
 
@@ -184,7 +184,7 @@ def _mended(
     same_as: Calibrated | None,
 ) -> RunOutcome:
     """Evaluate again with what was found mended, and keep the errors from before."""
-    from trajeval_ros.calibration.apply import Ate
+    from trajeval_ros.calibration.calibrated import Ate
 
     finding = finding_to_mend(found.diagnosis, request.fix)
     if finding is None:

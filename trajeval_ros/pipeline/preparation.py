@@ -12,7 +12,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.pipeline.request import Request
 
 

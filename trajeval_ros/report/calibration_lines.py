@@ -9,7 +9,7 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.apply import Ate, Calibrated
+    from trajeval_ros.calibration.calibrated import Ate, Calibrated
     from trajeval_ros.calibration.significance import Parameter
 
 _STATUSES = {"insignificant": "not significant", "weak": "inconclusive"}

@@ -12,6 +12,7 @@ from trajeval_ros.consistency.result import Consistency
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 from trajeval_ros.report.plane_panels import PlanePanels
@@ -53,7 +54,7 @@ def write_consistency(
         return []
     (short,) = canvas.short_names([name])
     drawings = {"consistency": bands_over_time, "uncertainty_top": ellipses_from_above}
-    return canvas.save_all(
+    return save_all(
         {
             f"{file}{suffix}": partial(draw, evaluation, consistency, short)
             for file, draw in drawings.items()

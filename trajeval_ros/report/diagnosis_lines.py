@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.formatting.numbers import NOTHING, four_digits
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.apply import Ate
+    from trajeval_ros.calibration.calibrated import Ate
     from trajeval_ros.diagnosis.findings import Diagnosis
     from trajeval_ros.pipeline.outcome import RunOutcome
 

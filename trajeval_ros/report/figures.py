@@ -13,6 +13,7 @@ from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
+from trajeval_ros.report.figure_output import save, save_all
 from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle, house_style
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import side_view, top_view
@@ -73,7 +74,7 @@ def write_figure(figure: Figure, path: Path) -> None:
     """
     suffix = path.suffix.removeprefix(".")
     require_one_of(suffix, FORMATS, "figure format")
-    write_whole(path, lambda temporary: canvas.save(figure, temporary, suffix), follow_link=True)
+    write_whole(path, lambda temporary: save(figure, temporary, suffix), follow_link=True)
 
 
 def write_figures(
@@ -106,4 +107,4 @@ def write_figures(
     drawings["absolute_error"] = partial(absolute_error, evaluations, legend)
     if protocol.lengths:
         drawings["relative_error"] = partial(relative_error, evaluations, legend)
-    return canvas.save_all(drawings, folder, style)
+    return save_all(drawings, folder, style)

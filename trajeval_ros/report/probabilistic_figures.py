@@ -12,6 +12,7 @@ import numpy as np
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 
@@ -52,7 +53,7 @@ def write_probabilistic(
     }
     if any(assessment.edges is not None for assessment in assessments):
         drawings["likelihood_by_edge"] = partial(likelihood_by_edge, assessments, legend)
-    return canvas.save_all(drawings, folder, style)
+    return save_all(drawings, folder, style)
 
 
 def groundtruth_between_samples(assessment: Assessment) -> Figure:

@@ -11,7 +11,7 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
 

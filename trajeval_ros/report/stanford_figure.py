@@ -10,6 +10,7 @@ import numpy as np
 from trajeval_ros.consistency.integrity import Integrity, PartIntegrity
 from trajeval_ros.formatting.numbers import percent
 from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def write_stanford(
         style: Formats and style.
     """
     (short,) = canvas.short_names([name])
-    canvas.save_all({f"stanford{suffix}": lambda: stanford(integrity, short)}, folder, style)
+    save_all({f"stanford{suffix}": lambda: stanford(integrity, short)}, folder, style)
 
 
 def stanford(integrity: Integrity, name: str) -> Figure:

@@ -19,8 +19,8 @@ from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
-from trajeval_ros.io.live.live_folder import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
+from trajeval_ros.io.live.revised_file import REVISED_SUFFIX, write_revised
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks

@@ -31,7 +31,7 @@ from trajeval_ros.viewer.map_track import is_on_map
 from trajeval_ros.viewer.paths import between_origins, bounds_of, gaps, origin_for, pieces
 
 if TYPE_CHECKING:
-    from trajeval_ros.online.relative_errors import RelativeEnd
+    from trajeval_ros.online.live_relative_errors import RelativeEnd
     from trajeval_ros.online.reports import Snapshot, Update
 
 

@@ -15,7 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.legend import shortened
 

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, transform
 from trajeval_ros.visual_inertial.keyframe_selection import KeyframeSelection
@@ -107,7 +107,7 @@ def _inertial_jacobian(problem: Problem, state: State) -> Floats:
 
 def _difference(state: State, reference: State) -> Floats:
     """Return the perturbation (9N,) of the motion that leads from one state to another."""
-    turns = lie.log(state.rotations @ np.swapaxes(reference.rotations, 1, 2))
+    turns = so3.log(state.rotations @ np.swapaxes(reference.rotations, 1, 2))
     turns[0] = state.first_turn - reference.first_turn
     parts = (state.positions - reference.positions, turns, state.velocities - reference.velocities)
     return np.concatenate(parts, axis=1).ravel()

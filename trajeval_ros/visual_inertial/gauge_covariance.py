@@ -11,7 +11,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.reduction import (
@@ -97,8 +97,8 @@ def transform(
         The covariance, and the equivalent state in that gauge.
     """
     # Eq. (13): the twist, exactly. Its z component of the rotation vector costs 3e-5.
-    angle = -lie.yaw_of_matrix(state.rotations[0] @ rotation.T)
-    turn = lie.exp(angle * np.array([0.0, 0.0, 1.0]))
+    angle = -so3.yaw_of_matrix(state.rotations[0] @ rotation.T)
+    turn = so3.exp(angle * np.array([0.0, 0.0, 1.0]))
     moved = state.transformed(turn, position - turn @ state.positions[0])
     moved = moved.referred_to(rotation, position)
     # Appendix A. For the first rotation its J_r^-1 J_r holds only if the reference stays.
@@ -106,7 +106,7 @@ def transform(
     blocks = np.tile(np.eye(3), (len(covariance) // 3, 1, 1))
     blocks[state.motion_places[::3] // 3] = turn
     blocks[1] = (
-        lie.inverse_left_jacobian(moved.first_turn) @ turn @ lie.left_jacobian(state.first_turn)
+        so3.inverse_left_jacobian(moved.first_turn) @ turn @ so3.left_jacobian(state.first_turn)
     )
     carried = _congruent(covariance, blocks)
     basis = moved.gauge_basis[: len(covariance)]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.preintegration import Preintegrated
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
@@ -106,21 +106,21 @@ class InertialMeasurements:
         into = np.swapaxes(state.rotations[:-1], 1, 2)
         durations = self.preintegrated.durations_s[:, None, None]
         before, after = np.zeros((2, len(turn), self.width, self.width))
-        back = lie.inverse_left_jacobian(-turn)
+        back = so3.inverse_left_jacobian(-turn)
         after[:, 0:3, 3:6] = back @ np.swapaxes(state.rotations[1:], 1, 2)
         before[:, 0:3, 3:6] = -after[:, 0:3, 3:6]
-        before[:, 3:6, 3:6] = into @ lie.skew(speed)
+        before[:, 3:6, 3:6] = into @ so3.skew(speed)
         before[:, 3:6, 6:9], after[:, 3:6, 6:9] = -into, into
-        before[:, 6:9, 3:6] = into @ lie.skew(shift)
+        before[:, 6:9, 3:6] = into @ so3.skew(shift)
         before[:, 6:9, 0:3], after[:, 6:9, 0:3] = -into, into
         before[:, 6:9, 6:9] = -into * durations
         # The first rotation is Exp(Dphi) R_ref: d phi = J_l(Dphi) d Dphi.
-        before[0, :, 3:6] = before[0, :, 3:6] @ lie.left_jacobian(state.first_turn)
+        before[0, :, 3:6] = before[0, :, 3:6] @ so3.left_jacobian(state.first_turn)
         if self.width > MOTION_WIDTH:
             # turn = log(Exp(-a) R^T R_i^T R_j) with a = J b.
             before[:, 0:3, 9:] = (
-                -lie.inverse_left_jacobian(turn)
-                @ lie.left_jacobian(-bias_turn)
+                -so3.inverse_left_jacobian(turn)
+                @ so3.left_jacobian(-bias_turn)
                 @ self._by_biases[:, 0:3]
             )
             before[:, 3:9, 9:] = -self._by_biases[:, 3:9]
@@ -138,8 +138,8 @@ class InertialMeasurements:
         into = np.swapaxes(state.rotations[:-1], 1, 2)
         turned = measured.rotations
         if self.width > MOTION_WIDTH:
-            turned = turned @ lie.exp(by_biases[:, 0:3])
-        turn = lie.log(np.swapaxes(turned, 1, 2) @ into @ state.rotations[1:])
+            turned = turned @ so3.exp(by_biases[:, 0:3])
+        turn = so3.log(np.swapaxes(turned, 1, 2) @ into @ state.rotations[1:])
         errors = np.concatenate(
             [
                 turn,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.state import State
 
@@ -16,7 +16,7 @@ def initial_state(truth: State, generator: np.random.Generator) -> State:
     """Return keyframes and landmarks that are as far off as the paper's, with true biases."""
     count = len(truth.positions)
     turns = np.radians(_ROTATION_DEG) * _directions(generator, count)
-    rotations = lie.exp(turns) @ truth.rotations
+    rotations = so3.exp(turns) @ truth.rotations
     positions = truth.positions + _POSITION_M * _directions(generator, count)
     velocities = truth.velocities + generator.uniform(-_VELOCITY_MPS, _VELOCITY_MPS, (count, 3))
     landmarks = truth.landmarks + generator.uniform(

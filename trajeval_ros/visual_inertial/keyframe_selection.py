@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.visual_inertial.camera import Camera
@@ -126,7 +126,7 @@ class KeyframeSelection:
         for step in self.preintegrated.rotations:
             turned = turned @ step
         rotations = self.truth.rotations
-        return float(np.degrees(np.linalg.norm(lie.log(rotations[-1].T @ rotations[0] @ turned))))
+        return float(np.degrees(np.linalg.norm(so3.log(rotations[-1].T @ rotations[0] @ turned))))
 
 
 def select(

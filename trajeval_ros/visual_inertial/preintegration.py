@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -72,18 +72,18 @@ def preintegrate(
     intervals, samples, _ = angular_velocities.shape
     held = np.broadcast_to(np.asarray(steps_s, dtype=np.float64), (intervals, samples))
     turns = angular_velocities * held[:, :, None]
-    steps = lie.exp(turns)
-    jacobians = lie.left_jacobian(-turns) * held[:, :, None, None]
+    steps = so3.exp(turns)
+    jacobians = so3.left_jacobian(-turns) * held[:, :, None, None]
     if scheme == "middle":
-        halves = lie.exp(turns / 2.0)
-        half_jacobians = lie.left_jacobian(-turns / 2.0) * (held[:, :, None, None] / 2.0)
+        halves = so3.exp(turns / 2.0)
+        half_jacobians = so3.left_jacobian(-turns / 2.0) * (held[:, :, None, None] / 2.0)
     else:
         halves = np.broadcast_to(np.eye(3), steps.shape)
         half_jacobians = np.zeros_like(steps)
     # d(R_half a) by the right perturbation of the attitude before, and by the gyroscope's noise.
     forces = np.einsum("nkij,nkj->nki", halves, accelerations)
-    by_attitude = -lie.skew(forces)
-    by_gyroscope = -halves @ lie.skew(accelerations) @ half_jacobians
+    by_attitude = -so3.skew(forces)
+    by_gyroscope = -halves @ so3.skew(accelerations) @ half_jacobians
 
     rotation = np.broadcast_to(np.eye(3), (intervals, 3, 3))
     velocity, position = np.zeros((intervals, 3)), np.zeros((intervals, 3))

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.inertial_errors import (
@@ -187,7 +187,7 @@ class Problem:
         push = np.concatenate([-pull, -_cross(rays, pull)], axis=1)
         visual_gradient = self._of_keyframe @ push
 
-        first = lie.left_jacobian(state.first_turn)
+        first = so3.left_jacobian(state.first_turn)
         at_first = self.keyframe_of == 0
         cross[at_first, 3:] = first.T @ cross[at_first, 3:]
         visual_diagonal[0, 3:] = first.T @ visual_diagonal[0, 3:]

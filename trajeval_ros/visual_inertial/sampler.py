@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.banded_gaussian import BandedGaussian
 from trajeval_ros.visual_inertial.information import information_of
@@ -42,7 +42,7 @@ class SampledEstimate:
     def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
         """Return the run in a frame that is turned about gravity and shifted at will."""
         yaw = generator.uniform(-np.pi, np.pi)
-        turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
+        turn = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
         shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
         blocks = scipy.sparse.kron(scipy.sparse.eye(self.information.shape[0] // 3), turn)
         wide = np.kron(np.eye(3), turn)

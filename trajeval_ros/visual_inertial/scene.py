@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.initial_state import initial_state
@@ -221,8 +221,8 @@ def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Fl
         return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", turned, forces)
     # The constant rates and forces that lead from one state of the motion to the next.
     step_s = 1.0 / IMU_RATE_HZ
-    rates = lie.log(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]) / step_s
-    middle = rotations[:-1] @ lie.exp(rates * (step_s / 2.0))
+    rates = so3.log(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]) / step_s
+    middle = rotations[:-1] @ so3.exp(rates * (step_s / 2.0))
     forces = np.diff(motion.velocities(times), axis=0) / step_s - GRAVITY
     return rates, np.einsum("nji,nj->ni", middle, forces)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats, Indices
 
 # Parameters of a keyframe besides biases: position, rotation, velocity.
@@ -81,9 +81,9 @@ class State:
         """Return the state after a step (wN + 3K,)."""
         count, width = len(self.positions), self.width
         motion = step[: width * count].reshape(count, width)
-        rotations = lie.exp(motion[:, 3:6]) @ self.rotations
+        rotations = so3.exp(motion[:, 3:6]) @ self.rotations
         first_turn = self.first_turn + motion[0, 3:6]
-        rotations[0] = lie.exp(first_turn) @ self.reference_rotation
+        rotations[0] = so3.exp(first_turn) @ self.reference_rotation
         return State(
             self.positions + motion[:, :3],
             rotations,
@@ -116,7 +116,7 @@ class State:
             self.velocities,
             self.landmarks,
             self.biases,
-            lie.log(self.rotations[0] @ rotation.T),
+            so3.log(self.rotations[0] @ rotation.T),
             rotation,
             position,
         )
@@ -130,7 +130,7 @@ class State:
         motion, landmarks = basis[:rows].reshape(count, width, 4), basis[rows:]
         motion[:, 0:3, 0] = _gravity_cross(self.positions)
         motion[:, 3:6, 0] = [0.0, 0.0, 1.0]
-        motion[0, 3:6, 0] = lie.inverse_left_jacobian(self.first_turn)[:, 2]
+        motion[0, 3:6, 0] = so3.inverse_left_jacobian(self.first_turn)[:, 2]
         motion[:, 6:9, 0] = _gravity_cross(self.velocities)
         landmarks[:, :, 0] = _gravity_cross(self.landmarks)
         motion[:, 0:3, 1:] = np.eye(3)

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
@@ -160,10 +160,10 @@ def _trial(
 
 def _errors(truth: State, state: State) -> tuple[float, float, float]:
     """Return the RMSE of position (m), rotation (deg) and velocity (m/s)."""
-    yaw = lie.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
-    turn = lie.exp(yaw * np.array([0.0, 0.0, 1.0]))
+    yaw = so3.yaw_of_matrix(truth.rotations[0] @ state.rotations[0].T)
+    turn = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
     aligned = state.transformed(turn, truth.positions[0] - turn @ state.positions[0])
-    between = lie.log(aligned.rotations @ np.swapaxes(truth.rotations, 1, 2))
+    between = so3.log(aligned.rotations @ np.swapaxes(truth.rotations, 1, 2))
     return (
         _rms(aligned.positions - truth.positions),
         float(np.degrees(_rms(between))),

@@ -28,10 +28,12 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import gauge_for
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
-from trajeval_ros.metrics.settings import parse_states, protocol_named
-from trajeval_ros.metrics.sub_trajectories import Selection, parse_lengths
+from trajeval_ros.metrics.settings import parse_states
+from trajeval_ros.metrics.sub_trajectories import Selection
+from trajeval_ros.metrics.sub_trajectory_length import parse_lengths
 
 _SUFFIXES = (".yaml", ".yml")
 _WORDS = ("align_with", "apply", "align_weights", "ate_form", "re_form", "nees_form")

@@ -42,9 +42,9 @@ from trajeval_ros.online.error_topics import (
     vectors_of,
     window_numbers,
 )
+from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.notices import OK, WARN
 from trajeval_ros.online.pair_errors import PairErrors
-from trajeval_ros.online.relative_errors import RunningErrors
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.online.trail import Trail

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.metrics.drift import position_percent
-from trajeval_ros.metrics.errors import PoseArrays, differences_at_ends, lengths
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
+from trajeval_ros.metrics.relative_errors import PoseArrays, differences_at_ends
+from trajeval_ros.metrics.sub_trajectories import nearest_ends
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.online.state_rows import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 

@@ -1,0 +1,134 @@
+"""Absolute errors of paired states: eq. (21) to (24) of the tutorial.
+
+Groundtruth states are (p, R, v), estimated states (p', R', v'). The rotation error is E = R R'^T
+in the groundtruth's frame. `plain` position errors are p - p'. Form `tutorial` is p - E p', eq.
+(23), which depends on the origin of the frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
+
+
+@dataclass(frozen=True, eq=False)
+class AbsoluteErrors:
+    """Errors of N aligned states; a quantity that is not available is None, never zeros.
+
+    Attributes:
+        position_m: (N,), length of the position error.
+        horizontal_m: (N,), its component perpendicular to the groundtruth's up axis.
+        vertical_m: (N,), its component along the up axis, absolute value.
+        rotation_deg: (N,), angle of E.
+        yaw_deg: (N,), twist of E about the groundtruth's up axis, absolute value.
+        tilt_deg: (N,), angle between the up axis and its image under E: roll and pitch.
+        velocity_mps: (N,), length of the velocity error.
+        gyroscope_bias: (N,), rad/s, length of the difference, in the body frame.
+        accelerometer_bias: (N,), m/s^2, length of the difference, in the body frame.
+    """
+
+    position_m: Floats
+    horizontal_m: Floats | None = None
+    vertical_m: Floats | None = None
+    rotation_deg: Floats | None = None
+    yaw_deg: Floats | None = None
+    tilt_deg: Floats | None = None
+    velocity_mps: Floats | None = None
+    gyroscope_bias: Floats | None = None
+    accelerometer_bias: Floats | None = None
+
+
+def absolute_errors(
+    groundtruth: Trajectory, aligned: Trajectory, form: str = "plain", *, rotation: bool = True
+) -> AbsoluteErrors:
+    """Return the errors of an aligned estimate, eq. (23).
+
+    Args:
+        groundtruth: N states.
+        aligned: N states paired with the groundtruth and aligned to it, eq. (14).
+        form: `plain` or `tutorial`; the latter needs orientations on both sides.
+        rotation: False withholds all errors that depend on an undetermined rotation.
+    """
+    velocities = aligned.velocities if rotation else None
+    truth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
+    angle = yaw = tilt = None
+    if truth_q is not None and aligned_q is not None and rotation:
+        angle, yaw, tilt = lie.by_blocks(
+            lambda true, other: angle_yaw_tilt(rotation_errors(true, other), groundtruth.up),
+            truth_q,
+            aligned_q,
+        )
+        if form == "tutorial" and velocities is not None:
+            velocities = lie.rotate(rotation_errors(truth_q, aligned_q), velocities)
+    position, horizontal, vertical = lie.by_blocks(
+        lambda errors: _parts(errors, groundtruth.up),
+        position_errors(groundtruth, aligned, form),
+    )
+    return AbsoluteErrors(
+        position_m=position,
+        horizontal_m=horizontal,
+        vertical_m=vertical,
+        rotation_deg=angle,
+        yaw_deg=yaw,
+        tilt_deg=tilt,
+        velocity_mps=_differences(groundtruth.velocities, velocities),
+        gyroscope_bias=_differences(groundtruth.gyroscope_biases, aligned.gyroscope_biases),
+        accelerometer_bias=_differences(
+            groundtruth.accelerometer_biases, aligned.accelerometer_biases
+        ),
+    )
+
+
+def _parts(errors: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
+    """Return the lengths (N,) of errors (N, 3), and of their horizontal and vertical parts."""
+    level = up.turned(errors)
+    return lengths(errors), np.hypot(level[:, 0], level[:, 1]), np.abs(level[:, 2])
+
+
+def position_errors(groundtruth: Trajectory, aligned: Trajectory, form: str) -> Floats:
+    """Return the position errors (N, 3) in the groundtruth's frame, metres.
+
+    Args:
+        groundtruth: N states.
+        aligned: N states, aligned.
+        form: `tutorial` for p - E p', which needs orientations on both sides; p - p' otherwise.
+    """
+    if form != "tutorial":
+        return groundtruth.positions - aligned.positions
+    assert groundtruth.quaternions is not None
+    assert aligned.quaternions is not None
+    between = rotation_errors(groundtruth.quaternions, aligned.quaternions)
+    return groundtruth.positions - lie.rotate(between, aligned.positions)
+
+
+def rotation_errors(truth_q: Floats, aligned_q: Floats) -> Floats:
+    """Return the rotation errors E = R R'^T of eq. (23), (N, 4)."""
+    return lie.multiply(truth_q, lie.conjugate(aligned_q))
+
+
+def angle_yaw_tilt(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
+    """Return angle, absolute yaw and tilt of E, degrees."""
+    level = up.turned(between)
+    return (
+        np.degrees(lie.angle(between)),
+        np.degrees(np.abs(lie.yaw(level))),
+        np.degrees(lie.tilt(level)),
+    )
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (N,) of vectors (N, 3)."""
+    norms: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return norms
+
+
+def _differences(groundtruth: Floats | None, estimate: Floats | None) -> Floats | None:
+    if groundtruth is None or estimate is None:
+        return None
+    return lengths(groundtruth - estimate)
