@@ -1,5 +1,4 @@
-"""Calibration: clocks and bodies that groundtruth and estimate don't share.
+"""Calibration of clock offset and body transform between groundtruth and estimate.
 
-`calibrate.calibrate` estimates, `body.HandEye` applies, `hints` recognises. Nothing here is done
-unless somebody asks for it, but for the hints, which change no number.
+`calibrate.calibrate` estimates and `apply.evaluate_calibrated` applies, both only on request.
 """

@@ -1,7 +1,8 @@
-"""An evaluation with clocks and bodies calibrated, where somebody asks for it and it is there.
+"""Evaluation with an estimated or known clock offset and hand-eye transform.
 
-Nothing is applied that isn't asked for, observable, precise and significant. What was applied,
-what was not and why, and the errors without and with it are part of the outcome.
+An estimated parameter is applied if it is requested, observable, precise and significant. The
+outcome lists the applied and the rejected parameters with reasons, and the errors before and
+after.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from trajeval_ros.metrics.evaluation import Evaluation, evaluate, evaluate_pairs
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
-# By how much the ATE may grow before that is said.
+# Growth of the ATE above which a warning is given.
 _WORSE = 1.05
-# Each round leaves a share of the error as of the lever arm's swing in the marker's motion.
+# An iteration reduces the error by the ratio of the lever arm's motion to the marker's motion.
 _SAME_SCALE, _ROUNDS_OF_SCALE = 1e-10, 300
 _VANISHED = 1e-6
 
@@ -44,20 +45,20 @@ def evaluate_calibrated(
     same_as: Calibrated | None = None,
     pairs: Association | None = None,
 ) -> Calibrated:
-    """Evaluate an estimate with what is asked for calibrated, if the recording shows it.
+    """Evaluate an estimate with the requested calibration.
 
     Args:
-        groundtruth: Poses, or positions, of a marker.
-        estimate: Poses of a body that carries it.
-        protocol: The settings; its time offset is where the search begins.
-        wanted: What to calibrate.
-        same_as: Another estimate's outcome, whose calibration is to be used: estimates with
-            parameters of their own can't be ranked.
-        pairs: The states as they were paired before, such as by a live run, row by row; None to
-            associate them here.
+        groundtruth: Poses or positions of a marker.
+        estimate: Poses of the body with the marker.
+        protocol: The settings; its time offset is the centre of the search.
+        wanted: The request.
+        same_as: The outcome of another estimate whose calibration is used. Estimates with
+            individual calibrations cannot be ranked.
+        pairs: States paired beforehand, for example in a live run; None to associate them here.
 
     Raises:
-        InputError: See `evaluate` and `calibrate`; a hand-eye transform that can't be applied.
+        InputError: See `evaluate` and `calibrate`; or a hand-eye transform cannot be applied.
+        SettingsError: The protocol has a lever arm of its own.
     """
     if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
         raise SettingsError(
@@ -108,12 +109,12 @@ def evaluate_calibrated(
 def moved_before(
     evaluation: Evaluation, hand_eye: HandEye, source: str, *, of_marker: bool
 ) -> Calibrated:
-    """Return an evaluation of pairs that a live run has made of one body already.
+    """Return the outcome for pairs whose hand-eye transform a live run has applied.
 
     Args:
-        evaluation: Of these.
-        hand_eye: What was applied to the messages.
-        source: Where it was from.
+        evaluation: The evaluation of these pairs.
+        hand_eye: The applied transform.
+        source: Its source.
         of_marker: See `Calibrated`.
     """
     return Calibrated(
@@ -136,7 +137,7 @@ def moved_before(
 def _require_body_known(
     calibration: Calibration, protocol: Protocol, wanted: CalibrationRequest
 ) -> None:
-    """Refuse an alignment by orientations that may be of another body."""
+    """Refuse an alignment by orientations if the rotation between the bodies is unknown."""
     turn = calibration.turn
     if protocol.align_with == "poses" and wanted.hand_eye and turn.status in (WEAK, UNOBSERVABLE):
         raise InputError(
@@ -148,7 +149,7 @@ def _require_body_known(
 
 @dataclass(frozen=True)
 class _Found:
-    """What is asked for and has a value: an offset, a rotation, a lever arm, or a transform."""
+    """The requested parameters that have a value: offset, rotation, lever arm, or a transform."""
 
     offset: Parameter | None
     turn: Parameter | None
@@ -157,6 +158,8 @@ class _Found:
 
     @classmethod
     def in_calibration(cls, calibration: Calibration | None, wanted: CalibrationRequest) -> _Found:
+        """Return the requested parameters of a calibration."""
+
         def asked(parameter: Parameter, wish: bool) -> Parameter | None:
             return parameter if wish and parameter.value is not None else None
 
@@ -170,16 +173,16 @@ class _Found:
         )
 
     def significant(self) -> _Found:
-        """Return those that are observable, precise and significant."""
+        """Return the parameters that are observable, precise and significant."""
         offset, turn, lever = (
-            each if each is not None and each.is_significant else None
-            for each in (self.offset, self.turn, self.lever)
+            parameter if parameter is not None and parameter.is_significant else None
+            for parameter in (self.offset, self.turn, self.lever)
         )
         return _Found(offset, turn, lever, self.known)
 
     @property
     def hand_eye(self) -> HandEye | None:
-        """The transform that they make; None for none."""
+        """The transform of these parameters; None if there is none."""
         if self.turn is None and self.lever is None:
             return self.known
         return HandEye.of(
@@ -191,7 +194,7 @@ class _Found:
 def _measure(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
 ) -> Evaluation:
-    """Evaluate, with pairs that were made before if there are any."""
+    """Evaluate, with given pairs if there are any."""
     if pairs is None:
         return evaluate(groundtruth, estimate, protocol)
     moved = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
@@ -201,6 +204,7 @@ def _measure(
 def _before(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
 ) -> Ate | None:
+    """Return the errors without calibration; None if the states cannot be paired or aligned."""
     try:
         return Ate.of(_measure(groundtruth, estimate, protocol, pairs))
     except (NoMatchError, DegenerateGeometryError):
@@ -214,7 +218,7 @@ def _with(
     used: _Found,
     pairs: Association | None,
 ) -> tuple[Evaluation, bool]:
-    """Evaluate with what was found; say whether errors are of the marker."""
+    """Evaluate with parameters; the second value is whether errors are those of the marker."""
     hand_eye = used.hand_eye
     if used.offset is not None:
         assert used.offset.value is not None
@@ -235,7 +239,7 @@ def _with(
 
 
 def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
-    """Return the scale that aligns the marker if the lever arm, in metres, is divided by it."""
+    """Return the scale of the marker's alignment, if the lever arm in metres is divided by it."""
     pairs, first = body.association, body.alignment.similarity.scale
     scale = first
     for _ in range(_ROUNDS_OF_SCALE):
@@ -254,6 +258,7 @@ def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
 
 
 def _warnings(calibrated: Calibrated) -> list[str]:
+    """Return warnings about the calibration and about significant clock offsets."""
     calibration, wanted = calibrated.calibration, calibrated.wanted
     warnings = list(() if calibration is None else calibration.warnings)
     before, after = calibrated.before, calibrated.after

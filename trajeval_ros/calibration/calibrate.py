@@ -1,7 +1,7 @@
 """The calibration of an estimate against groundtruth: clock offset, body rotation, lever arm.
 
-An estimate of what the two disagree on by construction, never by what makes the error small:
-the ATE has no part in it, so that the ATE before and after is an honest check.
+It is estimated from relative motions, not by minimising the ATE. Therefore a comparison of the ATE
+before and after is an independent check.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.upright import upright
 
-# What an interval of 95 % must lie within to be of use: s, s/s, rad, m.
+# Largest useful half width of a 95 % interval: s, s/s, rad, m.
 WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
 _SHORT_RUN_S = 60.0
 _SHORT_FOR_SKEW_S = 120.0
@@ -44,39 +44,39 @@ _SHORT_FOR_SKEW_S = 120.0
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """What parts of one real run differ by, beyond what any of them can know; 0 when simulated.
+    """Standard deviations of errors that one run does not reveal; 0 for simulated data.
 
     Attributes:
-        offset_s: Standard deviation of the offset, doubled for runs under a minute.
-        turn_rad: Standard deviation of the body's rotation.
+        offset_s: Of the offset, s; doubled for runs shorter than a minute.
+        turn_rad: Of the body's rotation, rad.
     """
 
     offset_s: float = 1.5e-3
     turn_rad: float = float(np.radians(0.1))
 
 
-# Below these, inputs without noise would be sure of the last digit. s, s/s, rad, m.
+# Least standard deviations, for inputs without noise: s, s/s, rad, m.
 _FLOORS = {"offset": 1e-5, "skew": 1e-7, "turn": 1e-5, "lever": 1e-5}
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What is known of clocks and bodies.
+    """Estimated clock and body parameters.
 
     Attributes:
-        offset: Seconds to be added to the estimate's stamps, at the middle of the run.
-        skew: Seconds per second; None if it wasn't asked for.
-        turn: R_X, the marker's axes in the body's, as a rotation vector.
-        lever: p_B_M, the marker in the body, metres.
-        scale: Groundtruth metres in a unit of the estimate; 1 unless the gauge has a scale.
-        guess: The offset by correlation, where the fit began.
-        rows: Offset and its standard deviation by rotations alone and by positions alone, if
-            either shows it.
-        fitted: Number of parameters that were fitted.
-        blocks: Number of blocks of time that standard deviations are from.
+        offset: Offset to add to the estimate's timestamps at the middle of the run, s.
+        skew: Relative drift of the clocks, s/s; None if not requested.
+        turn: R_X, rotation from the marker's axes to the body's, as a rotation vector, rad.
+        lever: p_B_M, position of the marker in the body, metres.
+        scale: Groundtruth metres per unit of the estimate; 1 unless the gauge has a scale.
+        guess: The initial offset, from correlation.
+        rows: Offset and its standard deviation from rotations alone and from positions alone, if
+            observable.
+        fitted: Number of fitted parameters.
+        blocks: Number of time blocks for the standard deviations.
         pairs: Number of increments.
-        horizon_s: Their length.
-        warnings: One sentence each.
+        horizon_s: Duration of the increments.
+        warnings: Warnings, one sentence each.
 
     Example:
         >>> from trajeval_ros import calibrate, simulate
@@ -111,23 +111,22 @@ def calibrate(
 ) -> Calibration:
     """Estimate clock offset, body rotation and lever arm from increments.
 
-    All are fitted together, whichever is wanted: an offset without the lever arm that is there
-    would be wrong by up to 16 ms.
+    All parameters are always estimated together. Without an actual lever arm in the model the
+    offset would be wrong by up to 16 ms.
 
     Args:
         groundtruth: T_G_M, poses or positions of the marker.
         estimate: T_W_B, poses or positions of the body.
-        gauge: Whether there is a scale between the two, and whether their worlds share gravity;
-            it changes nothing else.
-        around_s: Where to search the offset, seconds to be added to the estimate's stamps: up to
-            `SEARCH_S` from there. Where the two can't meet for long enough within that range it
-            is everywhere: clocks of different epochs.
-        with_skew: Fit the clocks' skew, too.
-        systematic: What real runs hide from standard deviations; None for the usual.
-        most_increments: How many of them to use.
+        gauge: Determines whether a scale is estimated and whether both worlds share gravity.
+        around_s: Centre of the search for the offset, s, which extends to +-`SEARCH_S`. If the
+            trajectories do not overlap within this range, all offsets are searched (clocks of
+            different epochs).
+        with_skew: Whether to estimate the clocks' skew.
+        systematic: Standard deviations of systematic errors; None for the default.
+        most_increments: Largest number of increments.
 
     Raises:
-        InputError: States without stamps, or too few of them.
+        InputError: A trajectory has no timestamps, or too few states.
 
     Example:
         >>> from dataclasses import replace
@@ -151,7 +150,7 @@ def calibrate(
     can_meet = _apart(groundtruth, estimate, around_s) <= SEARCH_S - OVERLAP_S
     search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
-    # Clocks may be decades apart: whole nanoseconds first, so that the rest keeps its digits.
+    # Whole nanoseconds are added first, so that offsets of decades do not cost precision.
     base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
     increments = Increments(groundtruth, shifted, most_increments)
@@ -162,7 +161,7 @@ def calibrate(
 
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
-    """Return by how many seconds the two miss each other, negative if they meet."""
+    """Return the time between the trajectories, s; negative if they overlap."""
     shift = int(nanoseconds(around_s))
     first, last = int(estimate.stamps.min()) + shift, int(estimate.stamps.max()) + shift
     before = first - int(groundtruth.stamps.max())
@@ -178,11 +177,11 @@ def _judged(
     systematic: SystematicErrors,
     with_skew: bool,
 ) -> Calibration:
-    """Return the verdicts on a solution."""
+    """Return the calibration with the status of every parameter."""
     fitted, found = solution.fit, solution.found
     duration_s = float(np.ptp(fitted.linearised.seconds))
     warnings = [solution.left_out] if solution.left_out else []
-    if not fitted.settled and any(each.seen.any() for each in found.values()):
+    if not fitted.settled and any(directions.seen.any() for directions in found.values()):
         warnings.append("the calibration did not converge; its values are approximate")
     rows = _by_rows(increments, fitted, base)
     apart_s = _disagreement(rows, fitted.blocks)
@@ -252,7 +251,7 @@ _NO_LEVER = "a lever arm needs the estimate's orientations"
 
 
 def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Calibration:
-    """Return the verdict on a run of which nothing can be known."""
+    """Return the result for a run without observable parameters."""
     nothing = unobservable(guess.problem or _TOO_SHORT)
     return Calibration(
         offset=nothing,
@@ -270,7 +269,7 @@ def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Cal
 
 
 def _by_rows(increments: Increments, fitted: Fit, base: int) -> dict[str, tuple[float, float]]:
-    """Return the offset by rotations alone and by positions alone, where they show it."""
+    """Return offset and standard deviation from rotations and from positions, if observable."""
     if not increments.has_turns or not fitted.covariance[0, 0] > 0.0:
         return {}
     free = {"offset": np.eye(1), "turn": np.eye(3)}
@@ -289,14 +288,14 @@ def _by_rows(increments: Increments, fitted: Fit, base: int) -> dict[str, tuple[
 
 
 def _disagreement(rows: dict[str, tuple[float, float]], blocks: int) -> float:
-    """Return by how many seconds the two kinds of rows differ, zero if that can be chance."""
+    """Return the difference of the two offsets, s; zero if it is not significant."""
     from scipy.special import stdtrit
 
     if len(rows) < 2:
         return 0.0
     (rotation, of_rotation), (position, of_position) = rows["rotation"], rows["position"]
     apart = position - rotation
-    # Noise-free rows agree to the last digit that there is.
+    # Without noise, the standard deviations are zero.
     sigma = np.hypot(np.hypot(of_rotation, of_position), _FLOORS["offset"])
     limit = float(stdtrit(blocks - 1, 1.0 - CHANCE / 2.0)) * sigma
     return abs(apart) if abs(apart) > limit else 0.0

@@ -12,14 +12,14 @@ from trajeval_ros.metrics.evaluation import Evaluation
 
 @dataclass(frozen=True)
 class Ate:
-    """The rmse of an evaluation: position in metres, rotation in degrees if it is known."""
+    """The RMSE of an evaluation: position in metres, rotation in degrees if available."""
 
     position_m: float
     rotation_deg: float | None
 
     @classmethod
     def of(cls, evaluation: Evaluation) -> Ate:
-        """Take it from an evaluation."""
+        """Return the RMSE of an evaluation."""
         position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
         assert position is not None
         return cls(position.rmse, None if rotation is None else rotation.rmse)
@@ -27,25 +27,24 @@ class Ate:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """An evaluation and what was calibrated for it.
+    """An evaluation with the applied calibration.
 
     Attributes:
-        evaluation: With what was applied.
-        wanted: What was asked for.
-        calibration: What was estimated; None if nothing had to be.
-        estimated_from: Name of the estimate that it was estimated from.
-        offset_applied: Whether the estimated offset is in the numbers.
-        rotation_applied: Whether a rotation of the body is.
-        lever_applied: Whether a lever arm is.
-        hand_eye: What was applied; None for nothing.
-        of_marker: Whether the errors are of the marker's position, since its groundtruth has no
-            orientation that could tell the body's.
-        before: The errors without any of it; None if no poses matched, or too few to be aligned,
-            or `was_live`.
-        after: Those of `evaluation`.
-        if_applied: Those with all that was asked for, significant or not; None if that is what
-            was applied, or nothing was found.
-        was_live: Whether it was applied to messages as they came, of which only pairs are left.
+        evaluation: The evaluation with the applied parameters.
+        wanted: The request.
+        calibration: The estimated parameters; None if nothing was estimated.
+        estimated_from: Name of the estimate that they were estimated from.
+        offset_applied: Whether the estimated offset is applied.
+        rotation_applied: Whether a rotation of the body is applied.
+        lever_applied: Whether a lever arm is applied.
+        hand_eye: The applied transform; None if there is none.
+        of_marker: Whether the errors are those of the marker's position. This is so if the
+            groundtruth has no orientations, which a conversion to the body needs.
+        before: The errors without calibration; None if there were too few pairs, or if `was_live`.
+        after: The errors of `evaluation`.
+        if_applied: The errors with all requested parameters, significant or not; None if these are
+            the applied ones, or nothing was estimated.
+        was_live: Whether a live run applied the transform to its messages.
     """
 
     evaluation: Evaluation
@@ -64,7 +63,7 @@ class Calibrated:
 
     @property
     def parameters_applied(self) -> int:
-        """Degrees of freedom that were taken from the data and are in the numbers."""
+        """Degrees of freedom of the applied parameters that were estimated from the data."""
         if self.calibration is None:
             return 0
         count = int(self.offset_applied)

@@ -1,4 +1,4 @@
-"""What of clocks and bodies is to be calibrated."""
+"""Request for a calibration."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from trajeval_ros.geometry.marker import HandEye
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRequest:
-    """What to estimate from the data, or to apply as known.
+    """Parameters to estimate from the data, or to apply as known.
 
     Attributes:
-        offset: Estimate the clocks' offset, and apply it if it is significant.
-        hand_eye: Likewise the body's rotation and lever arm.
-        known: A hand-eye transform to apply, instead of one to be estimated.
-        source: Where the known transform was read from.
+        offset: Estimate the clock offset, and apply it if it is significant.
+        hand_eye: Estimate the body's rotation and lever arm, and apply them likewise.
+        known: A hand-eye transform to apply instead of estimating one.
+        source: Source of the known transform.
+
+    Raises:
+        SettingsError: A transform is both known and to be estimated.
 
     Example:
         >>> from trajeval_ros import CalibrationRequest
@@ -30,15 +33,11 @@ class CalibrationRequest:
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a transform that is known and to be estimated.
-
-        Raises:
-            SettingsError: It is both.
-        """
+        """Refuse a transform that is both known and to be estimated."""
         if self.hand_eye and self.known is not None:
             raise SettingsError("a hand-eye transform is either known or estimated; give only one")
 
     @property
     def anything(self) -> bool:
-        """Whether there is anything to do."""
+        """Whether a calibration is requested."""
         return self.offset or self.hand_eye or self.known is not None

@@ -1,9 +1,8 @@
-"""A first guess of the clocks' offset: where two rates of motion look alike the most.
+"""Initial clock offset from the cross-correlation of two rates of motion.
 
-The rate is the size of the angular velocity, which no gauge, no body and no lever arm changes,
-or the speed where orientations are missing. Gaps are masked out, so that each lag has the exact
-correlation of what both sides know (Padfield, Masked object registration in the Fourier domain,
-2012).
+The rate is the magnitude of the angular velocity, which is independent of gauge, body and lever
+arm. Without orientations it is the speed. Gaps are masked, so that the correlation at every lag is
+exact for the common data (Padfield, Masked object registration in the Fourier domain, 2012).
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ SEARCH_S = 5.0
 OVERLAP_S = 10.0
 _CELL_S = 0.02
 _WINDOW_S = 0.1
-# A lower peak is no match; the speed is blurred by a lever arm.
+# Least correlation at the peak; a lever arm disturbs the speed.
 _LEAST_PEAK = {"angular rate": 0.7, "speed": 0.5}
-_LEAST_OVERLAP = 0.5  # of the longest, where all lags are searched
-_LARGEST_SECOND = 0.8  # of the peak: what else fits nearly as well
+_LEAST_OVERLAP = 0.5  # relative to the longest overlap, if all lags are searched
+_LARGEST_SECOND = 0.8  # largest second peak relative to the first
 
 
 @dataclass(frozen=True)
 class OffsetGuess:
-    """Where the rates correlate the most, and whether that means anything.
+    """The offset with the largest correlation, and whether it is usable.
 
     Attributes:
-        offset_s: To be added to the estimate's stamps.
-        peak: Correlation there, in [-1, 1].
-        second: The largest one outside of the peak's own lobe.
+        offset_s: Offset to add to the estimate's timestamps.
+        peak: Correlation at the offset, in [-1, 1].
+        second: Largest correlation outside of the peak's lobe.
         peak_to_sidelobe: (peak - mean) / std of the correlations outside of the lobe.
         signal: `angular rate` or `speed`.
-        overlap_s: Time for which both rates are known at that offset.
-        problem: Why it means nothing; "" if it does.
+        overlap_s: Time for which both rates are known at the offset.
+        problem: Why the offset is not usable; "" if it is.
     """
 
     offset_s: float
@@ -51,31 +50,31 @@ class OffsetGuess:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the peak is high, alone and within the search range."""
+        """Whether the peak is high, unique and within the search range."""
         return not self.problem
 
 
 def masked_correlation(
     a: Floats, in_a: Floats, b: Floats, in_b: Floats
 ) -> tuple[Indices, Floats, Floats]:
-    """Return the normalised cross-correlation of two signals with holes, at all lags.
+    """Return the normalised cross-correlation of two signals with gaps at all lags.
 
-    Leading axes are of several signals; those with the same holes need them only once.
+    Leading axes are several signals; `in_a` and `in_b` can be without them if the gaps are equal.
 
     Args:
-        a: (..., N), zero in holes.
-        in_a: (..., N), 1 where `a` is known, 0 in holes.
-        b: (..., M), zero in holes.
+        a: (..., N), zero in gaps.
+        in_a: (..., N), 1 where `a` is known, 0 in gaps.
+        b: (..., M), zero in gaps.
         in_b: (..., M), likewise.
 
     Returns:
-        The lags k (K,) at which a[n] meets b[n + k], the correlations (..., K), zero where a
-        signal doesn't vary, and the numbers (..., K) of cells that both know.
+        The lags k (K,), where a[n] coincides with b[n + k]; the correlations (..., K), zero where
+        a signal is constant; and the numbers of cells (..., K) that both know.
     """
     shorter, longer = a.shape[-1], b.shape[-1]
     size = 1 << int(shorter + longer - 1).bit_length()
-    left = [np.conj(np.fft.rfft(each, size)) for each in (a, in_a, a * a)]
-    right = [np.fft.rfft(each, size) for each in (b, in_b, b * b)]
+    left = [np.conj(np.fft.rfft(signal, size)) for signal in (a, in_a, a * a)]
+    right = [np.fft.rfft(signal, size) for signal in (b, in_b, b * b)]
 
     def met(one: int, other: int) -> Floats:
         products: Floats = np.fft.irfft(left[one] * right[other], size)
@@ -89,7 +88,7 @@ def masked_correlation(
     covariance = met(0, 0) - sum_a * sum_b / count
     variance_a, variance_b = met(2, 1) - sum_a**2 / count, met(1, 2) - sum_b**2 / count
     spread = np.sqrt(np.maximum(variance_a, 0.0) * np.maximum(variance_b, 0.0))
-    # What is left of a constant signal is rounding.
+    # A constant signal has a variance of rounding errors.
     varies = spread > 1e-9 * np.maximum(1.0, spread.max(axis=-1, keepdims=True))
     correlation = np.where(varies, covariance / np.where(varies, spread, 1.0), 0.0)
     lags = np.arange(1 - shorter, longer)
@@ -97,7 +96,7 @@ def masked_correlation(
 
 
 def refined_peak(correlation: Floats, peak: int) -> float:
-    """Return where the parabola through a peak and its neighbours is highest, in cells from it."""
+    """Return the maximum of the parabola through a peak and its neighbours, in cells from it."""
     if not 0 < peak < len(correlation) - 1:
         return 0.0
     before, top, after = correlation[peak - 1 : peak + 2]
@@ -113,14 +112,14 @@ def guess_offset(
     search_s: float | None = SEARCH_S,
     signal: str | None = None,
 ) -> OffsetGuess:
-    """Find the offset by correlation; the angular rate first, and the speed if that says nothing.
+    """Estimate the offset by correlation of angular rates or, if not usable, of speeds.
 
     Args:
         groundtruth: At least two states.
         estimate: At least two states.
-        around_s: Middle of the search range, seconds to be added to the estimate's stamps.
-        search_s: How far from it to search; None for everywhere that the two overlap.
-        signal: `angular rate` or `speed`; None to choose.
+        around_s: Centre of the search range, s.
+        search_s: Half width of the search range, s; None for all overlaps.
+        signal: `angular rate` or `speed`; None for an automatic choice.
     """
     if signal is None:
         if groundtruth.quaternions is not None and estimate.quaternions is not None:
@@ -161,10 +160,10 @@ def guess_offset(
 
 
 def _rate(track: Track, window_s: float) -> tuple[Floats, Floats]:
-    """Return the rate of motion on a grid from the track's first stamp on, and where it is known.
+    """Return the rate of motion on a grid that starts at the first stamp, and where it is known.
 
-    From poses half a window before and after: the same window for both sides, since a shorter one
-    shows more of a motion.
+    The rate is from poses half a window before and after. Both sides use the same window, since a
+    shorter one preserves more of the motion.
     """
     cells = np.arange(int(track.stamps[0]), int(track.stamps[-1]), nanoseconds(_CELL_S))
     half = nanoseconds(window_s / 2.0)
@@ -189,10 +188,10 @@ def _highest(
     search_s: float | None,
     signal: str,
 ) -> OffsetGuess:
-    """Return the highest correlation of a search range, and judge it."""
+    """Return the highest correlation of a search range, with its verdict."""
     enough_s = OVERLAP_S
     if search_s is None:
-        # Among so many lags, short overlaps match by chance.
+        # With many lags, short overlaps match by chance.
         enough_s = max(OVERLAP_S, _LEAST_OVERLAP * float(common.max()) * _CELL_S)
     known = common * _CELL_S >= enough_s
     within = np.flatnonzero(
@@ -210,7 +209,7 @@ def _highest(
             overlap_s,
             f"no offset{where} gives a common time span of {OVERLAP_S:g} s without gaps",
         )
-    # Indices that both know for long enough are one stretch, but for holes.
+    # Lags with enough overlap are contiguous, except for gaps.
     heights = correlation[within]
     peak = int(np.argmax(heights))
     left = right = peak

@@ -1,4 +1,4 @@
-"""Closed forms for a body that moves with another one: rotation and lever arm between them."""
+"""Closed-form rotation and lever arm between two bodies that move together."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def closest_rotation(
     Args:
         targets: (N, 3).
         vectors: (N, 3).
-        weights: (N,), or None for all alike.
-        about_z: Only rotations about z come into question.
+        weights: (N,), or None for equal weights.
+        about_z: Restrict R to rotations about z.
     """
     weighted = targets if weights is None else targets * weights[:, None]
     scatter = weighted.T @ vectors
@@ -35,9 +35,9 @@ def robust_rotation(targets: Floats, vectors: Floats, *, about_z: bool = False) 
     """Return the closest rotation (3, 3) with Cauchy weights, in three passes.
 
     Args:
-        targets: (N, 3); of body rotations, the rotation vectors of the estimate's increments.
-        vectors: (N, 3); those of the groundtruth's, in the marker's own axes.
-        about_z: Only rotations about z come into question.
+        targets: (N, 3); for body rotations, rotation vectors of the estimate's increments.
+        vectors: (N, 3); rotation vectors of the groundtruth's increments in the marker's axes.
+        about_z: Restrict the result to rotations about z.
     """
     weights = np.ones(len(targets))
     rotation = np.eye(3)
@@ -57,7 +57,7 @@ def lever_arm(
         turned: (N, 3, 3), dR - I of the body's increments.
         steps: (N, 3), dp in the body's axes at the start.
         marker_steps: (N, 3), R_X dq in the same axes, metres.
-        with_scale: Whether c is sought, too; otherwise it is 1.
+        with_scale: Whether to estimate c, too; otherwise it is 1.
     """
     design = turned.reshape(-1, 3)
     wanted = marker_steps.reshape(-1)

@@ -1,15 +1,16 @@
-"""Increments: relative motions over about a second, in which gauge and drift have no part.
+"""Increments: relative motions over about one second, which are independent of gauge and drift.
 
-Clocks and bodies are estimated from these alone. Absolute positions would do for a fit, but then
-drift poses as calibration: on EuRoC MH_01, whose clocks are one, it gives 27 to 65 ms.
+Clock and body parameters are estimated from increments only. In a fit of absolute positions, drift
+appears as calibration: on EuRoC MH_01, whose clocks are synchronous, it gives 27 to 65 ms.
 
-The clock is tau(s) = s + offset + skew (s - mid), s a stamp of the estimate, tau that of the
-groundtruth. With T_B_M = (R_X, l) the pose of the marker in the body, increments obey
+The clock model is tau(s) = s + offset + skew (s - mid), with s a timestamp of the estimate and tau
+one of the groundtruth. With T_B_M = (R_X, l), the pose of the marker in the body, the residuals
+are
 
     r_p = R_X dq - c dp - (dR - I) l        r_R = Log(R_X dQ R_X^T dR^T)
 
-in the body's axes at the start. Without orientations on both sides there is, instead of R_X, the
-rotation R_S between the two worlds: r_p = dq - R_S (c dp + (R_j - R_i) l).
+in the body's axes at the start. Without orientations on both sides, the rotation R_S between the
+two worlds takes the place of R_X: r_p = dq - R_S (c dp + (R_j - R_i) l).
 """
 
 from __future__ import annotations
@@ -33,22 +34,22 @@ COLUMNS = 9
 POSITION, ROTATION = slice(0, 3), slice(3, 6)
 
 HORIZON_S = 1.0
-# A derivative over 20 ms to either side: over one step of the groundtruth it would be noise.
+# The derivative is over +-20 ms; over one step of the groundtruth it would be noise.
 _REACH_S = 0.02
-_TOLERANCE = 0.25  # of the horizon
+_TOLERANCE = 0.25  # largest relative deviation from the horizon
 MOST_INCREMENTS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """What is estimated.
+    """The parameters of the fit.
 
     Attributes:
-        offset_s: At the middle of the run, seconds to be added to the estimate's stamps.
-        skew: Seconds per second.
-        turn: (3, 3), R_X; or R_S where increments have no orientation.
-        lever_m: (3,), the marker's origin in the body.
-        scale: c, groundtruth metres in a unit of the estimate.
+        offset_s: Offset to add to the estimate's timestamps, at the middle of the run, s.
+        skew: Relative drift of the clocks, s/s.
+        turn: (3, 3), R_X; or R_S for increments without orientations.
+        lever_m: (3,), the marker's origin in the body, metres.
+        scale: c, groundtruth metres per unit of the estimate.
     """
 
     offset_s: float
@@ -58,7 +59,7 @@ class Unknowns:
     scale: float
 
     def moved(self, step: Floats) -> Unknowns:
-        """Return them after a step (9,): rotations turn on the left."""
+        """Return the parameters after a step (9,); the rotation is updated on the left."""
         return Unknowns(
             self.offset_s + float(step[0]),
             self.skew + float(step[1]),
@@ -70,13 +71,13 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals at a point and how they change.
+    """Residuals and Jacobian at a point.
 
     Attributes:
-        residual: (N, 3) positions, or (N, 6) with rotations behind; metres, radians.
+        residual: (N, 3) positions, or (N, 6) positions and rotations; metres, radians.
         jacobian: (N, 3 or 6, 9).
-        seconds: (N,) stamps of the first states, since the run's first.
-        rows: (N,) which of all increments these are.
+        seconds: (N,) timestamps of the first states, since the start of the run.
+        rows: (N,) indices of the increments.
     """
 
     residual: Floats
@@ -87,12 +88,12 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class MotionIncrements:
-    """Increments of one side: the body's own axes, or its world's if there are no orientations.
+    """Increments of one side, in the body's axes; in the world's axes without orientations.
 
     Attributes:
         turns: (N, 4), xyzw, or None.
         steps: (N, 3), metres.
-        usable: (N,).
+        usable: (N,), False across gaps.
     """
 
     turns: Floats | None
@@ -101,7 +102,7 @@ class MotionIncrements:
 
 
 class Increments:
-    """Pairs of estimated states about a horizon apart, and the groundtruth's motion meanwhile."""
+    """Pairs of estimated states one horizon apart, and the groundtruth's motion between them."""
 
     def __init__(
         self,
@@ -109,16 +110,16 @@ class Increments:
         estimate: Trajectory,
         most: int = MOST_INCREMENTS,
     ) -> None:
-        """Choose the pairs, no gap within one.
+        """Choose pairs of states without a gap between them.
 
         Args:
             groundtruth: At least two states.
             estimate: At least two states.
-            most: How many to use; of more, every n-th.
+            most: Largest number of increments; every n-th is used if there are more.
         """
         self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
         self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
-        # A lever arm turns with the estimate's orientations, also if the marker has none.
+        # The lever arm rotates with the estimate, also if the marker has no orientation.
         self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
         self.horizon_s = max(HORIZON_S, 3.0 * track.step_s)  # of sparse keyframes
         stamps = track.stamps
@@ -141,7 +142,7 @@ class Increments:
         return len(self._first)
 
     def start(self, offset_s: float, *, with_scale: bool, about_z: bool) -> Unknowns:
-        """Return a start for the fit: closed forms at a known offset."""
+        """Return initial parameters of the fit: closed forms at a given offset."""
         marker = self._marker(offset_s, 0.0)
         known = marker.usable
         steps, marker_steps = self._body.steps[known], marker.steps[known]
@@ -164,7 +165,7 @@ class Increments:
         return replace(start, turn=turn, lever_m=lever_m, scale=scale)
 
     def linearise(self, at: Unknowns) -> Linearised:
-        """Return residuals and Jacobian of all increments that the groundtruth knows."""
+        """Return residuals and Jacobian of all increments inside the groundtruth."""
         marker = self._marker(at.offset_s, at.skew)
         before = self._marker(at.offset_s - _REACH_S, at.skew)
         after = self._marker(at.offset_s + _REACH_S, at.skew)
@@ -188,14 +189,15 @@ class Increments:
         return Linearised(residual, jacobian, self._since[rows], rows)
 
     def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Floats, Booleans]:
-        """Return the Jacobian (N, 3 or 6, 9) with the roles of the sides exchanged.
+        """Return the Jacobian (N, 3 or 6, 9) with exchanged roles of the two sides.
 
-        At the solution, either side tells the other's motion; what both Jacobians agree on is no
-        noise. For increments without orientation, columns of offset, skew and scale alone.
+        At the solution, either side predicts the other's motion. The parts in which both
+        Jacobians agree are not noise. For increments without orientations it has only the columns
+        of offset, skew and scale.
 
         Args:
             at: The solution.
-            rows: (N,) of the increments.
+            rows: (N,) indices of the increments.
 
         Returns:
             The Jacobian, and (N,) where it is known.
@@ -232,7 +234,7 @@ class Increments:
         return jacobian, before.usable & after.usable
 
     def _marker(self, offset_s: float, skew: float) -> MotionIncrements:
-        """Return the groundtruth's increments by a clock."""
+        """Return the groundtruth's increments for a clock model."""
         stamps, truth = self._track.stamps, self._truth
         first_s = offset_s + skew * (self._since - self._mid_s)
         last_s = offset_s + skew * (self._till - self._mid_s)
@@ -243,6 +245,7 @@ class Increments:
         )
 
     def _motion(self, track: Track, first: Stamps, last: Stamps) -> MotionIncrements:
+        """Return the increments of a side between timestamps (N,), (N,)."""
         start, end = track.at(first), track.at(last)
         steps = end.positions - start.positions
         usable = start.usable & end.usable
@@ -256,7 +259,7 @@ class Increments:
         )
 
     def _turned(self, body: MotionIncrements) -> Floats | None:
-        """Return dR - I, or R_j - R_i where increments have no orientation, (N, 3, 3)."""
+        """Return dR - I, or R_j - R_i for increments without orientations, (N, 3, 3)."""
         if body.turns is not None:
             return _matrices(body.turns) - np.eye(3)
         quaternions = self._track.quaternions
@@ -265,6 +268,7 @@ class Increments:
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
 
     def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Floats:
+        """Return the residuals (N, 3 or 6) of the equations above."""
         turned = None if self.turned is None else self.turned[rows]
         carried = at.scale * self._body.steps[rows]
         if turned is not None:
@@ -284,6 +288,7 @@ class Increments:
     def _turn_columns(
         self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Floats
     ) -> None:
+        """Write the columns of the rotation into the Jacobian."""
         if marker.turns is None:
             turned = None if self.turned is None else self.turned[rows] @ at.lever_m
             carried = at.scale * self._body.steps[rows] + (0.0 if turned is None else turned)
@@ -294,17 +299,19 @@ class Increments:
         jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
 
     def _carried(self, at: Unknowns, body: MotionIncrements) -> Floats:
-        """Return the marker's step that goes with a motion of the body, the offset's column."""
+        """Return the marker's step for a motion of the body, for the offset's column."""
         if body.turns is None:
-            # The lever arm's part is left out: of what an offset changes it is small.
+            # The lever arm contributes little to the derivative and is omitted.
             return at.scale * body.steps @ at.turn.T
         turned = _matrices(body.turns) - np.eye(3)
         return at.scale * body.steps + turned @ at.lever_m
 
     def _from_mid(self, rows: NDArray[np.int64]) -> Floats:
+        """Return the times of increments relative to the middle of the run, (N,), s."""
         middle: Floats = (self._since[rows] + self._till[rows]) / 2.0 - self._mid_s
         return middle
 
 
 def _matrices(quaternions: Floats) -> Floats:
+    """Return the rotation matrices (N, 3, 3) of quaternions (N, 4)."""
     return lie.to_matrix(lie.normalized(quaternions))

@@ -1,10 +1,10 @@
-"""Whether a parameter can be seen at all, or only noise that looks like it.
+"""Observability of the parameters.
 
-A small standard deviation doesn't tell: on a static recording, differentiated noise passes for
-information. But every column of the Jacobian can be computed from either trajectory, and their
-noises are independent: where the two agree there is motion behind it. Their correlation, the
-reliability, is 0.89 or more on recordings that show an offset and 0.05 or less where none can be
-seen.
+A small standard deviation is no proof: on a static recording, differentiated noise looks like
+information. However, the Jacobian can be computed from either trajectory, and their noises are
+independent. Where the two Jacobians agree, they show actual motion. Their correlation, the
+reliability, is at least 0.89 on recordings that determine an offset, and at most 0.05 where none
+is observable.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from trajeval_ros.calibration.robust_fit import Fit
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
 LEAST_RELIABILITY = 0.5
-# Rms of (R_j - R_i) v, for increments whose lever arm one side alone can tell.
+# Least rms of (R_j - R_i) v for an observable lever arm, for increments without orientations.
 _LEAST_TURN = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The principal directions of one parameter and whether each can be seen.
+    """The principal directions of one parameter and their reliability.
 
     Attributes:
         directions: (k, k), orthonormal rows.
@@ -36,7 +36,7 @@ class Directions:
 
     @property
     def seen(self) -> Booleans:
-        """(k,) whether a direction is observable."""
+        """Which directions are observable, (k,)."""
         seen: Booleans = self.reliability >= LEAST_RELIABILITY
         return seen
 
@@ -61,6 +61,8 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
 
 
 def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
+    """Return the directions of a parameter from both Jacobians (N, 3 or 6, k) and weights."""
+
     def product(left: Floats, right: Floats) -> Floats:
         weighted = left * weights[..., None]
         summed: Floats = np.tensordot(weighted, right, axes=([0, 1], [0, 1]))
@@ -69,7 +71,7 @@ def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
     mine, theirs, both = product(own, own), product(twin, twin), product(own, twin)
     directions = np.linalg.eigh(mine + theirs)[1].T
     along = [
-        np.einsum("ka,ab,kb->k", directions, each, directions) for each in (mine, theirs, both)
+        np.einsum("ka,ab,kb->k", directions, matrix, directions) for matrix in (mine, theirs, both)
     ]
     size = np.sqrt(np.maximum(along[0], 0.0) * np.maximum(along[1], 0.0))
     reliability = np.where(size > 0.0, along[2] / np.where(size > 0.0, size, 1.0), 0.0)
@@ -77,7 +79,7 @@ def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
 
 
 def _turning(turned: Floats) -> Directions:
-    """Judge lever arms by how much their directions turn: 1 if enough, else 0."""
+    """Return the directions of a lever arm; reliability 1 if they rotate enough, else 0."""
     values, vectors = np.linalg.eigh(
         np.einsum("nab,nac->bc", turned, turned) / max(len(turned), 1)
     )

@@ -1,4 +1,4 @@
-"""A trajectory that can be asked for its pose at any time between its states."""
+"""Interpolation of a trajectory's pose at arbitrary times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.bracket import bracket_stamps, mix
 
 GAP_S = 0.5
-_USUAL_STEPS = 4.0  # of sparse keyframes: a gap is longer than so many of them
+_USUAL_STEPS = 4.0  # sparse keyframes: a gap is longer than this number of median steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class InterpolatedPoses:
     Attributes:
         positions: (N, 3), metres.
         quaternions: (N, 4), xyzw; None for a position-only sensor.
-        usable: (N,) whether the stamp lies between two states that are no gap apart.
+        usable: (N,) whether the stamp is between two states without a gap.
     """
 
     positions: Floats
@@ -33,7 +33,7 @@ class InterpolatedPoses:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The columns of a trajectory in order, and how far apart its states may be.
+    """The columns of a trajectory in order of time, and its gaps.
 
     Attributes:
         stamps: (N,) int64, nanoseconds, increasing.
@@ -51,12 +51,12 @@ class Track:
 
     @classmethod
     def of(cls, trajectory: Trajectory, *, with_rotations: bool, sparse: bool = False) -> Track:
-        """Take the columns of a trajectory.
+        """Return the columns of a trajectory.
 
         Args:
-            trajectory: At least two states; they are put in order.
-            with_rotations: Whether orientations are wanted.
-            sparse: Whether its states may be keyframes, so that what is a gap depends on them.
+            trajectory: At least two states; they are sorted.
+            with_rotations: Whether to include orientations.
+            sparse: Whether the states can be keyframes; then gaps are relative to their steps.
         """
         ordered = trajectory.in_order()
         step_s = float(np.median(np.diff(ordered.stamps))) / NANOSECONDS
@@ -81,7 +81,7 @@ class Track:
 
 
 def nearest_rows(stamps: Stamps, wanted: Stamps) -> NDArray[np.int64]:
-    """Return the row of the stamp nearest to each of those wanted; the stamps are in order."""
+    """Return the row of the stamp nearest to every wanted one (N,); the stamps are sorted."""
     after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(

@@ -1,9 +1,9 @@
-"""A robust least-squares fit of increments, with standard deviations for correlated residuals.
+"""Robust least-squares fit of increments, with standard deviations for correlated residuals.
 
-Residuals of an odometry are correlated over seconds, so the information matrix promises far too
-much: its 95 % intervals cover 38 to 58 % of the true offsets. A sandwich over blocks of time
-(Liang and Zeger, Longitudinal data analysis using generalized linear models, 1986) covers 94 to
-100 %.
+Residuals of odometry are correlated over seconds. Intervals from the information matrix are
+therefore too narrow: nominal 95 % intervals cover 38 to 58 % of the true offsets. A sandwich
+covariance over time blocks (Liang and Zeger, Longitudinal data analysis using generalized linear
+models, 1986) covers 94 to 100 %.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ _HORIZONS_PER_BLOCK = 3.0
 _ITERATIONS = 40
 _HUBER = 2.5
 _MEDIAN_OF_CHI3 = 1.5382
-_SMALLEST_SPREADS = {0: 1e-6, 3: 1e-7}  # metres, radians; by the first row of the kind
+_SMALLEST_SPREADS = {0: 1e-6, 3: 1e-7}  # metres, radians; by the first row of the group
 _LARGEST_STEP_S = 0.1
 _SETTLED = 1e-4  # naive standard deviations
-# Stamps are whole nanoseconds: of inputs without noise nothing finer is to be had.
+# Least relevant step: timestamps have a resolution of one nanosecond.
 _RESOLUTION = np.array([1e-9, 1e-11, *[1e-9] * 7])
 _SINGULAR = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A solution and how sure it is.
+    """A solution and its uncertainty.
 
     Attributes:
         unknowns: The solution.
-        covariance: (9, 9), of a step as `Unknowns.moved` takes it; zero where nothing was free.
+        covariance: (9, 9), of a step of `Unknowns.moved`; zero for fixed parameters.
         weights: (N, 2), of the position and rotation rows of the increments.
-        linearised: The last residuals and Jacobian.
-        blocks: Number of blocks of time.
+        linearised: Residuals and Jacobian of the last iteration.
+        blocks: Number of time blocks.
         free: Number of parameters.
-        settled: Whether it came to rest.
+        settled: Whether the fit converged.
     """
 
     unknowns: Unknowns
@@ -60,11 +60,11 @@ class Fit:
 
 
 def sandwich(hessian: Floats, gradients: Floats) -> Floats:
-    """Return the covariance (P, P) of a fit from its blocks' gradients.
+    """Return the covariance (P, P) of a fit from the gradients of blocks.
 
     Args:
         hessian: (P, P), sum of J^T W J.
-        gradients: (B, P), sums of J^T W r over blocks that hardly know of each other; B > P.
+        gradients: (B, P), sums of J^T W r over nearly independent blocks; B > P.
     """
     blocks, parameters = gradients.shape
     inverse = _inverse(hessian)
@@ -74,9 +74,9 @@ def sandwich(hessian: Floats, gradients: Floats) -> Floats:
 
 
 def block_of(seconds: Floats, horizon_s: float) -> NDArray[np.int64]:
-    """Return the number of the block of time, from 0 on, that each of N stamps is in.
+    """Return the time block of N stamps, numbered from 0, (N,).
 
-    All of equal length, three horizons or more.
+    Blocks have equal durations of at least three horizons.
     """
     since = seconds - seconds.min()
     duration = float(since.max())
@@ -92,16 +92,16 @@ def fit(
     basis: Floats,
     kinds: tuple[slice, ...] = (POSITION, ROTATION),
 ) -> Fit | None:
-    """Fit by Gauss-Newton with Huber weights, their scale estimated again in each step.
+    """Fit by Gauss-Newton with Huber weights; their scale is estimated in every iteration.
 
     Args:
-        increments: What is known.
-        start: Where to begin.
-        basis: (9, P), the directions that are free.
-        kinds: Which rows count.
+        increments: The data.
+        start: Initial parameters.
+        basis: (9, P), the free directions.
+        kinds: The groups of rows in use.
 
     Returns:
-        None if there are fewer than P + 3 blocks of time, too few for a standard deviation.
+        None if there are fewer than P + 3 time blocks, too few for a standard deviation.
     """
     free = basis.shape[1]
     at, settled = start, False
@@ -131,15 +131,15 @@ def fit(
     blocks = int(block.max()) + 1
     if blocks < free + 3:
         return None
-    each = np.einsum("nap,na->np", weighted, now.residual)
+    scores = np.einsum("nap,na->np", weighted, now.residual)
     gradients = np.zeros((blocks, free))
-    np.add.at(gradients, block, each)
+    np.add.at(gradients, block, scores)
     covariance = basis @ sandwich(hessian, gradients) @ basis.T
     return Fit(at, covariance, weights, now, blocks, free, settled)
 
 
 def _weights(residual: Floats, kinds: tuple[slice, ...]) -> Floats:
-    """Return Huber's weights (N, 2) of the two kinds of rows; zero of those that don't count."""
+    """Return Huber weights (N, 2) of position and rotation rows; zero for unused rows."""
     weights = np.zeros((len(residual), 2))
     for kind in kinds:
         if kind.start >= residual.shape[1]:
@@ -151,12 +151,12 @@ def _weights(residual: Floats, kinds: tuple[slice, ...]) -> Floats:
 
 
 def huber_cost(residual: Floats, reference: Floats, kind: slice) -> float:
-    """Return the mean Huber cost of one kind of rows, not below that of the finest spread.
+    """Return the mean Huber cost of one group of rows, at least that of the smallest spread.
 
     Args:
         residual: (N, 3 or 6).
-        reference: (M, 3 or 6), the residuals that the spread is taken from.
-        kind: Which rows.
+        reference: (M, 3 or 6), residuals that determine the spread.
+        kind: The group of rows.
     """
     spread = _lengths(reference, kind)[1]
     length = np.linalg.norm(residual[:, kind], axis=1)
@@ -166,19 +166,19 @@ def huber_cost(residual: Floats, reference: Floats, kind: slice) -> float:
 
 
 def _lengths(residual: Floats, kind: slice) -> tuple[Floats, float]:
-    """Return the lengths (N,) of one kind of rows, and their robust spread."""
+    """Return the lengths (N,) of one group of rows, and their robust spread."""
     length = np.linalg.norm(residual[:, kind], axis=1)
     spread = max(float(np.median(length)) / _MEDIAN_OF_CHI3, _SMALLEST_SPREADS[kind.start])
     return length, spread
 
 
 def _inverse(hessian: Floats) -> Floats:
-    """Return the inverse, without directions that nothing is known about.
+    """Return the pseudo-inverse of a Hessian; undetermined directions are zero.
 
-    Scaled to a unit diagonal first, so that the units of the columns don't matter.
+    It is scaled to a unit diagonal first, so that the units of the columns have no influence.
     """
     diagonal = np.diag(hessian)
-    # Of what doesn't move, all of it is zero.
+    # Columns of parameters without influence are zero.
     scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-30 * float(diagonal.max()), 1e-300)))
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
     known = values > _SINGULAR

@@ -1,16 +1,16 @@
-"""Whether rotations and positions both support a body rotation that the fit found.
+"""Test of an estimated body rotation against rotations and positions separately.
 
-A body that turns about one axis alone doesn't show a rotation about that axis by its rotations:
-positions alone do, and there a drift of attitude that positions don't share looks the same. An
-estimate with mirrored axes is the other way round: a rotation explains its rotations and makes its
-positions worse. Each kind of rows is therefore asked what the rotation gains it, by Huber's cost
-rho of its residuals in the best fits without and with the rotation:
+If the body rotates about one axis only, its rotations do not determine a rotation about that axis.
+Positions do, but attitude drift has the same effect on them. Mirrored axes have the opposite
+effect: a rotation reduces the rotation residuals and increases the position residuals. Therefore
+the gain of the rotation is computed for both groups of rows, with Huber's cost rho of the
+residuals in the best fits without and with the rotation:
 
     gain = 1 - sum rho(with) / sum rho(without)
 
-On simulated flights with right bodies, gains of rotation rows are below 0.01 wherever the fit
-finds a rotation; with a rotation of 3 deg or more they are above 0.12, unless it is about the only
-axis. Mirrored axes cost the positions a gain below -3, real rotations at most -0.2.
+On simulated flights with correct bodies, gains of rotation rows are below 0.01 whenever the fit
+has a rotation. With a true rotation of at least 3 deg they are above 0.12, unless it is about the
+only axis. Mirrored axes have position gains below -3, true rotations at least -0.2.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ POSITIONS_WORSE = (
 
 @dataclass(frozen=True)
 class RowGains:
-    """The share of the cost that a body rotation takes from each kind of rows; below 0 it adds."""
+    """Relative reduction (negative: increase) of the cost by a body rotation, by group of rows."""
 
     rotation: float
     position: float
 
 
 def row_gains(increments: Increments, solution: CalibrationFit) -> RowGains | None:
-    """Return the gains of the rotation of a solution, fitted with rotations on both sides.
+    """Return the gains of a solution's rotation, for orientations on both sides.
 
-    None if there is no fit without the rotation.
+    None if the fit without the rotation fails.
     """
     rest = {name: axes for name, axes in solution.free.items() if name != "turn"}
     none = dataclasses.replace(solution.fit.unknowns, turn=np.eye(3))
@@ -67,13 +67,13 @@ def row_gains(increments: Increments, solution: CalibrationFit) -> RowGains | No
 def supported_by_both(
     turn: Parameter, increments: Increments, solution: CalibrationFit, systematic_rad: float
 ) -> Parameter:
-    """Return the verdict on a body rotation, `insignificant` if one kind of rows contradicts it.
+    """Return the verdict on a body rotation: `insignificant` if one group of rows contradicts it.
 
     Args:
-        turn: The verdict by all rows together.
-        increments: What it was fitted to.
+        turn: The verdict from all rows together.
+        increments: The data.
         solution: The fit.
-        systematic_rad: Standard deviation of what no run shows of itself.
+        systematic_rad: Standard deviation of systematic errors, rad.
     """
     if not turn.is_significant:
         return turn
@@ -92,9 +92,9 @@ def supported_by_both(
 def _by_rotations_alone(
     increments: Increments, solution: CalibrationFit, systematic_rad: float
 ) -> float:
-    """Return how often chance gives the rotation that rotation rows alone tell.
+    """Return the p-value of the rotation from rotation rows alone.
 
-    Along the directions that they show: about others their noise looks like a rotation.
+    Only observable directions are tested; noise along the others looks like a rotation.
     """
     basis = basis_of({"turn": np.eye(3)})
     alone = fit(increments, solution.fit.unknowns, basis, (ROTATION,))

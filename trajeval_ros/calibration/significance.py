@@ -1,4 +1,4 @@
-"""What may be said of an estimated parameter: observable, precise, and not there by chance."""
+"""Verdicts on estimated parameters: observability, precision and significance."""
 
 from __future__ import annotations
 
@@ -15,28 +15,27 @@ SIGNIFICANT, INSIGNIFICANT, WEAK, UNOBSERVABLE = (
     "weak",
     "unobservable",
 )
-# Of a normal deviate, beyond three standard deviations.
+# Two-sided p-value of three standard deviations.
 CHANCE = 0.0027
-# Skews of real recordings are surer of themselves than they should be.
+# Standard deviations of skews are too small on real recordings.
 CHANCE_OF_SKEW = 0.0001
 _NAMED_AXIS = 0.97
 
 
 @dataclass(frozen=True, eq=False)
 class Parameter:
-    """An estimated parameter and what may be said of it.
+    """An estimated parameter with its verdict.
 
     Attributes:
-        value: (k,): seconds; seconds per second; a rotation vector, rad; or metres. None if
-            nothing is known.
-        sigma: (k,), standard deviations; None if nothing is known, NaN of a component of which
-            a direction that can't be seen makes a part.
-        half_width_95: (k,), of the 95 % interval; NaN likewise.
-        reliability: (k,), of the principal directions; empty if nothing is known.
-        status: `significant`, `insignificant`, `weak` (less precise than is of use) or
+        value: (k,): s; s/s; a rotation vector, rad; or metres. None if unknown.
+        sigma: (k,), standard deviations; None if unknown; NaN for components with a part along an
+            unobservable direction.
+        half_width_95: (k,), half widths of 95 % intervals; NaN likewise.
+        reliability: (k,), of the principal directions; empty if unknown.
+        status: `significant`, `insignificant`, `weak` (less precise than useful) or
             `unobservable`.
-        reason: Why, as the end of a sentence.
-        chance: How often as much would be seen if there were nothing; None if nothing is known.
+        reason: The reason for the status, as the end of a sentence.
+        chance: p-value of the hypothesis that the parameter is zero; None if unknown.
     """
 
     value: Floats | None
@@ -49,17 +48,17 @@ class Parameter:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it is observable, precise, and there."""
+        """Whether it is observable, precise and significantly different from zero."""
         return self.status == SIGNIFICANT
 
     @property
     def seen(self) -> int:
-        """Number of principal directions that can be seen: the degrees of freedom of the value."""
+        """Number of observable directions: the degrees of freedom of the value."""
         return int(np.count_nonzero(self.reliability >= LEAST_RELIABILITY))
 
 
 def unobservable(reason: str, reliability: Floats | None = None) -> Parameter:
-    """Return the verdict on what can't be seen."""
+    """Return the verdict on an unobservable parameter."""
     none = np.empty(0)
     return Parameter(
         None, None, None, none if reliability is None else reliability, UNOBSERVABLE, reason
@@ -78,37 +77,37 @@ def judge(
     chance: float = CHANCE,
     whole: bool = False,
 ) -> Parameter:
-    """Judge a parameter by its observable directions.
+    """Return the verdict on a parameter from its observable directions.
 
     Args:
         value: (k,).
-        covariance: (k, k), by what the run itself shows.
-        systematic: Standard deviation of what no run shows of itself. It counts against
-            significance, not against precision.
-        found: Its principal directions.
-        blocks: Number of blocks that the covariance is from.
-        widest: Half width of a 95 % interval beyond which a value is of no use.
-        unit: Of the value and of `widest`, for the sentence: `s`, `rad`, `m`, ...
-        chance: The largest probability of chance that is taken for significance.
-        whole: Whether it means nothing unless all directions are observable.
+        covariance: (k, k), from the run.
+        systematic: Standard deviation of systematic errors, which a run does not reveal. It
+            reduces the significance, not the stated precision.
+        found: The principal directions.
+        blocks: Number of blocks of the covariance.
+        widest: Largest useful half width of a 95 % interval.
+        unit: Unit of `value` and `widest`, for messages: `s`, `rad`, `m`, ...
+        chance: Largest p-value that counts as significant.
+        whole: Whether the parameter needs all directions to be observable.
     """
     from scipy.special import stdtrit
 
     quantile = float(stdtrit(blocks - 1, 0.975))
     axes = found.directions[found.seen]
-    hidden = ", ".join(_axis(each) for each in found.directions[~found.seen])
+    hidden = ", ".join(map(_axis, found.directions[~found.seen]))
     if whole and hidden:
         return unobservable(f"not observable about {hidden} in this motion", found.reliability)
     if not len(axes):
         best = float(found.reliability.max())
         why = f"not observable in this motion (reliability {best:.2f}, required 0.5)"
         return unobservable(why, found.reliability)
-    # Directions that can't be seen stay zero and play no part in the test.
+    # Unobservable directions are zero and not tested.
     shown = axes @ covariance @ axes.T
     within = shown + systematic**2 * np.eye(len(axes))
     by_chance = chance_of(axes @ value, within, blocks)
     sigma = np.sqrt(np.maximum(np.diag(axes.T @ within @ axes), 0.0))
-    # What a hidden direction adds to a component could be anything.
+    # Components along unobservable directions have an unknown error.
     sigma[np.linalg.norm(axes, axis=0) <= _NAMED_AXIS] = np.nan
     half_width = quantile * float(np.sqrt(np.linalg.eigvalsh(shown)[-1]))
     if half_width > widest:
@@ -123,12 +122,12 @@ def judge(
 
 
 def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:
-    """Return how often a value as far from zero would be seen if there were nothing (Wald's F).
+    """Return the p-value of a value under the hypothesis that it is zero (Wald's F test).
 
     Args:
         value: (k,).
         covariance: (k, k).
-        blocks: Number of blocks that the covariance is from.
+        blocks: Number of blocks of the covariance.
     """
     from scipy.special import fdtrc
 
@@ -137,8 +136,8 @@ def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:
 
 
 def _axis(direction: Floats) -> str:
-    """Return an axis by name, or its components."""
+    """Return the name of an axis, or its components."""
     largest = int(np.abs(direction).argmax())
     if abs(direction[largest]) > _NAMED_AXIS:
         return "xyz"[largest]
-    return "(" + " ".join(f"{each:.2f}" for each in direction) + ")"
+    return "(" + " ".join(f"{component:.2f}" for component in direction) + ")"

@@ -1,4 +1,4 @@
-"""Which directions are fitted: all that can be seen and have standard deviations."""
+"""Choice of the fitted directions: all that are observable and have standard deviations."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _NO_BODY = (
 
 @dataclass(frozen=True, eq=False)
 class CalibrationFit:
-    """A fit, what its directions are worth, and what was left out to have standard deviations.
+    """A fit with the observability of its directions.
 
     Attributes:
         fit: The fit.
-        found: The directions of each parameter, fitted or not.
-        free: Of each fitted parameter, the directions that were free, as rows.
-        left_out: A sentence; empty if nothing was.
+        found: The directions of every parameter, fitted or not.
+        free: The free directions of every fitted parameter, as rows.
+        left_out: A sentence about parameters that are not fitted; empty if there are none.
     """
 
     fit: Fit
@@ -49,7 +49,7 @@ class CalibrationFit:
 
 
 def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationFit | None:
-    """Fit all that can be seen; None where not even the offset has a standard deviation."""
+    """Fit all observable parameters; None if even the offset has no standard deviation."""
     if len(increments) < _FEWEST_PAIRS:
         return None
     about_z = not gauge.turns_freely
@@ -61,14 +61,14 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
         free["lever"] = np.eye(3)
     if gauge.has_scale:
         free["scale"] = np.eye(1)
-    # The worlds' rotation is none of the body's, and is needed as long as there is a run at all.
+    # The rotation between the worlds is no property of the body and is always fitted.
     body = {"turn", "lever"} if increments.has_turns else {"lever"}
-    held = {name: each for name, each in free.items() if name not in body}
+    held = {name: axes for name, axes in free.items() if name not in body}
     attempts = [(free, ""), (held, _NO_BODY)]
     if with_skew:
         attempts = [({**free, "skew": np.eye(1)}, ""), (free, _NO_SKEW), (held, _NO_BODY)]
-    for each, left_out in attempts:
-        solution = _settle(increments, begin, each)
+    for chosen, left_out in attempts:
+        solution = _settle(increments, begin, chosen)
         if solution is not None:
             return dataclasses.replace(solution, left_out=left_out)
     return None
@@ -77,7 +77,7 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
 def _settle(
     increments: Increments, begin: Unknowns, free: dict[str, Floats]
 ) -> CalibrationFit | None:
-    """Fit, hold the directions that can't be seen, and fit again from the start."""
+    """Fit, fix the unobservable directions, and repeat from the start."""
     hidden: dict[str, Directions] = {}
     solution = None
     while free:
@@ -89,9 +89,9 @@ def _settle(
         found = observability(increments, fitted)
         solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
         worse = {
-            name: each
-            for name, each in found.items()
-            if name in free and name not in hidden and not each.seen.all()
+            name: directions
+            for name, directions in found.items()
+            if name in free and name not in hidden and not directions.seen.all()
         }
         if not worse:
             return solution
