@@ -1,6 +1,7 @@
-"""Whether an estimator is as sure as it should be: covariances in the gauge of the errors.
+"""Consistency tests: do the errors fit the estimator's covariances, in the gauge of the errors?
 
-A covariance lives in a gauge, and errors live in that of the alignment. The normalised
-estimation error squared (NEES) of one with the covariance of the other accuses honest
-estimators and acquits bad ones; here every covariance is first brought to the alignment's gauge.
+A covariance belongs to a gauge, and so do errors, to that of the alignment. The normalised
+estimation error squared (NEES) of errors in one gauge with covariances of another is invalid: it
+rejects consistent estimators and accepts others. Here covariances are first transformed to the
+alignment's gauge.
 """

@@ -1,4 +1,4 @@
-"""Which covariances of an estimate are to be judged, and how to read them."""
+"""Request for a consistency test: source and convention of the covariances."""
 
 from __future__ import annotations
 
@@ -20,18 +20,21 @@ FRAMES = ("world", "body")
 
 @dataclass(frozen=True, eq=False)
 class CovarianceRequest:
-    """Where covariances come from, and what they are of.
+    """Source and convention of the covariances to test.
 
     Attributes:
-        source: `none`, `message` for those of each pose, or `joint` for one of all poses.
+        source: `none`, `message` for covariances of single poses, or `joint` for all poses.
         joint: The joint covariance.
-        name: What the joint covariance is called, such as its file's name.
+        name: Name of the joint covariance, such as its file's name.
         rotation_frame: Axes of rotation errors in messages: `world`, as ROS defines them, or
             `body`.
         groundtruth_noise: Standard deviations of groundtruth positions (m) and rotations (deg);
             None for exact groundtruth.
         marker_lever_m: Position of the marker in the body, metres, if the groundtruth was
             measured at the marker and moved to the body; None if it was measured at the body.
+
+    Raises:
+        SettingsError: Unknown or contradictory settings.
 
     Example:
         >>> from trajeval_ros import CovarianceRequest, Request
@@ -47,11 +50,7 @@ class CovarianceRequest:
     marker_lever_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, or nothing together.
-
-        Raises:
-            SettingsError: It does.
-        """
+        """Refuse unknown and contradictory settings."""
         if self.source not in SOURCES or (self.source == "joint") != (self.joint is not None):
             raise SettingsError(
                 f"the covariance source must be one of {', '.join(SOURCES)}, not "
@@ -76,12 +75,12 @@ class CovarianceRequest:
                 )
 
     def about_world(self, estimate: Trajectory) -> Trajectory:
-        """Return the estimate as it was read with rotation covariances about the world's axes.
+        """Return the estimate, as it was read, with rotation covariances about the world's axes.
 
-        All that moves poses (lever arms, up axes, alignments) takes them to be so.
+        All later conversions (lever arms, up axes, alignments) assume these axes.
 
         Raises:
-            InputError: They are about the body's axes, which nothing tells.
+            InputError: They are about the body's axes, and the estimate has no orientations.
         """
         if self.rotation_frame == "world" or estimate.covariances is None:
             return estimate
@@ -100,5 +99,5 @@ class CovarianceRequest:
 
     @property
     def once_turned(self) -> CovarianceRequest:
-        """What to ask for once `about_world` has turned the estimate's."""
+        """The request after `about_world` has been applied."""
         return replace(self, rotation_frame="world")

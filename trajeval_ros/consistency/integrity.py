@@ -1,7 +1,7 @@
 """Protection levels from covariances, and whether errors exceed them.
 
-A protection level is what an error of the stated covariance exceeds with a stated probability, the
-risk. Beside an alert limit, what the user can bear, each pose falls into one of five areas of the
+A protection level is exceeded by errors of the stated covariance with a given probability, the
+risk. With an alert limit, the largest acceptable error, every pose is in one of five areas of the
 Stanford diagram (Tossaint et al., "The Stanford - ESA integrity diagram", 2007).
 """
 
@@ -23,7 +23,7 @@ DEFAULT_RISK = 1e-5
 AREAS = ("nominal", "unavailable", "misleading", "hazardous", "misleading_unavailable")
 _CONFIDENCE = 0.95
 _INFLATION_SHARE = 0.999
-# Rows and columns of the errors and covariances; dimensions of a protection level.
+# Rows and columns of errors and covariances.
 _PARTS = {"horizontal": slice(0, 2), "vertical": slice(2, 3), "heading": slice(5, 6)}
 
 
@@ -32,9 +32,12 @@ class IntegrityRequest:
     """Largest acceptable errors, and the probability of larger ones without an alert.
 
     Attributes:
-        alert_limit_m: Of horizontal and of vertical errors.
-        alert_limit_deg: Of the heading; None to leave that out.
-        risk: Probability that an error may exceed its protection level.
+        alert_limit_m: Limit of horizontal and of vertical errors, metres.
+        alert_limit_deg: Limit of the heading error, degrees; None for none.
+        risk: Probability that an error exceeds its protection level.
+
+    Raises:
+        SettingsError: A limit is not positive, or the risk is no probability.
     """
 
     alert_limit_m: float
@@ -42,14 +45,10 @@ class IntegrityRequest:
     risk: float = DEFAULT_RISK
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing.
-
-        Raises:
-            SettingsError: A limit that isn't above zero, or a risk that is no probability.
-        """
+        """Refuse limits that are not positive, and risks that are no probability."""
         limits = [self.alert_limit_m]
         limits += [] if self.alert_limit_deg is None else [self.alert_limit_deg]
-        if not all(0.0 < each < math.inf for each in limits):
+        if not all(0.0 < limit < math.inf for limit in limits):
             raise SettingsError(
                 "the alert limit must be greater than zero, in metres and, for the heading, in "
                 "degrees, as in --alert-limit 0.5,2"
@@ -64,18 +63,18 @@ class PartIntegrity:
 
     Attributes:
         part: `horizontal`, `vertical` or `heading`.
-        unit: Of errors, levels and limit: m or deg.
+        unit: Unit of errors, levels and limit: m or deg.
         alert_limit: Largest acceptable error.
-        errors: (N,), sizes.
+        errors: (N,), magnitudes.
         levels: (N,), protection levels.
-        areas: Share of the poses in each of `AREAS`; they sum up to 1.
-        episodes: How often poses in a row entered each area.
-        availability: Share with a level within the limit.
-        bounded: Share with an error within its level.
+        areas: Share of the poses in every area of `AREAS`; the sum is 1.
+        episodes: Number of times that consecutive poses entered an area.
+        availability: Share of poses with a level within the limit.
+        bounded: Share of poses with an error within the level.
         effective: Effective number of independent poses, since successive errors are correlated.
-        hazardous_95: Interval of the hazardous share, by the effective number.
-        inflation: Factor on the levels that bounds 99.9 % of the errors.
-        time_to_alert: From errors beyond the limit to an alert.
+        hazardous_95: 95 % interval of the hazardous share for the effective number.
+        inflation: Factor of the levels for which they bound 99.9 % of the errors.
+        time_to_alert: Times from errors beyond the limit to an alert.
     """
 
     part: str
@@ -98,10 +97,10 @@ class Integrity:
     """Protection levels of an estimate, and whether its errors exceed them.
 
     Attributes:
-        risk: Probability that an error exceeds its protection level.
-        exactness: Of the covariances, as of `Consistency`: with `bound`, levels are upper bounds,
-            so that misleading poses are certain, and others are not.
-        parts: Horizontal, vertical, and heading if asked for.
+        risk: Risk of the protection levels.
+        exactness: As in `Consistency`. With `bound`, levels are upper bounds: misleading poses are
+            confirmed, others are not.
+        parts: Horizontal, vertical, and heading if requested.
     """
 
     risk: float
@@ -110,10 +109,10 @@ class Integrity:
 
 
 def protection_levels(covariances: Floats, risk: float) -> Floats:
-    """Return the protection levels (N,) of covariances (N, d, d).
+    """Return the protection levels (N,) for covariances (N, d, d).
 
-    The error is taken along the axis of the largest variance in all d directions: an upper bound
-    of the exact quantile of the quadratic form, and equal to it where variances are.
+    The largest eigenvalue is used for all d directions. This is an upper bound of the exact
+    quantile of the quadratic form, and exact for equal eigenvalues.
     """
     largest = np.linalg.eigvalsh(covariances)[:, -1]
     levels: Floats = np.sqrt(np.maximum(largest, 0.0) * chi2.isf(risk, covariances.shape[-1]))
@@ -129,10 +128,10 @@ def integrity_of(
     """Compare errors with protection levels, both in the gauge of the alignment.
 
     Args:
-        consistency: Errors and their covariances, groundtruth noise included.
+        consistency: Errors and their covariances, including groundtruth noise.
         request: Limits and risk.
-        stamps: (N,) of the pairs, ns.
-        warnings: First and last stamps of warnings from elsewhere, which are alerts, too.
+        stamps: (N,) timestamps of the pairs, nanoseconds.
+        warnings: First and last timestamps of other warnings, which count as alerts.
 
     Raises:
         InputError: There are no covariances of single poses.
@@ -142,7 +141,7 @@ def integrity_of(
             "integrity needs the covariance of every pose, and the run is too long to compute "
             "them from the joint covariance; use --covariance message, or a shorter run"
         )
-    # Without the pose that the alignment has made exact.
+    # Without a pose that the alignment makes exact.
     judged = np.isfinite(consistency.nees)
     parts = []
     for name, rows in _PARTS.items():
@@ -163,6 +162,7 @@ def integrity_of(
 def _part(
     part: str, unit: str, limit: float, errors: Floats, levels: Floats, alerts: TimeToAlert
 ) -> PartIntegrity:
+    """Return the statistics of errors (N,) and levels (N,) of one part."""
     bounded, available, bearable = errors <= levels, levels <= limit, errors <= limit
     areas: dict[str, Booleans] = {
         "nominal": bounded & available,
@@ -180,10 +180,10 @@ def _part(
         alert_limit=limit,
         errors=errors,
         levels=levels,
-        areas={name: float(each.mean()) for name, each in areas.items()},
+        areas={name: float(mask.mean()) for name, mask in areas.items()},
         episodes={
-            name: int(np.count_nonzero(np.diff(each.astype(np.int8), prepend=0) > 0))
-            for name, each in areas.items()
+            name: int(np.count_nonzero(np.diff(mask.astype(np.int8), prepend=0) > 0))
+            for name, mask in areas.items()
         },
         availability=float(available.mean()),
         bounded=float(bounded.mean()),
@@ -195,9 +195,10 @@ def _part(
 
 
 def effective_number(values: Floats) -> float:
-    """Return the effective number of independent values, for the mean of correlated ones.
+    """Return the effective number of independent values of an autocorrelated series (N,).
 
-    N / (1 + 2 sum of autocorrelations), summed until they vanish (Geyer's initial sequence).
+    N / (1 + 2 sum of autocorrelations), summed up to the first that is not positive (Geyer's
+    initial sequence).
     """
     count = len(values)
     centred = values - values.mean()
@@ -207,12 +208,12 @@ def effective_number(values: Floats) -> float:
     spectrum = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
     correlation = np.fft.irfft(spectrum)[:count] / energy
     vanished = np.flatnonzero(correlation <= 0.0)
-    some = correlation[1 : vanished[0] if len(vanished) else count]
-    return float(min(max(count / (1.0 + 2.0 * some.sum()), 1.0), count))
+    positive = correlation[1 : vanished[0] if len(vanished) else count]
+    return float(min(max(count / (1.0 + 2.0 * positive.sum()), 1.0), count))
 
 
 def share_interval(share: float, effective: float) -> tuple[float, float]:
-    """Return the 95 % interval of a share of so many independent poses: Clopper and Pearson."""
+    """Return the 95 % interval of a share of independent poses (Clopper and Pearson)."""
     hits, tail = share * effective, 0.5 * (1.0 - _CONFIDENCE)
     low = 0.0 if hits <= 0.0 else float(beta.ppf(tail, hits, effective - hits + 1.0))
     high = 1.0 if share >= 1.0 else float(beta.isf(tail, hits + 1.0, effective - hits))

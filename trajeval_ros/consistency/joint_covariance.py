@@ -1,4 +1,4 @@
-"""The covariance of all poses of a run together, as an estimator can give it."""
+"""The joint covariance of all poses of a run."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import Trajectory
 
 BLOCKS = {"p,phi": 6, "p,phi,v": 9}
-# Farther apart, a pose of the file and one of the trajectory are not the same.
+# Largest differences between a pose of the file and of the trajectory.
 _SAME_POSITION_M, _SAME_ROTATION_RAD = 1e-4, 1e-4
 _ASYMMETRY = 1e-6
-# Of an information matrix along its gauge, relative to its diagonal.
+# Largest information along the gauge, relative to the diagonal.
 _LEFT_IN_GAUGE = 1e-6
-# A dense inverse of more rows takes longer than anyone waits for a diagnostic.
+# Largest number of rows of a dense inverse; more take too long.
 MOST_DENSE = 3000
-# Entries farther from the diagonal make few blocks, which is as slow.
+# Largest bandwidth; the elimination of wider bands takes as long as a dense one.
 _WIDEST_BAND = 1500
 
 
@@ -34,13 +34,13 @@ class JointCovariance:
 
     Attributes:
         stamps: (N,) int64, nanoseconds.
-        positions: (N, 3), metres, of the estimate that it belongs to.
-        quaternions: (N, 4), xyzw.
-        block: 6 for position and rotation, 9 with velocity.
+        positions: (N, 3), metres, of the estimate.
+        quaternions: (N, 4), xyzw, of the estimate.
+        block: d: 6 for position and rotation, 9 with velocity.
         covariance: (N d, N d), or None.
-        information: (N d, N d), sparse, landmarks and all else eliminated, or None.
+        information: (N d, N d), sparse, all other parameters eliminated, or None.
         gauge: `free` for an information matrix of rank N d - 4, without a prior on position and
-            yaw; otherwise only informative.
+            yaw; other values have no effect.
 
     Example:
         >>> import numpy as np
@@ -61,7 +61,7 @@ class JointCovariance:
     gauge: str = "unknown"
 
     def require_sound(self) -> None:
-        """Raise InputError, in one sentence, if this can't be a covariance of these poses."""
+        """Raise InputError if the matrix cannot be a covariance of these poses."""
         matrix = self.covariance if self.information is None else self.information
         what = "covariance" if self.information is None else "information matrix"
         if matrix is None:
@@ -92,10 +92,10 @@ class JointCovariance:
             self._require_free_gauge()
 
     def rows_of(self, trajectory: Trajectory) -> Indices:
-        """Return which of its poses (M,) the M poses of a trajectory are.
+        """Return the rows (M,) of a trajectory's M poses, by timestamp.
 
         Raises:
-            InputError: A pose of the trajectory is missing, or is another one.
+            InputError: A pose of the trajectory is missing, or has another position or rotation.
         """
         order = np.argsort(self.stamps, kind="stable")
         place = np.searchsorted(self.stamps[order], trajectory.stamps)
@@ -121,14 +121,14 @@ class JointCovariance:
 
     @property
     def is_dense(self) -> bool:
-        """Whether a dense covariance is at hand, or can be had in reasonable time."""
+        """Whether a dense covariance is available, or can be computed in reasonable time."""
         return self.covariance is not None or len(self.stamps) * self.block <= MOST_DENSE
 
     def pose_covariance(self, rows: Indices) -> Floats:
         """Return the covariance (6M, 6M) of position and rotation of some poses, in some gauge.
 
         Raises:
-            InputError: The information leaves more open than the gauge.
+            InputError: The information is singular beyond the gauge.
         """
         covariance = self._inverse() if self.covariance is None else self.covariance
         index = self.pose_rows(rows)
@@ -136,11 +136,12 @@ class JointCovariance:
         return selected
 
     def pose_rows(self, rows: Indices) -> Indices:
-        """Return the rows (6M,) of position and rotation of some poses."""
+        """Return the matrix rows (6M,) of position and rotation of some poses."""
         index: Indices = (rows[:, None] * self.block + np.arange(6)).ravel()
         return index
 
     def _inverse(self) -> Floats:
+        """Return the dense inverse of the information, in some gauge."""
         assert self.information is not None
         try:
             factor = scipy.linalg.cho_factor(self._held().toarray(), lower=True)
@@ -150,10 +151,10 @@ class JointCovariance:
         return inverse
 
     def banded(self) -> BandedGaussian | None:
-        """Return the factors of the information, in some gauge; None where it isn't banded.
+        """Return the factors of the information, in some gauge; None if it is not banded.
 
         Raises:
-            InputError: The information leaves more open than the gauge.
+            InputError: The information is singular beyond the gauge.
         """
         assert self.information is not None
         if bandwidth(self.information) > _WIDEST_BAND:
@@ -164,17 +165,18 @@ class JointCovariance:
             raise self._indefinite() from None
 
     def _held(self) -> scipy.sparse.csr_matrix:
-        """Return the information with a prior on what it leaves open."""
+        """Return the information with a prior along a free gauge."""
         assert self.information is not None
         if self.gauge != "free":
             return self.information
-        # Any prior on position and yaw of a pose will do: the alignment takes it out again.
+        # Any prior on position and yaw of one pose will do, because the alignment removes it.
         held = [0, 1, 2, 5]
         prior = np.zeros(self.information.shape[0])
         prior[held] = self.information.diagonal()[held]
         return (self.information + scipy.sparse.diags(prior)).tocsr()
 
     def _indefinite(self) -> InputError:
+        """Return the error for a matrix that is not positive definite."""
         return InputError(
             "the joint information matrix is not positive definite"
             + (" except for position and yaw" if self.gauge == "free" else "")
@@ -182,7 +184,7 @@ class JointCovariance:
         )
 
     def _require_free_gauge(self) -> None:
-        """An information matrix of the free gauge must know nothing of translations."""
+        """Refuse an information matrix with gauge free that constrains translations."""
         assert self.information is not None
         shifts = orbit_basis(Gauge.YAW, np.zeros((len(self.stamps), 3)))[:, :3, 1:]
         padding = ((0, 0), (0, self.block - 3), (0, 0))

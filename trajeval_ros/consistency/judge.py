@@ -1,4 +1,4 @@
-"""Judge the covariances of an evaluated estimate."""
+"""Consistency test of an evaluated estimate."""
 
 from __future__ import annotations
 
@@ -19,22 +19,20 @@ from trajeval_ros.metrics.evaluation import Evaluation
 
 
 def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
-    """Judge whether the errors of an evaluation fit the estimate's covariances.
+    """Test whether the errors of an evaluation fit the estimate's covariances.
 
-    Covariances are of the estimate at its own stamps and, from messages, perhaps about the body's
-    axes; both are undone here: the time offset is taken off, and axes are turned. Where a lever
-    arm or another up axis moves the estimate, `CovarianceRequest.about_world` has to come before
-    that, as in `run`.
+    Covariances are of the estimate at its own timestamps. The time offset is therefore subtracted.
+    Covariances about the body's axes are converted to the world's. If a lever arm or another up
+    axis is applied to the estimate, call `CovarianceRequest.about_world` before, as `run` does.
 
     Args:
-        evaluation: With paired states, and covariances of the estimate where `request` asks for
-            those of messages.
-        request: Which covariances; its source isn't `none`.
+        evaluation: Paired states, with covariances of the estimate for source `message`.
+        request: Source of the covariances, not `none`.
 
     Raises:
-        InputError: Covariances that say nothing, or are of other poses.
-        SettingsError: An alignment that covariances can't be brought to.
-        DegenerateGeometryError: States that don't determine the alignment.
+        InputError: The covariances are unknown, or belong to other poses.
+        SettingsError: Covariances cannot be transformed to the gauge of the alignment.
+        DegenerateGeometryError: The states do not determine the alignment.
 
     Example:
         >>> import numpy as np
@@ -67,6 +65,7 @@ def judge(evaluation: Evaluation, request: CovarianceRequest) -> Consistency:
 
 
 def _aligned(evaluation: Evaluation, request: CovarianceRequest) -> Aligned:
+    """Return the aligned states of an evaluation at the estimate's own timestamps."""
     protocol, pairs = evaluation.protocol, evaluation.association
     if protocol.align_weights != "none":
         raise SettingsError(

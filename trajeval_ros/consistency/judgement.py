@@ -1,4 +1,4 @@
-"""What a run's covariances and errors say about the estimator, and what they can't say."""
+"""Tests of a joint covariance and of covariances of single poses."""
 
 from __future__ import annotations
 
@@ -52,23 +52,22 @@ from trajeval_ros.geometry.gauge import POSE_DOF, Gauge
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# The first pose's own uncertainty, relative to the largest, that counts as none.
+# Largest uncertainty of the first pose relative to the largest one that counts as none.
 _NEGLIGIBLE = 1e-4
 _UNCOUPLED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Pairs of states and how they were aligned.
+    """Paired states and their alignment.
 
     Attributes:
         groundtruth: N states.
         estimate: N states, paired with them, in their own frame.
         similarity: The alignment.
-        gauge: What it could change.
-        states: By how many states, 1 for the first; None for all.
-        noise: (N, 6, 6), covariances of the groundtruth's own errors, m^2 and rad^2; None for
-            none.
+        gauge: Its gauge.
+        states: Number of aligned states, 1 for the first; None for all.
+        noise: (N, 6, 6), covariances of the groundtruth's errors, m^2 and rad^2; None for none.
     """
 
     groundtruth: Trajectory
@@ -79,12 +78,12 @@ class Aligned:
     noise: Floats | None = None
 
     def transformation(self) -> STransformation:
-        """Return the S-transformation into the alignment's gauge.
+        """Return the S-transformation to the alignment's gauge.
 
         Raises:
-            InputError: States without orientations, or a single one.
-            SettingsError: A gauge that covariances can't be brought into.
-            DegenerateGeometryError: The states don't determine the alignment.
+            InputError: States without orientations, or fewer than two.
+            SettingsError: The gauge has no transformation of covariances.
+            DegenerateGeometryError: The states do not determine the alignment.
         """
         if len(self.estimate) < 2:
             raise InputError("the consistency test needs at least two pairs")
@@ -92,25 +91,25 @@ class Aligned:
         return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
     def errors(self) -> Floats:
-        """Return the errors (N, 6)."""
+        """Return the errors (N, 6), position (m) and rotation (rad)."""
         return errors_of(self.groundtruth, self.similarity.trajectory(self.estimate))
 
     @property
     def first_with_nees(self) -> int:
-        """1 where the alignment takes the first pose's errors away, else 0."""
+        """1 if the alignment makes the first pose exact, else 0."""
         return 1 if self.states == 1 and self.gauge is not Gauge.NONE else 0
 
 
 def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> Consistency:
-    """Judge a run by the covariance of all its poses together: exact in every gauge.
+    """Test a run with the joint covariance of all poses: exact in every gauge.
 
     Args:
-        aligned: The run; stamps are those of the covariance.
-        covariance: Of this estimate.
-        source: What it is called.
+        aligned: The run; timestamps are those of the covariance.
+        covariance: Joint covariance of this estimate.
+        source: Its name.
 
     Raises:
-        InputError: It is no covariance of these poses, or has too low a rank for the gauge.
+        InputError: It is no covariance of these poses, or its rank is too low for the gauge.
     """
     covariance.require_sound()
     if aligned.gauge is Gauge.NONE and covariance.gauge in ("free", "first4"):
@@ -175,7 +174,7 @@ def _blocks_of_banded(
     similarity: Similarity,
     transformation: STransformation,
 ) -> Floats:
-    """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, of a run of any length."""
+    """Return the poses' own blocks (M, 6, 6) in the alignment's gauge, for runs of any length."""
     turn, seen = turning(similarity, POSE_DOF), covariance.pose_rows(rows)
     columns = np.zeros((len(covariance.stamps) * covariance.block, transformation.orbit.shape[2]))
     columns[seen] = np.swapaxes(transformation.pull @ turn, 1, 2).reshape(len(seen), -1)
@@ -187,15 +186,15 @@ def _blocks_of_banded(
 def judge_marginals(
     aligned: Aligned, *, from_the_start: bool, as_published: bool = False
 ) -> Consistency:
-    """Judge a run by the covariances of single poses, as ROS messages carry them.
+    """Test a run with the covariances of single poses, as in ROS messages.
 
     Args:
         aligned: The run; its estimate has covariances about the world's axes.
-        from_the_start: Whether the first pair's estimate is the first that was published.
-        as_published: Don't bring them into the gauge of the alignment, as ov_eval doesn't.
+        from_the_start: Whether the first pair has the first published estimate.
+        as_published: Do not transform them to the gauge of the alignment, as ov_eval.
 
     Raises:
-        InputError: The covariances say nothing.
+        InputError: The covariances are unknown.
     """
     covariances = aligned.estimate.covariances
     name = aligned.estimate.name or "the estimate"
@@ -204,7 +203,7 @@ def judge_marginals(
             f"{name} has no covariances, or only zeros (unknown); give a joint covariance with "
             "--covariance FILE.npz, or use --covariance none"
         )
-    # Before the covariances, of which those of a single pair would read as all unknown.
+    # Checked first: the covariances of a single pair would look like unknown ones.
     transformation, errors = aligned.transformation(), aligned.errors()
     why = unknown_covariances(covariances)
     if why:
@@ -242,7 +241,7 @@ def judge_marginals(
 
 
 def _in_own_gauge(blocks: Floats, transformation: STransformation) -> tuple[str, Floats]:
-    """Return what may be said in the gauge of the first pose, and the covariances for it."""
+    """Return the statement for the gauge of the first pose, and the covariances for it."""
     initial = initial_uncertainty(blocks, transformation)
     orbit = transformation.orbit[:, :3]
     moved = np.trace(orbit @ initial @ np.swapaxes(orbit, 1, 2), axis1=1, axis2=2).max()
@@ -264,6 +263,7 @@ def _in_own_gauge(blocks: Floats, transformation: STransformation) -> tuple[str,
 
 
 def _nees_by_pose(errors: Floats, blocks: Floats, first: int) -> PoseNees:
+    """Return the NEES of single poses from pose `first` on, NaN before."""
     parts = (slice(0, 6), slice(0, 3), slice(3, 6))
     columns = np.full((len(parts), len(errors)), np.nan)
     try:

@@ -1,7 +1,7 @@
-"""What can be said from the covariance of each pose alone, as ROS messages carry it.
+"""Covariances of single poses, as in ROS messages.
 
-`nav_msgs/Odometry` has no covariance between poses. In the gauge of the estimator's own first
-pose nothing else is needed; in every other gauge only a bound is left.
+`nav_msgs/Odometry` has no covariances between poses. They are sufficient in the gauge of the
+estimator's first pose; in every other gauge only a bound is possible.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
-# Drivers put this, or more, where they know nothing: 1e6 m^2 are a kilometre.
+# Drivers set at least this variance, m^2, for unknown.
 _SENTINEL = 1e6
-# Rounding of a covariance that was written with seven digits.
+# Rounding of covariances with seven digits.
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 
 
 def unknown_covariances(covariances: Floats) -> str:
-    """Return why covariances (N, 6, 6) say nothing, or an empty string.
+    """Return why covariances (N, 6, 6) are unknown or invalid; empty if they are valid.
 
-    Zeros, negative variances, sentinels and what is no covariance at all mean "unknown"; zero is
-    an answer only for poses whose others are known, as in the gauge of the first pose.
+    Zeros, negative variances and sentinels mean "unknown". Only the first pose can have zeros, in
+    the gauge of the first pose.
     """
     if not np.isfinite(covariances).all():
         return "some are not finite"
@@ -44,7 +44,7 @@ def unknown_covariances(covariances: Floats) -> str:
 
 
 def is_covariance(covariances: Floats) -> Booleans:
-    """Whether each of (N, d, d) is symmetric and positive semi-definite, but for rounding."""
+    """Return which matrices (N, d, d) are symmetric and positive semi-definite, up to rounding."""
     units = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     units = np.where(units > 0.0, units, 1.0)
     scaled = covariances / units[:, :, None] / units[:, None, :]
@@ -56,25 +56,25 @@ def is_covariance(covariances: Floats) -> Booleans:
 
 
 def initial_uncertainty(covariances: Floats, transformation: STransformation) -> Floats:
-    """Return the covariance (k, k) of the first pose in the gauge's own directions."""
+    """Return the covariance (k, k) of the first pose along the gauge's directions."""
     gradient = transformation.coefficients[:, :6]
     uncertainty: Floats = gradient @ covariances[0] @ gradient.T
     return uncertainty
 
 
 def without_initial_prior(covariances: Floats, transformation: STransformation) -> Floats:
-    """Take a prior on the first pose's position and yaw out of every pose's covariance.
+    """Remove a prior on the first pose's position and yaw from the covariances of all poses.
 
-    Such a prior adds U P U' to the covariance of the gauge of the first pose, so that marginals
-    suffice to take it off again (measured to 4e-10). It must have been independent of all else,
-    and the first pose its own: a filter that has moved doesn't fulfil that.
+    Such a prior adds U P U' to the covariance in the gauge of the first pose, so that it can be
+    subtracted from marginals (measured to 4e-10). The prior must be independent of everything else
+    and of the first pose. This does not hold for a filter that has moved before.
 
     Args:
-        covariances: (N, 6, 6) of aligned poses, the estimator's very first one included.
-        transformation: Of an alignment by the first state.
+        covariances: (N, 6, 6) of aligned poses, including the estimator's first one.
+        transformation: Transformation of an alignment by the first state.
 
     Raises:
-        InputError: What is left is no covariance, so the prior was none of position and yaw.
+        InputError: The result is no covariance, so that the prior was of another kind.
     """
     prior = initial_uncertainty(covariances, transformation)
     orbit = transformation.orbit[:, :6]
@@ -89,16 +89,16 @@ def without_initial_prior(covariances: Floats, transformation: STransformation) 
 
 
 def upper_bounds(covariances: Floats, transformation: STransformation) -> Floats:
-    """Return covariances (N, 6, 6) of aligned poses that hold whatever their correlations are.
+    """Return upper bounds (N, 6, 6) of the covariances of aligned poses for any correlation.
 
-    Covariance intersection: Cov(a + b) <= Cov(a) / w + Cov(b) / (1 - w) for any w. An aligned
-    pose's error is its own less what the alignment makes of all, and the latter is a sum over
-    poses. NEES with these covariances is a lower bound in expectation: it can show
-    over-confidence, and never confirm consistency.
+    Covariance intersection: Cov(a + b) <= Cov(a) / w + Cov(b) / (1 - w) for any w. The error of an
+    aligned pose is its own error minus the effect of the alignment, which is a sum over all poses.
+    NEES with these bounds is a lower bound in expectation. It can detect overconfidence, but
+    cannot confirm consistency.
 
     Args:
         covariances: (N, 6, 6), of left perturbations of the aligned poses.
-        transformation: Of the alignment.
+        transformation: Transformation of the alignment.
     """
     count, _, open_ = transformation.orbit.shape
     orbit = transformation.orbit[:, :6]
@@ -106,21 +106,21 @@ def upper_bounds(covariances: Floats, transformation: STransformation) -> Floats
         return covariances
     pull = transformation.pull
     shares = pull @ covariances @ np.swapaxes(pull, 1, 2)
-    # How far the gauge moves the poses, squared, is what a share's size is measured by.
+    # The size of a contribution is the squared motion of the poses that it causes.
     metric = np.einsum("nik,nil->kl", orbit[:, :3], orbit[:, :3]) / count
     sizes = np.sqrt(np.maximum(np.einsum("nkl,lk->n", shares, metric), 0.0))
     total = sizes.sum()
     present = sizes > 0.0
     of_alignment = np.einsum("nkl,n->kl", shares[present], total / sizes[present])
     moved = orbit @ of_alignment @ np.swapaxes(orbit, 1, 2)
-    # Any weight is valid. This one compares the two in each coordinate, so that a pose whose
-    # position is certain keeps its uncertain tilt.
-    own, others = (np.diagonal(each, axis1=1, axis2=2) for each in (covariances, moved))
+    # Any weight is valid. This one compares both terms by coordinate, so that a pose with an exact
+    # position keeps its uncertain tilt.
+    own, others = (np.diagonal(blocks, axis1=1, axis2=2) for blocks in (covariances, moved))
     both = np.maximum(own + others, np.finfo(float).tiny)
-    own, others = (np.sqrt((np.maximum(each, 0.0) / both).sum(axis=1)) for each in (own, others))
+    own, others = (np.sqrt((np.maximum(v, 0.0) / both).sum(axis=1)) for v in (own, others))
     weight = np.divide(own, own + others, out=np.ones(count), where=own + others > 0.0)
     weight = weight[:, None, None]
-    # Where one part is nothing the other has all the weight.
+    # If one term is zero, the other has all the weight.
     bound: Floats = np.divide(covariances, weight, out=np.zeros_like(moved), where=weight > 0.0)
     bound += np.divide(moved, 1.0 - weight, out=np.zeros_like(moved), where=weight < 1.0)
     return bound

@@ -1,8 +1,8 @@
-"""Normalised estimation error squared: errors measured by their own covariance.
+"""Normalised estimation error squared (NEES): errors relative to their covariance.
 
-For an honest estimator the joint NEES of a run follows chi-square with as many degrees of
-freedom as the covariance has ranks, in whatever gauge (gauge paper; measured equal to 1e-3).
-The NEES of single poses depends on the gauge, and along a run they are nearly one number: their
+For a consistent estimator the joint NEES of a run has a chi-square distribution, with degrees of
+freedom equal to the rank of the covariance, in any gauge (gauge paper; measured equal to 1e-3).
+The NEES of single poses depends on the gauge. It is strongly correlated along a run, so that its
 mean has few effective degrees of freedom.
 """
 
@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import POSE_DOF
 
-# Squared pivots of a correlation matrix below this are rounding: a direction without variance.
+# Squared pivot of a correlation matrix below which a direction has no variance (rounding).
 _ROUNDING = 1e-13
 _SIGNIFICANCE = 0.05
 
@@ -29,9 +29,8 @@ _SIGNIFICANCE = 0.05
 def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
     """Return e' C^+ e of all states together.
 
-    The covariance's null space is known, it is spanned by the alignment's conditions. With
-    variance filled in there, the matrix is definite, and a Cholesky factor does for the
-    pseudo-inverse.
+    The null space of the covariance is spanned by the conditions of the alignment. With variance
+    added there, the matrix is definite, and a Cholesky factor replaces the pseudo-inverse.
 
     Args:
         errors: (N, d).
@@ -39,14 +38,14 @@ def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
         normals: (N, d, k) of the `STransformation`.
 
     Raises:
-        InputError: The covariance has a lower rank than N d - k.
+        InputError: The rank of the covariance is below N d - k.
     """
     size = errors.size
     conditions = np.linalg.qr(normals.reshape(size, -1))[0]
-    # The conditions hold for finite errors to first order only; what is left of them is not noise.
+    # For finite errors the conditions hold to first order; the remainder is not noise.
     within = errors.ravel() - conditions @ (conditions.T @ errors.ravel())
     variances = np.diagonal(covariance)
-    # A variance of exactly zero belongs to a direction that a condition holds fixed.
+    # A variance of exactly zero belongs to a direction that a condition fixes.
     units = np.sqrt(np.where(variances > 0.0, variances, 1.0))
     null = np.linalg.qr(conditions * units[:, None])[0]
     filled = covariance / units / units[:, None] + null @ null.T
@@ -71,22 +70,21 @@ def joint_nees_by_information(
     noise: Floats | None = None,
     seen: NDArray[np.int64] | None = None,
 ) -> float:
-    """Return the same for an information matrix, sparse, without ever inverting it.
+    """Return the same from a sparse information matrix, without inverting it.
 
     A quadratic form with a pseudo-inverse is a minimum: of d' Lambda d over all errors d of the
-    estimator that the aligned errors leave possible. Open are its velocities, states that were
-    not compared, the directions that the alignment removed, and the groundtruth's own errors.
+    estimator that are compatible with the aligned errors. Free are its velocities, states that
+    were not compared, the directions that the alignment removes, and the groundtruth's errors.
 
     Args:
         errors: (N, 6), position and rotation.
         information: (n, n), of perturbations of the aligned states.
-        extra: (N, 6, j), directions of the alignment's gauge in which the information is not
-            zero: for SE(3) two rotations, for Sim(3) the scale as well; for all of the gauge's
-            directions of an estimator with a prior.
-        noise: (N, 6, 6), covariances of the groundtruth's own errors, or None for perfect
-            groundtruth.
-        seen: (6N,), rows of the information that the errors belong to; by default n = 9N, and
-            position and rotation come first of each nine.
+        extra: (N, 6, j), directions of the alignment's gauge with non-zero information: two
+            rotations for SE(3), also the scale for Sim(3); all directions of the gauge for an
+            estimator with a prior.
+        noise: (N, 6, 6), covariances of the groundtruth's errors, or None for exact groundtruth.
+        seen: (6N,), rows of the information of the errors; by default n = 9N, and position and
+            rotation are the first six of nine.
     """
     size = information.shape[0]
     if seen is None:
@@ -104,7 +102,7 @@ def joint_nees_by_information(
         pull = np.zeros((size, columns.shape[1]))
         pull[seen] = weighted
     if inner.shape[0]:
-        # In the order of time, in which it is banded; it is definite, so nothing needs pivots.
+        # In order of time the matrix is banded; it is definite and needs no pivoting.
         factor = scipy.sparse.linalg.splu(
             inner.tocsc(), permc_spec="NATURAL", options={"SymmetricMode": True}
         )
@@ -136,16 +134,16 @@ def pose_nees(errors: Floats, covariances: Floats) -> Floats:
 def diagonal_blocks(covariance: Floats, block: int) -> Floats:
     """Return the states' own blocks (N, d, d) of a joint covariance (N d, N d)."""
     count = len(covariance) // block
-    each = np.arange(count)
-    blocks: Floats = covariance.reshape(count, block, count, block)[each, :, each]
+    states = np.arange(count)
+    blocks: Floats = covariance.reshape(count, block, count, block)[states, :, states]
     return blocks
 
 
 def effective_dof(covariance: Floats, block: int) -> float:
     """Return Satterthwaite's degrees of freedom of the mean NEES of a run's states.
 
-    n^2 / sum_ij |S_ii^-1/2 S_ij S_jj^-1/2|^2: n if all states were independent, d if all were
-    one. Every block on the diagonal must be definite.
+    n^2 / sum_ij |S_ii^-1/2 S_ij S_jj^-1/2|^2. It is n for independent states and d for identical
+    ones. All blocks on the diagonal must be definite.
     """
     count = len(covariance) // block
     factors = np.linalg.inv(np.linalg.cholesky(diagonal_blocks(covariance, block)))
@@ -155,9 +153,9 @@ def effective_dof(covariance: Floats, block: int) -> float:
 
 
 def chi_square_band(dof: float) -> tuple[float, float]:
-    """Return between what NEES / dof falls in 95 % of honest runs.
+    """Return the interval of NEES / dof that contains 95 % of consistent runs.
 
-    Of the mean over M independent runs, dof is M times that of one.
+    For the mean over M independent runs, dof is M times that of one run.
     """
     low, high = chi2.ppf([0.025, 0.975], dof) / dof
     return float(low), float(high)
@@ -167,16 +165,16 @@ def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = Tru
     """Summarise the NEES of poses.
 
     Args:
-        nees: Of all poses.
-        dof: Of the mean of NEES / 6, where it is known.
-        in_gauge: Whether covariances and errors are in one gauge.
+        nees: NEES of all poses.
+        dof: Degrees of freedom of the mean of NEES / 6; None if unknown.
+        in_gauge: Whether covariances and errors are in the same gauge.
     """
     count = int(np.count_nonzero(np.isfinite(nees.pose)))
-    # Bonferroni: holds whatever the correlations are, and for a bound as well.
+    # Bonferroni bound: valid for any correlation, and for upper bounds of covariances.
     limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, POSE_DOF)) / POSE_DOF
     position, rotation = (
-        PartNees(float(np.nanmean(each)), float(np.nanmax(each)))
-        for each in (nees.position, nees.rotation)
+        PartNees(float(np.nanmean(values)), float(np.nanmax(values)))
+        for values in (nees.position, nees.rotation)
     )
     return PerPose(
         poses=count,

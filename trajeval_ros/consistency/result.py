@@ -1,4 +1,4 @@
-"""What can be said of an estimate's consistency."""
+"""Result of a consistency test."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ BOUND_STATEMENT = (
 
 @dataclass(frozen=True)
 class Joint:
-    """NEES of all poses together: chi-square with `dof` degrees of freedom if honest.
+    """NEES of all poses together; chi-square with `dof` degrees of freedom if consistent.
 
     Attributes:
         nees: e' C^+ e.
         dof: Rank of C.
-        band_95: In which nees / dof falls for 95 % of honest runs.
+        band_95: Interval of nees / dof with 95 % of consistent runs.
     """
 
     nees: float
@@ -43,7 +43,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class PoseNees:
-    """NEES of N poses by their degrees of freedom, NaN where a pose has none.
+    """NEES of N poses per degree of freedom; NaN if a pose has none.
 
     Attributes:
         pose: (N,), NEES / 6.
@@ -58,7 +58,7 @@ class PoseNees:
 
 @dataclass(frozen=True)
 class PartNees:
-    """NEES of single poses by their positions or rotations alone, divided by three.
+    """NEES / 3 of the positions or rotations of single poses.
 
     Attributes:
         mean: Over the poses.
@@ -71,18 +71,18 @@ class PartNees:
 
 @dataclass(frozen=True)
 class PerPose:
-    """NEES of single poses, divided by their six degrees of freedom.
+    """NEES / 6 of single poses.
 
     Attributes:
-        poses: How many have one; an alignment by the first pose leaves that one none.
-        mean: Over the poses.
-        max: Over the poses.
-        limit_95: Which the largest stays under in 95 % of honest runs, however poses correlate;
-            None where covariances are in another gauge than the errors.
-        position: Of positions, by their own block of the covariance.
-        rotation: Of rotations, likewise.
-        effective_dof: Of the mean, out of 6 times the poses; None where it can't be known.
-        band_95: In which the mean falls for 95 % of honest runs; None where it can't be known.
+        poses: Number of poses with a NEES; an alignment by the first pose leaves it without one.
+        mean: Mean over the poses.
+        max: Maximum over the poses.
+        limit_95: Limit of the maximum for 95 % of consistent runs and any correlation; None if
+            covariances and errors are in different gauges.
+        position: NEES of positions, from their block of the covariance.
+        rotation: NEES of rotations, likewise.
+        effective_dof: Effective degrees of freedom of the mean, of 6 per pose; None if unknown.
+        band_95: Interval of the mean with 95 % of consistent runs; None if unknown.
     """
 
     poses: int
@@ -97,20 +97,20 @@ class PerPose:
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Whether an estimate is as sure as it should be.
+    """Result of a consistency test.
 
     Attributes:
-        gauge: Of the alignment, and so of errors and covariances.
+        gauge: Gauge of the alignment, of the errors and of the covariances.
         covariance_source: `message`, or the joint covariance's file.
-        exactness: `exact`, `bound` where correlations are unknown, or `as published` where
-            covariances were not brought into the gauge.
-        statement: What may be claimed, in a sentence.
+        exactness: `exact`, `bound` if correlations are unknown, or `as published` if covariances
+            were not transformed to the gauge.
+        statement: What the result proves, in one sentence.
         verdict: `consistent`, `over-confident`, `under-confident` or `undecided`.
         joint: NEES of all poses together; None without a joint covariance.
-        per_pose: NEES of single poses; None where a run is long and its information not banded.
-        pose_nees: Of each pair; None as `per_pose`.
+        per_pose: NEES of single poses; None for a long run whose information is not banded.
+        pose_nees: NEES of every pair; None as `per_pose`.
         errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
-        covariances: (N, 6, 6), of the errors of each pose; None as `per_pose`.
+        covariances: (N, 6, 6), of the errors of single poses; None as `per_pose`.
 
     Example:
         >>> import numpy as np
@@ -140,7 +140,7 @@ class Consistency:
 
     @property
     def nees(self) -> Floats | None:
-        """NEES / 6 of each pair (N,), NaN where it has none; None as `per_pose`."""
+        """NEES / 6 of every pair (N,), NaN if it has none; None as `per_pose`."""
         return None if self.pose_nees is None else self.pose_nees.pose
 
     @property
@@ -150,12 +150,12 @@ class Consistency:
 
 
 def sigmas_of(blocks: Floats) -> Floats:
-    """Return the standard deviations (N, d) that blocks (N, d, d) hold."""
+    """Return the standard deviations (N, d) of blocks (N, d, d)."""
     return np.asarray(np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2), 0.0)))
 
 
 def verdict_of(joint: Joint) -> str:
-    """Return what the NEES of all poses together says."""
+    """Return the verdict from the NEES of all poses together."""
     low, high = joint.band_95
     share = joint.nees / joint.dof
     if share > high:

@@ -1,9 +1,9 @@
-"""The S-transformation: a joint covariance in the gauge of the evaluator's own alignment.
+"""The S-transformation: a joint covariance in the gauge of the evaluator's alignment.
 
-An alignment a by the group G with tangent U is where conditions hold whose gradient is V. The
-errors of the aligned states are, to first order, e = Q (T d - n) with Q = I - U (V'U)^-1 V', d
-the estimator's errors in any gauge within G, T how the alignment turns them, and n the
-groundtruth's. So Cov(e) = Q (T Sigma T' + Sigma_gt) Q': eq. (12) and (14) of the gauge paper for
+An alignment by the group G with tangent U fulfils conditions with gradients V. To first order, the
+errors of the aligned states are e = Q (T d - n). Here Q = I - U (V'U)^-1 V', d are the estimator's
+errors in any gauge within G, T is the rotation by the alignment, and n are the groundtruth's
+errors. Therefore Cov(e) = Q (T Sigma T' + Sigma_gt) Q': eq. (12) and (14) of the gauge paper for
 any alignment.
 """
 
@@ -27,18 +27,18 @@ from trajeval_ros.geometry.gauge import (
 from trajeval_ros.geometry.similarity import Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# Of V'U, columns scaled: beyond it the alignment is not determined by its states.
+# Condition number of the scaled V'U above which the states do not determine the alignment.
 _WORST_CONDITION = 1e8
 
 
 @dataclass(frozen=True, eq=False)
 class STransformation:
-    """Takes perturbations of N aligned poses into the alignment's gauge.
+    """Transforms perturbations of N aligned poses to the alignment's gauge.
 
     Attributes:
-        gauge: Of the alignment.
-        orbit: U (N, 6, k), how the gauge moves the aligned states.
-        normals: V (N, 6, k), gradients of the conditions that the alignment fulfils.
+        gauge: Gauge of the alignment.
+        orbit: U (N, 6, k), derivatives of the aligned states by the gauge.
+        normals: V (N, 6, k), gradients of the conditions of the alignment.
     """
 
     gauge: Gauge
@@ -53,24 +53,24 @@ class STransformation:
         groundtruth: Trajectory,
         aligned: Trajectory,
     ) -> STransformation:
-        """Return the transformation of an alignment as `evaluation` makes it.
+        """Return the transformation for an alignment of `pair_alignment`.
 
         Args:
-            gauge: Of the alignment.
-            align_states: By the first so many states, 1 by eq. (19) and (20); None for all.
+            gauge: Gauge of the alignment.
+            align_states: Number of first states, 1 for eq. (19) and (20); None for all.
             groundtruth: N states.
             aligned: N states, paired and aligned with them.
 
         Raises:
             InputError: States without orientations.
-            SettingsError: A gauge that covariances can't be brought into.
-            DegenerateGeometryError: The states don't determine the alignment.
+            SettingsError: The gauge has no transformation of covariances.
+            DegenerateGeometryError: The states do not determine the alignment.
         """
         _require_orientations(groundtruth, aligned)
         weights = np.zeros(len(aligned))
         weights[:align_states] = 1.0 / len(weights[:align_states])
-        # Turns about the aligned states' middle: with the same translations they span the same,
-        # and lose no digits to coordinates of a million metres.
+        # Rotations about the centre of the aligned states span the same space together with the
+        # translations, and avoid cancellation at large coordinates.
         centred = aligned.positions - weights @ aligned.positions
         orbit = orbit_basis(gauge, centred)
         if align_states == 1 and gauge is not Gauge.NONE:
@@ -86,7 +86,7 @@ class STransformation:
 
     @property
     def coefficients(self) -> Floats:
-        """X = (V'U)^-1 V' (k, 6N): the gauge's move that undoes a perturbation's part in it."""
+        """X = (V'U)^-1 V' (k, 6N): coordinates of a perturbation along the gauge."""
         orbit, normals = self._flat()
         return np.asarray(np.linalg.solve(normals.T @ orbit, normals.T))
 
@@ -103,7 +103,7 @@ class STransformation:
 
     @property
     def pull(self) -> Floats:
-        """The coefficients' part in each state, (N, k, 6)."""
+        """The coefficients by state, (N, k, 6)."""
         count, _, open_ = self.orbit.shape
         return self.coefficients.reshape(open_, count, POSE_DOF).swapaxes(0, 1)
 
@@ -123,16 +123,18 @@ class STransformation:
 
     @property
     def dof(self) -> int:
-        """Rank of a covariance in this gauge: 6N less the gauge's dimension."""
+        """Rank of a covariance in this gauge: 6N minus the gauge's dimension."""
         count, _, open_ = self.orbit.shape
         return int(count * POSE_DOF - open_)
 
     def _flat(self) -> tuple[Floats, Floats]:
+        """Return U and V as matrices (6N, k)."""
         count, _, open_ = self.orbit.shape
         shape = (count * POSE_DOF, open_)
         return self.orbit.reshape(shape), self.normals.reshape(shape)
 
     def _require_transversal(self) -> None:
+        """Refuse states that do not determine the alignment."""
         orbit, normals = self._flat()
         product = normals.T @ orbit
         if not product.size:
@@ -148,7 +150,7 @@ class STransformation:
 
 
 def carried(covariance: Floats, similarity: Similarity) -> Floats:
-    """Return T Sigma T' (6N, 6N), or by pose (N, 6, 6): a covariance turned with its poses.
+    """Return T Sigma T' (6N, 6N), or (N, 6, 6) by pose: a covariance rotated with its poses.
 
     Args:
         covariance: (6N, 6N) or (N, 6, 6), of left perturbations in the estimate's frame.
@@ -163,7 +165,7 @@ def carried(covariance: Floats, similarity: Similarity) -> Floats:
 
 
 def turning(similarity: Similarity, block: int) -> Floats:
-    """Return T (d, d), how a left perturbation of a state turns with it.
+    """Return T (d, d), the transformation of a left perturbation of a state.
 
     Args:
         similarity: The alignment; its scale acts on position and velocity.
@@ -176,7 +178,7 @@ def turning(similarity: Similarity, block: int) -> Floats:
 def carried_information(
     information: scipy.sparse.csr_matrix, similarity: Similarity, block: int
 ) -> scipy.sparse.csr_matrix:
-    """Return T^-T Lambda T^-1 (n, n): an information matrix turned with its states."""
+    """Return T^-T Lambda T^-1 (n, n): an information matrix rotated with its states."""
     turn = np.linalg.inv(turning(similarity, block)).T
     count = information.shape[0] // block
     blocks = scipy.sparse.kron(scipy.sparse.eye(count), turn, format="csr")
@@ -184,7 +186,7 @@ def carried_information(
 
 
 def independent_noise(transformation: STransformation, noise: Floats) -> Floats:
-    """Return the states' own blocks (N, 6, 6) of Q G Q' for noise that no two states share.
+    """Return the states' own blocks (N, 6, 6) of Q G Q' for independent noise of the states.
 
     Args:
         transformation: Q, of N states.
@@ -205,6 +207,7 @@ def errors_of(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
 
 
 def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
+    """Return the rotation vectors Log(R' R^T), (N, 3)."""
     truth, other = groundtruth.quaternions, aligned.quaternions
     assert truth is not None
     assert other is not None
@@ -212,6 +215,7 @@ def _turns_between(groundtruth: Trajectory, aligned: Trajectory) -> Floats:
 
 
 def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:
+    """Refuse states without orientations."""
     for who, side in (("groundtruth", groundtruth), ("estimate", aligned)):
         if side.quaternions is None:
             raise InputError(
