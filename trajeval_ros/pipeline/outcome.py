@@ -1,4 +1,4 @@
-"""What was found about estimates of one groundtruth."""
+"""The results for the estimates of one groundtruth."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunOutcome:
-    """What was found about one estimate.
+    """The results for one estimate.
 
     Attributes:
-        estimate: What was read.
-        evaluation: Its errors, with the warnings about them.
-        calibrated: What was calibrated, and the errors without it; None if nobody asked.
-        consistency: Whether its covariances fit its errors; None if nobody asked.
-        likelihood: How likely it is; None unless the association is continuous.
-        live: What only a live run can tell; None of a recorded one.
-        by_states: The ATE by alignments from other numbers of states, as asked for.
-        own_error: The ATE without the noise of GNSS fixes; None of other groundtruth, and where
-            that noise isn't known.
-        diagnosis: The mistakes that the recording shows, and what was looked at.
-        mended: The finding that was mended; None unless somebody asked for it.
-        integrity: Whether its covariances hold as a promise; None if nobody asked.
+        estimate: Summary of the input.
+        evaluation: Its errors and warnings.
+        calibrated: Calibration, and the errors without it; None if not requested.
+        consistency: Consistency test of its covariances; None if not requested.
+        likelihood: Likelihoods; None unless the association is continuous.
+        live: Results that only a live run has; None for a recorded run.
+        by_states: The ATE for the requested numbers of aligned states.
+        own_error: The ATE without the noise of GNSS fixes; None for other groundtruth, and if
+            that noise is unknown.
+        diagnosis: The detected mistakes, and the tests for them.
+        mended: The corrected mistake; None unless a correction was requested.
+        integrity: Errors against protection levels; None if not requested.
 
     Example:
         >>> from trajeval_ros import run, simulate
@@ -61,14 +61,14 @@ class RunOutcome:
     integrity: Integrity | None = None
 
     def __repr__(self) -> str:
-        """Return a few lines: the errors, and what else was found."""
+        """Return a summary in a few lines."""
         lines = [f"<RunOutcome of {self.estimate.name or 'unnamed'}", repr(self.evaluation)]
         if self.calibrated is not None:
             lines.append(f"{self.calibrated.parameters_applied} calibrated parameters applied")
         if self.consistency is not None:
             lines.append(f"covariances: {self.consistency.verdict}, {self.consistency.exactness}")
         if self.likelihood is not None:
-            bayes = ", ".join(f"{each:+.4g}" for each in self.likelihood.log_bayes.values())
+            bayes = ", ".join(f"{factor:+.4g}" for factor in self.likelihood.log_bayes.values())
             lines.append(f"likelihood assessed; log Bayes factors: {bayes or 'none'}")
         return "\n  ".join(lines) + ">"
 
@@ -78,9 +78,9 @@ class FailedRun:
     """An estimate that could not be evaluated.
 
     Attributes:
-        name: What a table calls it.
-        source: What it was read from.
-        reason: Why, in a sentence.
+        name: Its name in tables.
+        source: Its source.
+        reason: Why it could not be evaluated, one sentence.
     """
 
     name: str
@@ -90,12 +90,12 @@ class FailedRun:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcome:
-    """What was found about estimates of one groundtruth.
+    """The results for the estimates of one groundtruth.
 
     Attributes:
-        request: What was asked for.
-        groundtruth: What was read.
-        runs: One for each estimate, in their order.
+        request: The request.
+        groundtruth: Summary of the input.
+        runs: The results of the estimates, in their order.
         failed: The estimates that could not be evaluated.
 
     Example:
@@ -112,13 +112,13 @@ class Outcome:
     failed: tuple[FailedRun, ...] = ()
 
     def __repr__(self) -> str:
-        """Return a line for each estimate."""
+        """Return a summary with a line per estimate."""
         lines = [f"<Outcome of {counted(len(self.runs), 'estimate')}, {len(self.failed)} failed"]
         lines += [f"{name}: {' '.join(cells)}" for name, *cells in self._rows()]
         return "\n  ".join(lines) + ">"
 
     def _repr_html_(self) -> str:
-        """Return a row for each estimate, for notebooks."""
+        """Return a table with a row per estimate, for notebooks."""
         from trajeval_ros.formatting.text_tables import html_table
 
         gauge = self.request.protocol.gauge.value
@@ -126,30 +126,31 @@ class Outcome:
         return html_table(f"position and rotation ATE, gauge {gauge}", header, self._rows())
 
     def _rows(self) -> list[tuple[str, ...]]:
+        """Return name, position ATE, rotation ATE and number of pairs of the estimates."""
         rows: list[tuple[str, ...]] = []
-        for each in self.runs:
-            ate = each.evaluation.ate
+        for run in self.runs:
+            ate = run.evaluation.ate
             position, rotation = ate["position_m"], ate["rotation_deg"]
             rows.append(
                 (
-                    each.estimate.name or "unnamed",
+                    run.estimate.name or "unnamed",
                     "" if position is None else f"{position.rmse:.4g} m",
                     "" if rotation is None else f"{rotation.rmse:.4g} deg",
-                    counted(len(each.evaluation.association), "pair"),
+                    counted(len(run.evaluation.association), "pair"),
                 )
             )
-        return rows + [(each.name, "failed", each.reason, "") for each in self.failed]
+        return rows + [(failure.name, "failed", failure.reason, "") for failure in self.failed]
 
     @property
     def likelihoods(self) -> dict[str, Assessment]:
-        """How likely the runs are whose association is continuous, by the estimate's name."""
-        pairs = ((each.estimate.name, each.likelihood) for each in self.runs)
+        """Likelihoods of runs with a continuous association, by the estimate's name."""
+        pairs = ((run.estimate.name, run.likelihood) for run in self.runs)
         return {name: likelihood for name, likelihood in pairs if likelihood is not None}
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What of the inputs could not be read, one sentence each."""
+        """Unreadable parts of the inputs, one sentence each."""
         pairs = ((run.evaluation.groundtruth, run.evaluation.estimate) for run in self.runs)
         return tuple(
-            dict.fromkeys(line for pair in pairs for each in pair for line in each.damage)
+            dict.fromkeys(line for pair in pairs for side in pair for line in side.damage)
         )

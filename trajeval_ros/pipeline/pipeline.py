@@ -1,9 +1,9 @@
-"""The pipeline, from the trajectories that were read to the outcome. It knows no files.
+"""The pipeline from trajectories to an outcome, without access to files.
 
-The command line, comparisons and their workers, live runs and Python all go this way, so that the
-same request gives the same numbers everywhere:
+The command line, comparisons, live runs and Python use it, so that equal requests give equal
+numbers:
 
-    mend -> calibrate -> associate, align, measure -> diagnose, warn -> judge covariances
+    correct -> calibrate -> associate, align, measure -> diagnose, warn -> test covariances
     -> assess likelihoods
 """
 
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
 def run(
     groundtruth: Trajectory, estimates: Sequence[Trajectory], request: Request | None = None
 ) -> Outcome:
-    """Evaluate estimates of one groundtruth, as the request says.
+    """Evaluate the estimates of one groundtruth according to a request.
 
-    All estimates use the calibration of the first one: errors under parameters of their own can't
-    be ranked.
+    All estimates use the calibration of the first one, because errors with individual calibrations
+    cannot be ranked.
 
     Args:
         groundtruth: M states.
-        estimates: Each in a frame of its own, with a name of its own.
-        request: What to compute; by default ATE and relative errors by the default protocol.
+        estimates: Trajectories in frames of their own, with distinct names.
+        request: What to compute; by default ATE and relative errors with the default protocol.
 
     Raises:
-        InputError: There is no estimate, or one can't be evaluated as requested; then the message
-            begins with its source or name.
+        InputError: There is no estimate, or one cannot be evaluated as requested; the message
+            starts with its source or name.
 
     Example:
         >>> from trajeval_ros import Request, run, simulate
@@ -81,7 +81,7 @@ def run(
             found, truth = _from_read(groundtruth, estimate, request, same_as)
             if request.fix:
                 found = _mended(found, groundtruth, estimate, request, same_as)
-        others = [each.estimate for each in runs]
+        others = [earlier.estimate for earlier in runs]
         runs.append(compared_with(others, found))
     used = runs[0].evaluation.groundtruth
     runs = with_own_errors(list(with_bayes_factors(runs)), request.fixes)
@@ -91,17 +91,16 @@ def run(
 def run_pairs(
     pairs: Association, groundtruth: Trajectory, estimate: Trajectory, request: Request
 ) -> RunOutcome:
-    """Evaluate pairs that a live run has made.
+    """Evaluate the pairs of a live run.
 
     Args:
         pairs: States paired by the request's association.
-        groundtruth: What stands for all groundtruth states; its rows are those of the pairs.
-        estimate: Likewise.
-        request: What to compute. A time offset can't be applied any more, and likelihoods need
-            the groundtruth between pairs.
+        groundtruth: The groundtruth states of the pairs, in place of all groundtruth.
+        estimate: The estimated states of the pairs, in place of all of them.
+        request: What to compute. Time offsets and likelihoods need more than pairs.
 
     Raises:
-        InputError: The pairs lack what the request needs.
+        InputError: The pairs lack data that the request needs.
         SettingsError: The request needs more than pairs.
     """
     if request.calibration.offset:
@@ -124,24 +123,23 @@ def run_pairs(
 def evaluate(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
 ) -> Evaluation:
-    """Measure the errors of one estimate: ATE and relative errors, with warnings.
+    """Evaluate one estimate: ATE and relative errors, with warnings.
 
-    Tutorial: alignment by eq. (13) in the protocol's gauge, absolute errors (23) with the rmse
+    Tutorial: alignment by eq. (13) in the protocol's gauge, absolute errors (23) with the RMSE
     (24), relative errors (27) over sub-trajectories (25).
 
     Args:
-        groundtruth: M states; its `up` axis is what yaw and tilt are about.
-        estimate: N states in a frame of their own, whose `up` axis gauges yaw and planar bring to
-            the groundtruth's.
-        protocol: How poses are paired, aligned and measured; None for gauge se3 and lengths of 8
-            to 40 m.
+        groundtruth: M states; yaw and tilt are about its `up` axis.
+        estimate: N states in their own frame. Gauges yaw and planar align its `up` axis with the
+            groundtruth's.
+        protocol: Association, alignment and errors; None for gauge se3 and lengths of 8 to 40 m.
 
     Returns:
-        Errors in metres and degrees, pair by pair and as statistics, in the groundtruth's frame;
-        for gauges yaw and planar, and association continuous, in that frame with z up.
+        Errors in metres and degrees, per pair and as statistics, in the groundtruth's frame. For
+        gauges yaw and planar, and association continuous, this frame is converted to z up.
 
     Raises:
-        InputError: Trajectories that can't be evaluated; NoMatchError where no stamps match.
+        InputError: A trajectory cannot be evaluated; `NoMatchError` if there is no pair.
         DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
 
     Example:
@@ -163,7 +161,7 @@ def evaluate(
 def _from_read(
     groundtruth: Trajectory, estimate: Trajectory, request: Request, same_as: Calibrated | None
 ) -> tuple[RunOutcome, Trajectory]:
-    """Evaluate what was read as the request says to read it; return the groundtruth, too."""
+    """Apply the request's corrections, axes and time span, and evaluate; return both results."""
     groundtruth, estimate = request.mends.applied(groundtruth, estimate)
     if request.up is not None:
         groundtruth, estimate = with_up(request.up, groundtruth, estimate)
@@ -183,7 +181,7 @@ def _mended(
     request: Request,
     same_as: Calibrated | None,
 ) -> RunOutcome:
-    """Evaluate again with what was found mended, and keep the errors from before."""
+    """Evaluate again with a correction of the finding, and keep the errors before it."""
     from trajeval_ros.calibration.calibrated import Ate
 
     finding = finding_to_mend(found.diagnosis, request.fix)
@@ -209,7 +207,7 @@ def evaluate_one(
     same_as: Calibrated | None,
     pairs: Association | None = None,
 ) -> RunOutcome:
-    """Evaluate one estimate: the stations of the pipeline, one after the other."""
+    """Evaluate one estimate: the steps of the pipeline in their order."""
     protocol, covariances = request.protocol, request.covariances
     used = covariances.about_world(estimate)
     if pairs is not None:
@@ -236,7 +234,7 @@ def evaluate_one(
             groundtruth, used, protocol, request.calibration, same_as=same_as, pairs=pairs
         )
         evaluation = calibrated.evaluation
-        if calibrated.hand_eye is not None:  # of another body than what was read
+        if calibrated.hand_eye is not None:  # one side was converted to another body
             read = evaluation.groundtruth, evaluation.estimate
             if not calibrated.of_marker:
                 covariances = covariances.of_moved_groundtruth(calibrated.hand_eye)
@@ -275,7 +273,7 @@ def evaluate_one(
 
 
 def with_warnings(evaluation: Evaluation, diagnosis: Diagnosis) -> Evaluation:
-    """Return an evaluation with what a reader must know, without what has no meaning.
+    """Return an evaluation with warnings, without errors that are not meaningful.
 
     Raises:
         InputError: It is aligned by the orientations of another body.
@@ -289,7 +287,7 @@ def with_warnings(evaluation: Evaluation, diagnosis: Diagnosis) -> Evaluation:
 def _watch_errors(
     estimate: Trajectory, evaluation: Evaluation, limits: WatchLimits | None
 ) -> list[tuple[int, int]]:
-    """Return when a watch would have reported errors, by the clock of the pairs."""
+    """Return the time spans of errors of a watchdog, by the clock of the pairs."""
     if limits is None:
         return []
     from trajeval_ros.watchdog.error_spans import error_spans

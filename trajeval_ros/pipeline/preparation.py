@@ -1,4 +1,4 @@
-"""What is done to the states that were read before they are paired."""
+"""Preparation of the trajectories before the association."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from trajeval_ros.pipeline.request import Request
 def with_fixes_placed(
     groundtruth: Trajectory, estimates: Sequence[Trajectory], request: Request
 ) -> tuple[Trajectory, list[Trajectory], Request]:
-    """Return both sides with their GNSS fixes in one frame, and the request that fits them."""
+    """Return both sides with GNSS fixes in one frame, and the request with its default gauge."""
     exchanged = -1 if request.mends.swap else 1
     truth, *others = [groundtruth, *estimates][::exchanged]
     level = request.protocol.gauge is Gauge.PLANAR
     with named(truth):
         truth = request.fixes.applied(truth, level=level)
         request = request.for_trajectories(truth, others)
-    placed = [_in_frame_of(truth, each, level=level) for each in others]
+    placed = [_in_frame_of(truth, other, level=level) for other in others]
     groundtruth, *placed = [truth, *placed][::exchanged]
     return groundtruth, placed, request
 
 
 def _in_frame_of(groundtruth: Trajectory, estimate: Trajectory, *, level: bool) -> Trajectory:
-    """Return an estimate of GNSS fixes in the frame of the groundtruth's, where both are."""
+    """Return an estimate of GNSS fixes in the groundtruth's frame, if that has fixes, too."""
     if estimate.fixes is None:
         return estimate
     datum = None if groundtruth.fixes is None else groundtruth.fixes.datum
@@ -43,16 +43,16 @@ def _in_frame_of(groundtruth: Trajectory, estimate: Trajectory, *, level: bool) 
 def with_up(
     up: tuple[str, str], groundtruth: Trajectory, *estimates: Trajectory
 ) -> list[Trajectory]:
-    """Return trajectories with the axes that were given."""
+    """Return trajectories with given up axes."""
     axes = [UpAxis(up[0]), *[UpAxis(up[1])] * len(estimates)]
     return [
-        dataclasses.replace(each, up=axis)
-        for each, axis in zip((groundtruth, *estimates), axes, strict=True)
+        dataclasses.replace(trajectory, up=axis)
+        for trajectory, axis in zip((groundtruth, *estimates), axes, strict=True)
     ]
 
 
 def cut_to_span(estimate: Trajectory, span_ns: tuple[int, int], protocol: Protocol) -> Trajectory:
-    """Return the states of the estimate that lie within the span."""
+    """Return the states of the estimate within a time span by the groundtruth's clock."""
     if not estimate.stamped or protocol.association.method == "index":
         raise InputError("pairs by row index exclude a time span; remove --start and --end")
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
@@ -64,24 +64,24 @@ def cut_to_span(estimate: Trajectory, span_ns: tuple[int, int], protocol: Protoc
 
 
 def with_lengths_of(groundtruth: Trajectory, protocol: Protocol) -> Protocol:
-    """Return the protocol with shares of the whole groundtruth's path in metres.
+    """Return the protocol with lengths in percent converted to metres of the whole groundtruth.
 
-    A share of the matched path would be another length for each algorithm. The toolbox's rule
-    has lengths of all groundtruth anyway.
+    Percentages of the paired path would be different lengths for different algorithms. The
+    toolbox's rule uses all groundtruth anyway.
     """
     if protocol.selection.rule == "toolbox":
         return protocol
     whole = groundtruth.in_order() if protocol.in_order else groundtruth
     lengths = tuple(
-        Length(each.value / 100.0 * whole.path_length_m, "m") if each.unit == "%" else each
-        for each in protocol.lengths
+        Length(length.value / 100.0 * whole.path_length_m, "m") if length.unit == "%" else length
+        for length in protocol.lengths
     )
     return dataclasses.replace(protocol, lengths=lengths)
 
 
 @contextlib.contextmanager
 def named(estimate: Trajectory) -> Iterator[None]:
-    """State which estimate an error is about."""
+    """Put the source or name of a trajectory before the message of an error."""
     name = estimate.source or estimate.name
     try:
         yield

@@ -1,4 +1,4 @@
-"""What to compute about estimates."""
+"""The request: everything that the numbers of an evaluation depend on."""
 
 from __future__ import annotations
 
@@ -35,30 +35,32 @@ CONTINUOUS = "continuous"
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What to compute about estimates.
+    """What to compute for the estimates.
 
     Attributes:
-        protocol: How poses are paired, aligned and measured.
-        calibration: What of clocks and bodies to estimate or apply first.
-        covariances: Which covariances of the estimate to judge, and by which groundtruth noise.
-        span_ns: First and last stamp, in the groundtruth's clock, of the estimate's states to
+        protocol: Association, alignment and errors.
+        calibration: Clock and body parameters to estimate or to apply first.
+        covariances: Settings of the consistency test.
+        span_ns: First and last timestamp, by the groundtruth's clock, of the estimated states to
             evaluate; None for all.
-        time_span: The part of the groundtruth's time to evaluate, counted from its first stamp;
-            both sides are cut to it. None for all.
-        lengths_of_groundtruth: Whether lengths in percent are shares of the whole groundtruth's
-            path, the same for all estimates, instead of the matched path.
-        up: The axes that point up in the groundtruth's frame and in the estimates', such as "z"
-            or "-y"; None for those that the trajectories have.
-        states_table: Numbers of first states to give the ATE of the alignment for, besides the
-            protocol's.
-        fixes: Which GNSS fixes of the groundtruth are used, and in which frame.
-        gauge_is_default: Whether nobody chose the gauge: then it is yaw for GNSS fixes, whose
-            heights would tilt an estimate.
-        mends: What of both sides is to be read otherwise than it was written.
-        fix: A cause to be mended where the diagnosis finds it, `suggested` for the gravest
-            finding; "" to mend nothing.
-        integrity: Alert limits and risk to compare protection levels with; None for none.
-        watch_limits: Of a watch whose errors are alerts, too, where integrity is asked for.
+        time_span: Part of the groundtruth's time to evaluate, relative to its first timestamp;
+            both sides are cut. None for all.
+        lengths_of_groundtruth: Whether lengths in percent refer to the path of all groundtruth,
+            the same for all estimates, instead of the paired path.
+        up: Up axes of the groundtruth's and the estimates' frame, such as "z" or "-y"; None for
+            the trajectories' own.
+        states_table: Further numbers of aligned states for which the ATE is computed.
+        fixes: Selection and frame of the groundtruth's GNSS fixes.
+        gauge_is_default: Whether the gauge is not chosen by the user. It is then yaw for GNSS
+            fixes, because their heights would tilt the estimate.
+        mends: Corrections of the inputs.
+        fix: Cause to correct if the diagnosis finds it, `suggested` for the most severe finding;
+            "" for no correction.
+        integrity: Alert limits and risk for protection levels; None for none.
+        watch_limits: Limits of a watchdog whose errors count as alerts; None for none.
+
+    Raises:
+        SettingsError: Contradictory parts, or an unknown axis.
 
     Example:
         >>> from trajeval_ros import CalibrationRequest, Protocol, Request
@@ -83,11 +85,7 @@ class Request:
     watch_limits: WatchLimits | None = None
 
     def __post_init__(self) -> None:
-        """Refuse parts that contradict each other, and an axis that is none.
-
-        Raises:
-            SettingsError: They do.
-        """
+        """Refuse contradictory parts and unknown axes."""
         for axis in self.up or ():
             UpAxis(axis)
         if self.fix:
@@ -113,26 +111,26 @@ class Request:
 
     @property
     def is_continuous(self) -> bool:
-        """Whether likelihoods are assessed: the groundtruth is continuous in time."""
+        """Whether likelihoods are computed: the association is continuous."""
         return self.protocol.association.method == CONTINUOUS
 
     @property
     def reads_covariances(self) -> bool:
-        """Whether the covariances in the estimate's messages are needed."""
+        """Whether the covariances in the estimate's messages are read."""
         return self.covariances.source == "message" or self.protocol.align_weights == "covariance"
 
     @property
     def reads_groundtruth_covariances(self) -> bool:
-        """Whether the covariances in the groundtruth's messages are needed."""
+        """Whether the covariances in the groundtruth's messages are read."""
         return self.protocol.align_weights == GROUNDTRUTH_WEIGHTS
 
     def for_trajectories(
         self, groundtruth: Trajectory, estimates: Sequence[Trajectory]
     ) -> Request:
-        """Return the request with the gauge that groundtruth of this kind has by default.
+        """Return the request with the default gauge for the kind of groundtruth.
 
         Raises:
-            InputError: Fixes can't be used as requested.
+            InputError: GNSS fixes cannot be used as requested.
         """
         protocol = self.protocol
         if self.gauge_is_default and groundtruth.fixes is not None:
@@ -142,19 +140,19 @@ class Request:
 
     @functools.cached_property
     def fingerprint(self) -> str:
-        """Hash of everything in it that numbers depend on."""
+        """Hash of everything that the numbers depend on."""
         text = json.dumps(dataclasses.asdict(self), default=_plain, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON has no type for, to the last digit."""
+    """Return a value without a JSON type, with all digits."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if hasattr(value, "tocoo"):  # a sparse matrix
         entries = value.tocoo()
         return [
             entries.shape,
-            *(each.tolist() for each in (entries.row, entries.col, entries.data)),
+            *(array.tolist() for array in (entries.row, entries.col, entries.data)),
         ]
     return str(value)

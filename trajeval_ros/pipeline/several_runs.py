@@ -1,4 +1,4 @@
-"""What is found by looking at several estimates of one groundtruth together."""
+"""Results that need several estimates of one groundtruth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajeval_ros.pipeline.outcome import RunOutcome
 
 
 def compared_with(others: Sequence[InputSummary], found: RunOutcome) -> RunOutcome:
-    """Return an outcome that says so if its estimate is one of the others."""
+    """Return an outcome with a warning if its estimate equals one of the others."""
     same = same_estimate(found.estimate, others)
     if same is None:
         return found
@@ -26,20 +26,20 @@ def compared_with(others: Sequence[InputSummary], found: RunOutcome) -> RunOutco
 
 
 def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
-    """Yield the runs, their likelihoods compared with those of the others."""
-    assessments = [each.likelihood for each in runs if each.likelihood is not None]
+    """Yield the runs with Bayes factors between their likelihoods."""
+    assessments = [run.likelihood for run in runs if run.likelihood is not None]
     if len(assessments) < 2:
         yield from runs
         return
     from trajeval_ros.likelihood.assessment import compared
 
-    names = [each.estimate.name for each in runs]
-    for each, assessment in zip(runs, compared(names, assessments), strict=True):
-        yield dataclasses.replace(each, likelihood=assessment)
+    names = [run.estimate.name for run in runs]
+    for run, assessment in zip(runs, compared(names, assessments), strict=True):
+        yield dataclasses.replace(run, likelihood=assessment)
 
 
 def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
-    """Return the runs, with their errors without the noise of the GNSS fixes."""
+    """Return the runs with own errors, if the groundtruth is GNSS fixes."""
     if runs[0].evaluation.groundtruth.fixes is None:
         return runs
     from trajeval_ros.metrics.own_error import own_errors
