@@ -1,4 +1,4 @@
-"""The command that installs what is missing, for whatever way this package was installed."""
+"""Commands that install missing packages, for the way in which this package was installed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 _DISTRIBUTION = "trajeval-ros"
-# What still works with numpy 1, which ROS 2 Jazzy's message packages are built for.
+# Versions for numpy 1, which the message packages of ROS 2 Jazzy need.
 _PYARROW_BESIDE_NUMPY_1 = "pyarrow<26"
 _BESIDE_NUMPY_1 = dict.fromkeys(("compare", "cluster"), (_PYARROW_BESIDE_NUMPY_1,))
 _RERUN_BESIDE_NUMPY_1 = (
@@ -19,8 +19,8 @@ _RERUN_BESIDE_NUMPY_1 = (
 def extra_command(extra: str) -> str:
     """Return the command that installs an extra of this package, such as `plot`.
 
-    Pip takes the requirements from the package that is installed: from a checkout, from a wheel,
-    or in a ROS workspace, where it is on `PYTHONPATH`.
+    Pip takes the requirements from the installed package: a checkout, a wheel, or a ROS workspace
+    on `PYTHONPATH`.
     """
     beside_numpy_1 = _has_numpy_1()
     if extra == "rerun" and beside_numpy_1:
@@ -30,12 +30,12 @@ def extra_command(extra: str) -> str:
 
 
 def pyarrow_command() -> str:
-    """Return the command that installs a pyarrow that works beside the numpy that is here."""
+    """Return the command that installs a pyarrow compatible with the installed numpy."""
     return install_command(_PYARROW_BESIDE_NUMPY_1 if _has_numpy_1() else "pyarrow")
 
 
 def install_command(*arguments: str) -> str:
-    """Return the command that installs requirements for the Python that runs this."""
+    """Return the command that installs requirements for the running Python."""
     import shlex
 
     options = ["--user", "--break-system-packages"] if _is_managed_by_system() else []
@@ -44,7 +44,7 @@ def install_command(*arguments: str) -> str:
 
 
 def _installed() -> str:
-    """Return what pip calls this package: its name, or the checkout where it isn't installed."""
+    """Return this package's name for pip: the distribution, or the path of the checkout."""
     from importlib.metadata import PackageNotFoundError, distribution
 
     try:
@@ -55,7 +55,7 @@ def _installed() -> str:
 
 
 def _is_managed_by_system() -> bool:
-    """Return whether pip refuses to install beside the system's packages (PEP 668)."""
+    """Return whether pip refuses to install into the system's Python (PEP 668)."""
     import sysconfig
 
     marker = Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED"

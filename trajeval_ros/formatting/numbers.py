@@ -1,15 +1,15 @@
-"""How numbers are written for people: digits, shares in per cent, and what is missing."""
+"""Formats of numbers in text: digits, percentages and missing values."""
 
 from __future__ import annotations
 
 import math
 
 NOTHING = "-"
-_ROUNDING = 1e-9  # of per cent: 100 * 0.29 is 28.999999999999996
+_ROUNDING = 1e-9  # percent; 100 * 0.29 is 28.999999999999996
 
 
 def four_digits(value: float) -> str:
-    """Return four significant digits, never an exponent for what people measure."""
+    """Return four significant digits without an exponent."""
     if value == 0.0 or abs(value) < 5e-7:
         return "0"
     if abs(value) >= 1000.0:
@@ -18,14 +18,14 @@ def four_digits(value: float) -> str:
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Return four significant digits and the unit, if there is one."""
+    """Return four significant digits and the unit, if any."""
     return f"{value:.4g} {unit}".rstrip()
 
 
 def three_decimals(value: float | None) -> str:
-    """Return three decimals, or three significant digits where these say nothing.
+    """Return three decimals, or three significant digits for small and large numbers.
 
-    Infinite is what a run failed to be measured by.
+    Infinity means a failed run.
     """
     if value is None:
         return NOTHING
@@ -35,18 +35,18 @@ def three_decimals(value: float | None) -> str:
 
 
 def whole_percent(share: float) -> str:
-    """Return a share as whole per cent, of which 100 means all and 0 nothing."""
+    """Return a share in whole percent; 100 % only if complete, 0 % only if zero."""
     whole = math.floor(100.0 * share + _ROUNDING)
     return f"{min(max(whole, 1 if share > 0.0 else 0), 100)} %"
 
 
 def percent(share: float | None) -> str:
-    """Return a share in per cent with one decimal."""
+    """Return a share in percent with one decimal."""
     return NOTHING if share is None else f"{100.0 * share:.1f} %"
 
 
 def change_percent(share: float, sign: str = "+") -> str:
-    """Return a relative change in per cent, with one decimal below ten; `sign=""` for a size."""
+    """Return a relative change in percent, with one decimal below ten; `sign=""` for a size."""
     return f"{100.0 * share:{sign}.{0 if abs(share) >= 0.1 else 1}f} %"
 
 
@@ -61,12 +61,12 @@ def data_size(count: int) -> str:
 
 
 def metres(value: float | None) -> str:
-    """Return a length to the millimetre."""
+    """Return a length with millimetres."""
     return NOTHING if value is None else f"{value:.3f} m"
 
 
 def degrees(value: float | None) -> str:
-    """Return an angle to a hundredth of a degree."""
+    """Return an angle with two decimals."""
     return NOTHING if value is None else f"{value:.2f}°"
 
 
@@ -76,6 +76,6 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     Args:
         count: The number.
         noun: The singular.
-        plural: The plural, unless it is the singular with an s.
+        plural: The plural, if it is not the singular with an s.
     """
     return f"{count} {noun if count == 1 else plural or noun + 's'}"

@@ -1,4 +1,4 @@
-"""Tables as text, one writer for each format; every cell passes that format's rule of escaping."""
+"""Tables as text, with one writer per format; every cell is escaped for its format."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _UNDERSCORE, _BREAKABLE = "\\_", "\\_\\allowbreak{}"
 
 @dataclass(frozen=True)
 class MarkedText:
-    """A cell that stands out.
+    """A cell with a mark.
 
     Attributes:
-        text: What is marked.
+        text: The marked text.
         mark: `BOLD`, `UNDERLINE`, or empty.
-        rest: What stands behind it, unmarked.
+        rest: Unmarked text after it.
     """
 
     text: str
@@ -36,11 +36,11 @@ TextRow = Sequence[TextCell]
 
 
 def markdown_table(headings: TextRow, rows: Iterable[TextRow]) -> list[str]:
-    """Return the lines of a table whose first column is text and whose others are numbers."""
+    """Return the lines of a table: text in the first column, numbers in the others."""
     rule = ["---", *["---:"] * (len(headings) - 1)]
     lines = [_cells(headings, markdown_text, _MARKDOWN), rule]
-    lines += [_cells(each, markdown_text, _MARKDOWN) for each in rows]
-    return [f"| {' | '.join(each)} |" for each in lines]
+    lines += [_cells(row, markdown_text, _MARKDOWN) for row in rows]
+    return [f"| {' | '.join(line)} |" for line in lines]
 
 
 def latex_table(
@@ -52,23 +52,23 @@ def latex_table(
     remarks: Sequence[str] = (),
     is_wide: bool = False,
 ) -> list[str]:
-    """Return the lines of a table for the booktabs package, laid out likewise.
+    """Return the lines of a table for the booktabs package; the first column is text.
 
     Args:
-        label: A name for references, of letters, digits, - and _.
-        caption: What is in it, as plain text.
-        headings: Of the columns.
-        rows: Cells of each.
-        remarks: Sentences for the source, which LaTeX doesn't print.
-        is_wide: Make it as wide as a page of two columns, by the tabularx package.
+        label: Name for references: letters, digits, - and _.
+        caption: Caption as plain text.
+        headings: Headings of the columns.
+        rows: Rows of cells.
+        remarks: Sentences for comments in the source.
+        is_wide: Make it as wide as a two-column page, with the tabularx package.
     """
     numbers = len(headings) - 1
     heads = _cells(headings, latex_text, _LATEX)
     size: list[str] = []
     begin, end = f"\\begin{{tabular}}{{l{'r' * numbers}}}", "\\end{tabular}"
     if is_wide:
-        # Names of sequences may be broken where they have an underscore.
-        heads = [f"\\scriptsize {each.replace(_UNDERSCORE, _BREAKABLE)}" for each in heads]
+        # Names of sequences can be broken at underscores.
+        heads = [f"\\scriptsize {head.replace(_UNDERSCORE, _BREAKABLE)}" for head in heads]
         size = ["  \\footnotesize", "  \\setlength{\\tabcolsep}{2pt}"]
         right = ">{\\raggedleft\\arraybackslash}X"
         begin = f"\\begin{{tabularx}}{{\\textwidth}}{{l*{{{numbers}}}{{{right}}}}}"
@@ -76,7 +76,7 @@ def latex_table(
     star = "*" if is_wide else ""
     return [
         "% needs \\usepackage{booktabs" + (",tabularx}" if is_wide else "}"),
-        *(f"% {latex_text(each)}" for each in remarks),
+        *(f"% {latex_text(remark)}" for remark in remarks),
         f"\\begin{{table{star}}}",
         "  \\centering",
         *size,
@@ -86,7 +86,7 @@ def latex_table(
         "    \\toprule",
         f"    {' & '.join(heads)} \\\\",
         "    \\midrule",
-        *(f"    {' & '.join(_cells(each, latex_text, _LATEX))} \\\\" for each in rows),
+        *(f"    {' & '.join(_cells(row, latex_text, _LATEX))} \\\\" for row in rows),
         "    \\bottomrule",
         f"  {end}",
         f"\\end{{table{star}}}",
@@ -95,7 +95,7 @@ def latex_table(
 
 
 def csv_table(headings: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> str:
-    """Return numbers with all their digits and texts; a field is empty where there is nothing."""
+    """Return numbers with all digits and texts as CSV; None is an empty field."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(map(_csv_field, headings))
@@ -105,9 +105,9 @@ def csv_table(headings: Sequence[str], rows: Iterable[Sequence[str | float | Non
 
 def html_table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table as HTML."""
-    head = "".join(f"<th>{_html(each)}</th>" for each in headings)
+    head = "".join(f"<th>{_html(heading)}</th>" for heading in headings)
     body = "".join(
-        "<tr>" + "".join(f"<td>{_html(each)}</td>" for each in row) + "</tr>" for row in rows
+        "<tr>" + "".join(f"<td>{_html(cell)}</td>" for cell in row) + "</tr>" for row in rows
     )
     return (
         f"<table><caption>{_html(caption)}</caption>"
@@ -116,8 +116,9 @@ def html_table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[st
 
 
 def _cells(row: TextRow, escaped: Callable[[str], str], marks: dict[str, str]) -> list[str]:
-    marked = (each if isinstance(each, MarkedText) else MarkedText(each) for each in row)
-    return [marks[each.mark].format(escaped(each.text)) + escaped(each.rest) for each in marked]
+    """Return the cells of a row with escaped text and a format's marks."""
+    marked = (cell if isinstance(cell, MarkedText) else MarkedText(cell) for cell in row)
+    return [marks[cell.mark].format(escaped(cell.text)) + escaped(cell.rest) for cell in marked]
 
 
 def _csv_field(value: str | float | None) -> str:

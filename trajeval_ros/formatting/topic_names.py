@@ -1,4 +1,4 @@
-"""Names that are fit for a part of a ROS topic: of estimates, live and recorded."""
+"""Names for parts of ROS topics, from names of estimates, live and recorded."""
 
 from __future__ import annotations
 
