@@ -1,6 +1,6 @@
-"""How likely an estimate is, given a groundtruth with its uncertainty: section III of the paper.
+"""Likelihood of an estimate given an uncertain groundtruth (probabilistic paper, section III).
 
-The generalised relative error (`relative_density`) and the generalised absolute error
-(`marginal`), in all gauges. Groundtruth is a `Belief`; perturbations
-and residuals are twists on the right, translation first.
+It has the generalised relative error (`relative_density`) and the generalised absolute error
+(`marginal`) for all gauges. Groundtruth is a `Belief`. Perturbations and residuals are twists on
+the right, translation first.
 """

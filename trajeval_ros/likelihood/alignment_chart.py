@@ -1,8 +1,8 @@
-"""Elements of a gauge's group as matrices, and a chart about any one of them.
+"""Elements of a gauge's group as matrices, and coordinates around an element.
 
 An element is [[s R, t], [0, 1]] (4, 4): p -> s R p + t, R_i -> R R_i. The chart perturbs on the
-left, about a fixed centre c: p -> c + e^lam Exp(phi)(p - c) + tau, delta = (tau, phi, lam). There
-the right Haar measure, which no change of the estimate's frame changes, has density 1 at 0.
+left about a fixed centre c: p -> c + e^lam Exp(phi)(p - c) + tau, delta = (tau, phi, lam). The
+right Haar measure, which is invariant to changes of the estimate's frame, has density 1 at 0.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def scales(elements: Floats) -> Floats:
 
 
 def act(elements: Floats, poses: Floats) -> Floats:
-    """Return poses moved by elements, arrays (..., 4, 4) that broadcast."""
+    """Return poses transformed by elements, arrays (..., 4, 4) that broadcast."""
     moved = elements @ poses
     moved[..., :3, :3] /= scales(elements)[..., None, None]
     return moved
@@ -34,15 +34,15 @@ class Chart:
     """Coordinates delta of a gauge's elements.
 
     Attributes:
-        gauge: Which of tau, phi and lam there are; for `yaw`, phi is about z alone.
-        centre: c, (3,), metres; the middle of the groundtruth keeps digits.
+        gauge: Determines which of tau, phi and lam exist; for `yaw`, phi is about z only.
+        centre: c, (3,), metres: the groundtruth's centre, for numerical precision.
     """
 
     gauge: Gauge
     centre: Floats
 
     def __post_init__(self) -> None:
-        """Refuse a plane, which has no twists of six."""
+        """Refuse gauge planar, whose residuals are no six-dimensional twists."""
         if self.gauge is Gauge.PLANAR:
             raise SettingsError("gauge planar is not supported for likelihoods; use yaw")
 
@@ -55,7 +55,7 @@ class Chart:
 
     @property
     def turns(self) -> slice:
-        """Where phi is in delta."""
+        """Indices of phi in delta."""
         start = 3 if self.gauge.has_translation else 0
         return slice(start, start + len(self.axes))
 
@@ -74,7 +74,7 @@ class Chart:
         return se3.poses(linear, self.centre + shift - linear @ self.centre)
 
     def twists(self, positions: Floats) -> Floats:
-        """Return how delta moves bodies at positions (M, 3), as twists on the left, (M, 6, d)."""
+        """Return the derivatives of poses at positions (M, 3) by delta, left twists (M, 6, d)."""
         moves = np.zeros((len(positions), 6, self.dimension))
         if self.gauge.has_translation:
             moves[:, :3, :3] = np.eye(3)
@@ -87,14 +87,14 @@ class Chart:
     def log_measure(self, deltas: Floats) -> Floats:
         """Return the logarithm (K,) of the right Haar measure's density at (K, d).
 
-        Yaw and translation, and log scale, are uniform; SO(3) is not in rotation vectors.
+        It is uniform in yaw, translation and log scale, but not in rotation vectors of SO(3).
         """
         if not self.gauge.turns_freely:
             return np.zeros(len(deltas))
         return se3.log_determinant(deltas[:, self.turns])
 
     def within(self, deltas: Floats) -> Booleans:
-        """Return which coordinates (K, d) turn by at most pi: each rotation counts once."""
+        """Return which coordinates (K, d) rotate by at most pi, where rotations are unique."""
         angles = np.linalg.norm(deltas[:, self.turns], axis=1)
         inside: Booleans = angles <= np.pi
         return inside

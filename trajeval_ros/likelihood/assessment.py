@@ -1,4 +1,4 @@
-"""What an evaluation against continuous groundtruth has to say beyond its errors."""
+"""Assessment of an estimate against continuous groundtruth: likelihoods and supported ATE."""
 
 from __future__ import annotations
 
@@ -36,30 +36,31 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
 
 
-# How far stamps of two sensors, and the mounting between them, are off at the least. Added to what
-# the groundtruth's model says, it keeps likelihoods finite where that is very sure.
+# Least errors between two sensors: timestamps and mounting. They are added to the model's
+# covariance and keep likelihoods finite where that is very small.
 TOLERANCE = Noise(0.005, math.radians(0.2))
 _FEWEST_COMMON = 10
-# From so many poses for each groundtruth sample on, they share its errors.
+# Number of poses per groundtruth sample above which they share errors.
 _POSES_PER_SAMPLE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """Of one estimate of N poses.
+    """Assessment of one estimate with N poses.
 
     Attributes:
         continuous: The groundtruth's model.
         stamps: (N,), nanoseconds, of the pairs.
-        belief: The groundtruth at them, with the tolerance.
+        belief: The groundtruth at these times, including the tolerance.
         error: The generalised absolute error.
-        edges: Its parts, edge by edge, re-linearised at the most likely alignment; None where
-            positions alone are compared.
-        gauge_scores: Scores with scale and tilt; None where the gauge leaves rotations alone, or
-            the poses leave one open.
-        ate: Of positions.
-        log_bayes: By the name of each other estimate, nats, from the joint covariance.
-        statements: What a reader of the numbers must know, one sentence each.
+        edges: Its parts by edge, re-linearised at the most likely alignment; None for positions
+            without orientations.
+        gauge_scores: Scores including scale and tilt; None if the gauge has no rotation, or the
+            poses do not determine it.
+        ate: The position ATE.
+        log_bayes: Log Bayes factors against the other estimates by name, nats, with the joint
+            covariance of the groundtruth.
+        statements: Remarks about the validity of the numbers, one sentence each.
     """
 
     continuous: ContinuousTrajectory
@@ -77,9 +78,9 @@ def assess(evaluation: Evaluation) -> Assessment:
     """Assess an estimate that was associated with a continuous groundtruth.
 
     Raises:
-        InputError: It was associated otherwise.
-        SettingsError: The gauge is a plane's.
-        DegenerateGeometryError: The poses leave a direction of the gauge open.
+        InputError: The association is not continuous, or there are fewer than two pairs.
+        SettingsError: The gauge is planar.
+        DegenerateGeometryError: The poses do not determine the alignment.
 
     Example:
         >>> from trajeval_ros import AssociationRule, Protocol, assess, evaluate, simulate
@@ -127,63 +128,65 @@ def assess(evaluation: Evaluation) -> Assessment:
 
 
 def compared(names: Sequence[str], assessments: Sequence[Assessment]) -> list[Assessment]:
-    """Add the log Bayes factors between estimates, at the stamps that all of them have.
+    """Add log Bayes factors between estimates at their common timestamps.
 
-    Positive numbers speak for the estimate that they stand with. They are from the joint
-    covariance of the groundtruth, so that they don't grow with the estimates' rate.
+    A positive number supports the estimate that it belongs to. The factors use the joint
+    covariance of the groundtruth, so that they do not grow with the estimates' rate.
 
     Args:
-        names: Of the estimates.
-        assessments: Of each, against the same groundtruth in the same gauge.
+        names: Names of the estimates.
+        assessments: Their assessments, against the same groundtruth in the same gauge.
 
     Raises:
-        DegenerateGeometryError: The common poses leave a direction of the gauge open.
+        DegenerateGeometryError: The common poses do not determine the alignment.
     """
     if len(assessments) < 2:
         return list(assessments)
     common: NDArray[np.int64] = reduce(
         lambda first, second: np.intersect1d(first, second),
-        [each.stamps for each in assessments],
+        [assessment.stamps for assessment in assessments],
     )
     if len(common) < _FEWEST_COMMON:
         why = (
             f"no Bayes factor: the estimates have only {counted(len(common), 'common timestamp')}"
         )
         return [
-            dataclasses.replace(each, statements=(*each.statements, why)) for each in assessments
+            dataclasses.replace(assessment, statements=(*assessment.statements, why))
+            for assessment in assessments
         ]
     continuous = assessments[0].continuous
     markov = continuous.markov
-    if not all(each.error.residuals.oriented for each in assessments):
+    if not all(assessment.error.residuals.oriented for assessment in assessments):
         markov = dataclasses.replace(markov, rotations=None)
     times = continuous.samples.seconds(common)
     groundtruth = CorrelatedGroundtruth.of(markov, times, TOLERANCE)
     scores = []
-    for each in assessments:
-        rows = np.searchsorted(each.stamps, common)
-        residuals = each.error.residuals
+    for assessment in assessments:
+        rows = np.searchsorted(assessment.stamps, common)
+        residuals = assessment.error.residuals
         scores.append(
             joint_log_likelihood(
                 groundtruth,
                 residuals.estimate[rows],
                 residuals.gauge,
-                each.error.mode.element,
+                assessment.error.mode.element,
             )
         )
     return [
         dataclasses.replace(
-            each,
+            assessment,
             log_bayes={
                 name: own - other
                 for name, other, another in zip(names, scores, assessments, strict=True)
-                if another is not each
+                if another is not assessment
             },
         )
-        for each, own in zip(assessments, scores, strict=True)
+        for assessment, own in zip(assessments, scores, strict=True)
     ]
 
 
 def _poses_of(pairs: Association, oriented: bool) -> Floats:
+    """Return the estimate's poses (N, 4, 4); identity rotations without orientations."""
     rotations = np.broadcast_to(np.eye(3), (len(pairs), 3, 3))
     if oriented:
         assert pairs.estimate.quaternions is not None
@@ -192,11 +195,13 @@ def _poses_of(pairs: Association, oriented: bool) -> Floats:
 
 
 def _with_tolerance(known: Belief, oriented: bool) -> Belief:
+    """Return a belief with the tolerance added to its covariances."""
     tolerance = np.square([TOLERANCE.position_m] * 3 + [TOLERANCE.rotation_rad * oriented] * 3)
     return Belief(known.poses, known.covariances + np.diag(tolerance))
 
 
 def _gauge_scores_of(residuals: Residuals) -> GaugeScores | None:
+    """Return the scores in all gauges; None if they are not defined."""
     if residuals.gauge not in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         return None
     try:
@@ -206,6 +211,7 @@ def _gauge_scores_of(residuals: Residuals) -> GaugeScores | None:
 
 
 def _statements(assessment: Assessment) -> tuple[str, ...]:
+    """Return remarks about the validity of the numbers."""
     continuous, ate = assessment.continuous, assessment.ate
     statements = list(continuous.statements)
     if continuous.model in WITHOUT_UNCERTAINTY:

@@ -1,6 +1,7 @@
-"""What each association would have reported on poor groundtruth, beside what good one says.
+"""Comparison of the ATE by association with poor groundtruth against accurate groundtruth.
 
-The probabilistic paper's argument for continuous groundtruth, on any pair of trajectories.
+It applies the probabilistic paper's argument for continuous groundtruth to any pair of
+trajectories.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ _ANY_GAP_S = 1e6
 
 @dataclass(frozen=True)
 class ReportedAte:
-    """What one association says.
+    """The ATE by one association.
 
     Attributes:
-        association: In words.
-        ate_m: Position ATE, metres; None where it gives none.
-        share: Share of the estimate's poses that it is of.
-        interval_m: Of the ATE that exact groundtruth would give; None where it says nothing.
-        reason: Why there is no number; empty if there is.
+        association: The association in words.
+        ate_m: Position ATE, metres; None if there is none.
+        share: Share of the estimate's poses in the ATE.
+        interval_m: Interval of the ATE against exact groundtruth; None if not available.
+        reason: Why there is no number; empty if there is one.
     """
 
     association: str
@@ -39,12 +40,12 @@ class ReportedAte:
 
 @dataclass(frozen=True)
 class AssociationComparison:
-    """Of one estimate.
+    """The comparison for one estimate.
 
     Attributes:
-        name: The estimate's.
-        true_ate_m: Against all of the good groundtruth, interpolated.
-        reported: By each association, against the poor one.
+        name: Name of the estimate.
+        true_ate_m: ATE against all of the accurate groundtruth, interpolated.
+        reported: The ATE against the poor groundtruth by association.
     """
 
     name: str
@@ -61,15 +62,15 @@ def compare_associations(
     """Compare associations of one estimate.
 
     Args:
-        groundtruth: Good and dense.
-        poor: Made of it, such as by `degradation.Degradation`.
-        estimate: To be evaluated.
+        groundtruth: Accurate and dense groundtruth.
+        poor: Poor groundtruth made from it, for example by `degradation.Degradation`.
+        estimate: The estimate.
         protocol: Gauge and alignment; its association is `continuous`, with the model and the
-            noise of the poor groundtruth's samples.
+            noise of the poor groundtruth.
 
     Raises:
-        InputError: The good groundtruth can't be used either.
-        DegenerateGeometryError: Likewise.
+        InputError: The accurate groundtruth cannot be used.
+        DegenerateGeometryError: The states do not determine the alignment.
     """
 
     def ruled(rule: AssociationRule) -> Protocol:
@@ -91,6 +92,7 @@ def compare_associations(
 
 
 def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> ReportedAte:
+    """Return the ATE by an association without uncertainty."""
     try:
         found = evaluate(poor, estimate, protocol)
     except TrajevalError as error:
@@ -99,6 +101,7 @@ def _plain(name: str, poor: Trajectory, estimate: Trajectory, protocol: Protocol
 
 
 def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[ReportedAte]:
+    """Return the ATEs by the continuous association: plain, weighted, of supported poses."""
     model = protocol.association.model
     names = [f"{model}, {which}" for which in ("plain", "weighted", "supported")]
     try:
@@ -118,12 +121,14 @@ def _continuous(poor: Trajectory, estimate: Trajectory, protocol: Protocol) -> l
 
 
 def _covered(evaluation: Evaluation) -> float:
+    """Return the share of estimated poses in a pair."""
     covered = evaluation.association.estimate_coverage
     assert covered is not None  # pairs are at the estimate's stamps
     return covered
 
 
 def _position_ate(evaluation: Evaluation) -> float:
+    """Return the position ATE, metres."""
     statistics = evaluation.ate["position_m"]
     assert statistics is not None
     return statistics.rmse

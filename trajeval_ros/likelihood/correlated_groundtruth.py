@@ -1,8 +1,8 @@
-"""The absolute error against groundtruth whose errors are shared by neighbours.
+"""The absolute error against groundtruth with correlated errors.
 
-Poses between the same two groundtruth samples err together. Taken as independent they count that
-one error many times: the log Bayes factor of two estimates then grows with their rate without
-end. The joint covariance of a Markov prior tells how much there is to know.
+Poses between the same two groundtruth samples share their errors. As independent poses they would
+count them several times: the log Bayes factor of two estimates would grow with their rate. The
+joint covariance of a Markov prior avoids this.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _SMALL_STEP = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class CorrelatedGroundtruth:
-    """A Markov groundtruth at Q times, with all correlations, and a tolerance.
+    """A Markov groundtruth at Q times with all correlations and a tolerance.
 
-    Positions err along the world's axes, rotations on the right: the two are apart.
+    Positions are perturbed along the world's axes, rotations on the right, independently.
 
     Attributes:
         poses: (Q, 4, 4), the most likely ones.
-        positions: The covariance of positions.
-        rotations: That of rotations; None where the groundtruth, or the estimate, has none.
+        positions: Covariance of the positions.
+        rotations: Covariance of the rotations; None without orientations on both sides.
     """
 
     poses: Floats
@@ -43,7 +43,7 @@ class CorrelatedGroundtruth:
 
     @classmethod
     def of(cls, model: MarkovPoses, times: Floats, tolerance: Noise) -> CorrelatedGroundtruth:
-        """Ask a model for times (Q,), seconds, within those of its samples."""
+        """Evaluate a model at times (Q,), seconds, within those of its samples."""
 
         def added(sigma: float) -> Floats:
             return np.tile(sigma**2 * np.eye(3), (len(times), 1, 1))
@@ -61,16 +61,16 @@ class CorrelatedGroundtruth:
 def joint_log_likelihood(
     groundtruth: CorrelatedGroundtruth, estimate: Floats, gauge: Gauge, start: Floats
 ) -> float:
-    """Return log L_AE, nats, by Laplace's approximation under right Haar measure.
+    """Return log L_AE, nats, by Laplace's approximation with the right Haar measure.
 
     Args:
-        groundtruth: At the estimate's times.
+        groundtruth: Groundtruth at the estimate's times.
         estimate: (Q, 4, 4), in its own frame.
-        gauge: What the alignment may change.
-        start: An alignment (4, 4) close to the most likely one.
+        gauge: Gauge of the alignment.
+        start: An alignment (4, 4) near the most likely one.
 
     Raises:
-        DegenerateGeometryError: The poses leave a direction of the gauge open.
+        DegenerateGeometryError: The poses do not determine the alignment.
     """
     chart = Chart(gauge, groundtruth.poses[:, :3, 3].mean(axis=0))
     element = start
@@ -96,18 +96,20 @@ def joint_log_likelihood(
 
 
 def _apart(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
+    """Return the differences of positions (Q, 3), metres."""
     difference: Floats = moved[:, :3, 3] - groundtruth.poses[:, :3, 3]
     return difference
 
 
 def _turns(groundtruth: CorrelatedGroundtruth, moved: Floats) -> Floats:
+    """Return the rotation vectors from groundtruth to aligned poses (Q, 3), rad."""
     return so3.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ moved[:, :3, :3])
 
 
 def _normal_equations(
     groundtruth: CorrelatedGroundtruth, moved: Floats, chart: Chart
 ) -> tuple[Floats, Floats]:
-    """Return the information (d, d) and gradient (d,) of the log density by an alignment."""
+    """Return information (d, d) and gradient (d,) of the log density at an alignment."""
     twists = chart.twists(moved[:, :3, 3])
     by_delta = twists[:, :3] - so3.skew(moved[:, :3, 3]) @ twists[:, 3:]
     parts = [(groundtruth.positions, _apart(groundtruth, moved), by_delta)]

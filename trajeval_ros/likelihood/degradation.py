@@ -1,4 +1,4 @@
-"""Good groundtruth made poor: fewer samples, dropouts and noise; the good one is the truth."""
+"""Degradation of groundtruth: fewer samples, dropouts and noise."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# From an end of a stretch that has one dropout, so that neither two meet nor an end is lost.
+# Distance of dropouts from the ends of their intervals, so that they do not meet.
 _MARGIN_S = 1.0
 
 
 @dataclass(frozen=True)
 class Degradation:
-    """What is done to a groundtruth.
+    """The settings of a degradation.
 
     Attributes:
-        rate_hz: Samples a second that are kept.
-        dropouts: Times at which some seconds are lost, one in each of as many equal stretches.
-        shortest_s: Of a dropout.
-        longest_s: Of a dropout.
-        noise: Added to what is kept.
-        seed: Of all that is random.
+        rate_hz: Rate of the kept samples.
+        dropouts: Number of dropouts, one in every one of as many equal intervals.
+        shortest_s: Shortest dropout, seconds.
+        longest_s: Longest dropout, seconds.
+        noise: Noise added to the samples.
+        seed: Seed of the random numbers.
+
+    Raises:
+        SettingsError: A value is out of range.
     """
 
     rate_hz: float = 2.0
@@ -39,7 +42,7 @@ class Degradation:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what can't be done."""
+        """Refuse values out of range."""
         if not 0.0 < self.rate_hz < 1e6:
             raise SettingsError(f"the rate must be greater than 0 Hz, not {self.rate_hz:g}")
         if self.dropouts < 0:
@@ -51,10 +54,10 @@ class Degradation:
             )
 
     def of(self, groundtruth: Trajectory) -> Trajectory:
-        """Return the poor groundtruth.
+        """Return the degraded groundtruth.
 
         Raises:
-            InputError: It is too short for so many dropouts.
+            InputError: The groundtruth is too short for the dropouts.
         """
         random = np.random.default_rng(self.seed)
         groundtruth = groundtruth.in_order()

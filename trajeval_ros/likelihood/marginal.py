@@ -1,9 +1,9 @@
-"""The generalised absolute error, eq. (19): an estimate's density with the alignment integrated.
+"""The generalised absolute error, eq. (19): density of an estimate, integrated over alignments.
 
-The integral is over the right Haar measure of the gauge's group. Over R^6, as in the paper, it
-diverges, since Exp reaches each rotation many times; over rotation vectors up to pi it depends on
-the estimate's frame. With Haar measure it is the exact density of the relative poses, so that
-absolute and relative errors agree to all orders, not only to the first.
+The integral is with respect to the right Haar measure of the gauge's group. Over R^6, as in the
+paper, it diverges, because Exp covers every rotation many times. Over rotation vectors up to pi,
+it depends on the estimate's frame. With the Haar measure it is the exact density of the relative
+poses, so that absolute and relative errors agree to all orders, not only to the first.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from trajeval_ros.likelihood.mode import Mode, find_mode
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 from trajeval_ros.likelihood.residuals import Residuals
 
-# Where differences of gradients are worth their time: they change a score by less than 1e-5 nats
-# above this.
+# Largest number of poses with second derivatives by differences; above it they change a score by
+# less than 1e-5 nats.
 _MOST_FOR_FULL = 500
 _STEP = 1e-3
-# Laplace's approximation is off by an eighth of a rotation's variance, nats.
+# The error of Laplace's approximation is an eighth of a rotation's variance, nats.
 MOST_TURN_RAD = 0.3
 _DRAWS, _FREEDOM = 4096, 8.0
 _LARGE_RESIDUAL_RAD = 2.5
@@ -36,13 +36,13 @@ class AbsoluteErrorDensity:
     """The generalised absolute error of an estimate.
 
     Attributes:
-        residuals: What it is of.
+        residuals: Groundtruth, estimate and gauge.
         mode: The most likely alignment.
-        information: (d, d), minus the second derivative of the log density there.
+        information: (d, d), minus the second derivative of the log density at the mode.
         log_likelihood: Logarithm of L_AE, eq. (19), nats.
-        method: How the integral was taken.
-        effective_share: Of importance sampling, effective sample size over sample size.
-        statements: What a reader of the number must know, one sentence each.
+        method: Method of integration, `laplace` or `importance`.
+        effective_share: Effective share of the draws in importance sampling; None for `laplace`.
+        statements: Remarks about the validity of the number, one sentence each.
     """
 
     residuals: Residuals
@@ -55,12 +55,12 @@ class AbsoluteErrorDensity:
 
     @property
     def nll_per_pose(self) -> float:
-        """Minus the log likelihood over the number of poses, nats."""
+        """Minus the log likelihood per pose, nats."""
         return -self.log_likelihood / len(self.residuals)
 
     @property
     def covariance(self) -> Floats:
-        """Of the alignment in its chart, (d, d)."""
+        """Covariance of the alignment in its chart, (d, d)."""
         scale = 1.0 / np.sqrt(np.diag(self.information))
         scaled = np.linalg.inv(self.information * scale * scale[:, None])
         covariance: Floats = scaled * scale * scale[:, None]
@@ -74,34 +74,34 @@ class AbsoluteErrorDensity:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of their sum: the alignment takes as many as it has."""
+        """Degrees of freedom of their sum, without those of the alignment."""
         return self.residuals.axes * len(self.residuals) - self.residuals.chart.dimension
 
     @property
     def chi2_per_dof(self) -> float:
-        """Their sum by its expectation: 1 for an estimate as wrong as the groundtruth may be."""
+        """Their sum per degree of freedom: 1 if errors are as expected from the groundtruth."""
         return float(self.mahalanobis2.sum()) / self.dof
 
     @property
     def per_axis(self) -> Floats:
-        """Mean squared error by variance (k,) of each axis of the body, translation first."""
+        """Mean squared error over variance along every axis of the body, (k,)."""
         squared = np.square(self.residuals.at(self.mode.element))
         ratio = squared / np.einsum("nii->ni", self.residuals.covariances)
         return np.asarray(ratio.mean(axis=0))
 
 
 def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
-    """Return L_AE, eq. (19).
+    """Return L_AE, eq. (19), by Laplace's approximation or importance sampling.
 
-    By Laplace's approximation, unless a rotation of the alignment is known to no better than
-    0.3 rad: then by importance sampling.
+    Importance sampling is used if the standard deviation of the alignment's rotation exceeds
+    0.3 rad.
 
     Args:
         residuals: Groundtruth, estimate and gauge.
 
     Raises:
-        DegenerateGeometryError: A direction of the gauge is not observed at all, or a groundtruth
-            pose is exactly known.
+        DegenerateGeometryError: The poses do not determine the alignment, or a groundtruth pose
+            has no variance.
     """
     mode = find_mode(residuals)
     information = mode.slope.information
@@ -131,7 +131,7 @@ def laplace(mode: Mode, information: Floats) -> float:
 def full_information(residuals: Residuals, mode: Mode) -> Floats:
     """Return minus the second derivatives (d, d) at a mode, by differences of the gradient."""
     size = residuals.chart.dimension
-    # Aligned once, the estimate is rounded once: differences are of one and the same function.
+    # The estimate is aligned beforehand, so that all differences have the same rounding errors.
     residuals = dataclasses.replace(residuals, estimate=act(mode.element, residuals.estimate))
     steps = _STEP / np.sqrt(np.diag(mode.slope.information))
     information = np.empty((size, size))
@@ -150,8 +150,8 @@ def full_information(residuals: Residuals, mode: Mode) -> Floats:
 def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:
     """Return the log integral by importance sampling, and the effective share of the draws.
 
-    Draws are of a Student t about the mode, from a scrambled Sobol sequence, and the same at each
-    call.
+    Draws are from a Student t distribution about the mode, by a scrambled Sobol sequence with a
+    fixed seed.
     """
     from scipy.stats import chi2, qmc
 
@@ -187,6 +187,7 @@ def _log_root(error: AbsoluteErrorDensity) -> float:
 
 
 def _log_sum(values: Floats) -> float:
+    """Return log sum exp of values (K,)."""
     largest = float(values.max())
     return largest + float(np.log(np.exp(values - largest).sum()))
 
@@ -200,6 +201,7 @@ def _turn_uncertainty(error: AbsoluteErrorDensity) -> float:
 
 
 def _statements(error: AbsoluteErrorDensity, turn: float, share: float | None) -> tuple[str, ...]:
+    """Return remarks about the validity of the likelihood."""
     residuals = error.residuals
     statements = []
     if turn > MOST_TURN_RAD:

@@ -1,4 +1,4 @@
-"""The most likely alignment: Gauss-Newton from a weighted alignment of positions and rotations."""
+"""The most likely alignment, by Gauss-Newton from a weighted alignment."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.likelihood.residuals import Residuals, Slope
 
 _MOST_ITERATIONS = 100
-# Stop where the next step is so small a share of the alignment's own uncertainty.
+# Largest step at convergence, relative to the alignment's standard deviation.
 _SMALL_STEP = 1e-10
 _MOST_DAMPING = 1e8
-# Of the information, scaled to a unit diagonal: below this a direction is not seen at all.
+# Least eigenvalue of the information with unit diagonal for an observable direction.
 _UNSEEN = 1e-11
 
 
@@ -25,8 +25,8 @@ class Mode:
 
     Attributes:
         element: (4, 4).
-        log_density: Eq. (18) there.
-        slope: There.
+        log_density: Eq. (18) at the element.
+        slope: Derivatives at the element.
     """
 
     element: Floats
@@ -38,10 +38,10 @@ def find_mode(residuals: Residuals) -> Mode:
     """Return the alignment that maximises eq. (18).
 
     Raises:
-        DegenerateGeometryError: The poses leave a direction of the gauge open, or a groundtruth
-            pose is exactly known.
+        DegenerateGeometryError: The poses do not determine the alignment, or a groundtruth pose
+            has no variance.
     """
-    _ = residuals.root  # says so if there is none, before anything is divided by a variance
+    _ = residuals.root  # raises before a division by a zero variance
     element = _first_alignment(residuals)
     value = float(residuals.log_density(element[None])[0])
     damping = 0.0
@@ -67,7 +67,7 @@ def find_mode(residuals: Residuals) -> Mode:
 
 
 def unit_diagonal(information: Floats) -> Floats:
-    """Return what scales an information matrix (d, d) to a unit diagonal, (d,).
+    """Return the factors that scale an information matrix (d, d) to a unit diagonal, (d,).
 
     Raises:
         DegenerateGeometryError: It is singular.
@@ -84,7 +84,7 @@ def unit_diagonal(information: Floats) -> Floats:
 
 
 def _first_alignment(residuals: Residuals) -> Floats:
-    """Return an alignment to start from: rotations and positions, each by its mean variance."""
+    """Return an initial alignment by rotations and positions, weighted by mean variances."""
     gauge, covariances = residuals.gauge, residuals.covariances
     truth, other = residuals.belief.poses, residuals.estimate
     p, q = truth[:, :3, 3], other[:, :3, 3]

@@ -1,6 +1,6 @@
-"""From the shape alone to scale and tilt: what each observable direction adds to a score.
+"""Scores in nested gauges: the contribution of scale and tilt.
 
-A gauge within another one is the same density under a condition (Savage and Dickey):
+The density in a smaller gauge is that in a larger one under a condition (Savage and Dickey):
 
     log L_se3 = log L_sim3 + log p(log scale = 0 | data)
     log L_yaw = log L_se3 + log p(tilt = 0 | data)
@@ -25,12 +25,12 @@ from trajeval_ros.likelihood.residuals import Residuals
 
 @dataclass(frozen=True)
 class Condition:
-    """How well a larger gauge's alignment agrees with a smaller gauge.
+    """Agreement of a larger gauge's alignment with a smaller gauge.
 
     Attributes:
         values: (k,), of the alignment: log scale, or rotation about x and y, rad.
         sigmas: (k,), their standard deviations.
-        log_density: Of all of them being zero, nats.
+        log_density: Log density at zero, nats.
     """
 
     values: tuple[float, ...]
@@ -39,7 +39,7 @@ class Condition:
 
     @property
     def z(self) -> tuple[float, ...]:
-        """By how many standard deviations each misses zero."""
+        """The values in standard deviations."""
         return tuple(v / s for v, s in zip(self.values, self.sigmas, strict=True))
 
 
@@ -48,11 +48,11 @@ class GaugeScores:
     """Scores of one estimate in three gauges.
 
     Attributes:
-        sim3: Log likelihood of its shape, nats; None where nothing moves, so there is no scale.
-        se3: With its scale.
-        yaw: With its tilt, too.
-        scale: What is between `sim3` and `se3`; None with `sim3`.
-        tilt: What is between `se3` and `yaw`.
+        sim3: Log likelihood of the shape, nats; None without motion, which has no scale.
+        se3: With the scale.
+        yaw: With scale and tilt.
+        scale: The condition between `sim3` and `se3`; None with `sim3`.
+        tilt: The condition between `se3` and `yaw`.
     """
 
     sim3: float | None
@@ -63,10 +63,10 @@ class GaugeScores:
 
 
 def gauge_scores(residuals: Residuals) -> GaugeScores:
-    """Return the scores of an estimate in all gauges, whatever its own is.
+    """Return the scores of an estimate in all gauges, independent of its own.
 
     Raises:
-        DegenerateGeometryError: The alignment's rotation is not observed.
+        DegenerateGeometryError: The poses do not determine the alignment's rotation.
     """
     se3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SE3))
     yaw = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.YAW))
@@ -84,12 +84,13 @@ def gauge_scores(residuals: Residuals) -> GaugeScores:
 
 
 def _scale_of(error: AbsoluteErrorDensity) -> Condition:
+    """Return the condition of the log scale."""
     value = np.log(scales(error.mode.element))
     return _condition(np.array([value]), error.covariance[-1:, -1:])
 
 
 def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
-    """The level rotation vector that, after a yaw, makes the alignment's rotation."""
+    """Return the condition of the tilt: the horizontal rotation vector after removing yaw."""
     rotation = error.mode.element[:3, :3]
     yaw = np.array([0.0, 0.0, so3.yaw_of_matrix(rotation)])
     tilt = so3.log(rotation @ so3.exp(-yaw))[:2]
@@ -97,6 +98,7 @@ def _tilt_of(error: AbsoluteErrorDensity) -> Condition:
 
 
 def _condition(values: Floats, covariance: Floats) -> Condition:
+    """Return a condition from values (k,) and their covariance (k, k)."""
     squared = float(values @ np.linalg.solve(covariance, values))
     determinant = float(np.linalg.slogdet(covariance)[1])
     return Condition(

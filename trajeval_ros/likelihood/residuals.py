@@ -1,4 +1,4 @@
-"""An estimate's density given an alignment: eq. (18) and (20) of the probabilistic paper."""
+"""The density of an estimate given an alignment: eq. (18) and (20) of the probabilistic paper."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
 
-# Rows that stay in a core's cache, and poses times alignments that fit in memory.
+# Rows that fit into a core's cache, and largest number of poses times alignments in memory.
 _ROWS, _MOST_AT_ONCE = 8192, 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """What the log density does about one alignment.
+    """Derivatives of the log density at an alignment.
 
     Attributes:
-        gradient: (d,), of the log density by the chart's coordinates.
-        information: (d, d), of Gauss and Newton.
+        gradient: (d,), by the chart's coordinates.
+        information: (d, d), of Gauss-Newton.
         whitened: (M, k), residuals of unit variance.
     """
 
@@ -36,16 +36,16 @@ class Slope:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Groundtruth, estimate and gauge: everything that a likelihood depends on.
+    """Groundtruth, estimate and gauge, which determine the likelihood.
 
-    Densities are by the volume of the group, under which marginals are exact and invariant; the
-    paper's are Gaussian in logarithms.
+    Densities are with respect to the volume of the group, for which marginals are exact and
+    invariant. The paper's are Gaussian in logarithms.
 
     Attributes:
-        belief: M groundtruth poses, independent of each other.
+        belief: M independent groundtruth poses.
         estimate: (M, 4, 4), in its own frame.
-        gauge: What the alignment may change.
-        oriented: False to compare positions alone; residuals then have 3 axes, otherwise 6.
+        gauge: Gauge of the alignment.
+        oriented: False to compare positions only; residuals then have 3 axes instead of 6.
     """
 
     belief: Belief
@@ -59,17 +59,17 @@ class Residuals:
 
     @property
     def axes(self) -> int:
-        """Directions of a residual, 6 or 3."""
+        """Dimension of a residual, 6 or 3."""
         return 6 if self.oriented else 3
 
     @cached_property
     def chart(self) -> Chart:
-        """The chart about the middle of the groundtruth."""
+        """The chart about the groundtruth's centre."""
         return Chart(self.gauge, self.belief.poses[:, :3, 3].mean(axis=0))
 
     @cached_property
     def covariances(self) -> Floats:
-        """Of the residuals, (M, k, k)."""
+        """Covariances of the residuals, (M, k, k)."""
         return self.belief.covariances[:, : self.axes, : self.axes]
 
     @cached_property
@@ -77,7 +77,7 @@ class Residuals:
         """W (M, k, k) with W S W^T = 1.
 
         Raises:
-            DegenerateGeometryError: A groundtruth pose is exactly known.
+            DegenerateGeometryError: A groundtruth pose has no variance.
         """
         try:
             return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariances)))
@@ -89,21 +89,24 @@ class Residuals:
 
     @cached_property
     def _constant(self) -> float:
+        """The normalisation of the log density."""
         roots = np.einsum("nii->ni", self.root)
         return float(np.log(roots).sum()) - 0.5 * self.axes * len(self) * LOG_2_PI
 
     @cached_property
     def _inverse(self) -> Floats:
+        """Inverse groundtruth poses, (M, 4, 4)."""
         return se3.inverse(self.belief.poses)
 
     @cached_property
     def _carried(self) -> Floats:
+        """Adjoints of the inverse groundtruth poses, (M, 6, 6)."""
         return se3.adjoint(self._inverse)
 
     def at(self, elements: Floats) -> Floats:
         """Return eps_i (..., M, k), eq. (20), for alignments (..., 4, 4).
 
-        Positions alone are compared along the body's axes, as covariances are given.
+        Without orientations, positions are compared along the body's axes of the covariances.
         """
         missed = self._inverse @ act(elements[..., None, :, :], self.estimate)
         return se3.log(missed) if self.oriented else missed[..., :3, 3]
@@ -113,12 +116,12 @@ class Residuals:
         values = np.empty(len(elements))
         block = max(1, _MOST_AT_ONCE // len(self))
         for begin in range(0, len(elements), block):
-            some = slice(begin, begin + block)
-            residuals = self.at(elements[some])
+            chunk = slice(begin, begin + block)
+            residuals = self.at(elements[chunk])
             squared = np.square(se3.times(self.root, residuals)).sum(axis=(1, 2))
-            values[some] = self._constant - 0.5 * squared
+            values[chunk] = self._constant - 0.5 * squared
             if self.curved:
-                values[some] -= 2.0 * se3.log_determinant(residuals[..., 3:]).sum(axis=1)
+                values[chunk] -= 2.0 * se3.log_determinant(residuals[..., 3:]).sum(axis=1)
         return values
 
     def slope(self, element: Floats) -> Slope:
@@ -131,20 +134,20 @@ class Residuals:
         whitened = np.empty((len(self), self.axes))
         moved = act(element, self.estimate)
         for begin in range(0, len(self), _ROWS):
-            some = slice(begin, begin + _ROWS)
-            missed = self._inverse[some] @ moved[some]
-            by_delta = self._carried[some] @ self.chart.twists(moved[some, :3, 3])
+            chunk = slice(begin, begin + _ROWS)
+            missed = self._inverse[chunk] @ moved[chunk]
+            by_delta = self._carried[chunk] @ self.chart.twists(moved[chunk, :3, 3])
             if self.oriented:
                 residuals = se3.log(missed)
                 by_delta = se3.inverse_left_jacobian(residuals) @ by_delta
             else:
-                # Of a point, not of a body: what turns with the body moves it, too.
+                # Of a point, not of a body: a rotation of the body moves it, too.
                 residuals = missed[..., :3, 3]
                 by_delta = by_delta[:, :3] - so3.skew(residuals) @ by_delta[:, 3:]
-            root = self.root[some]
-            whitened[some] = se3.times(root, residuals)
+            root = self.root[chunk]
+            whitened[chunk] = se3.times(root, residuals)
             jacobian = (root @ by_delta).reshape(self.axes * len(root), len(gradient))
-            gradient -= jacobian.T @ whitened[some].ravel()
+            gradient -= jacobian.T @ whitened[chunk].ravel()
             information += jacobian.T @ jacobian
             if self.curved:
                 volume = se3.log_determinant_gradient(residuals[:, 3:])
@@ -153,5 +156,5 @@ class Residuals:
 
     @property
     def curved(self) -> bool:
-        """Whether densities by the volume of the group differ from those of logarithms."""
+        """Whether the volume of the group differs from that of logarithms."""
         return self.oriented

@@ -1,8 +1,8 @@
-"""The position ATE against groundtruth that is known better here than there.
+"""The position ATE against groundtruth of varying accuracy.
 
-Inside a dropout the groundtruth's mean is off by more than a good estimate is. A plain rmse then
-measures the groundtruth. Two rmses don't: of all poses, weighted by what is known of them, and of
-the well-supported ones alone, with the share that they are.
+Inside a dropout, the error of the groundtruth's mean is larger than that of a good estimate, and a
+plain RMSE measures the groundtruth. Two alternatives are the RMSE of all poses, weighted by their
+information, and the RMSE of the well-supported poses, with their share.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.ate_interval import ate_interval
 from trajeval_ros.metrics.weighted_alignment import weighted_errors
 
-# A pose is well supported where its groundtruth is better known than half of the error, or about
-# as well as a sample is.
+# A pose is well supported if the groundtruth's standard deviation is below this share of the
+# error, or below this multiple of a sample's.
 _SHARE_OF_ERROR, _SAMPLE_SIGMAS = 0.5, 1.5 * 3.0**0.5
 
 
 @dataclass(frozen=True, eq=False)
 class UncertainAte:
-    """Position errors, metres, of N poses.
+    """Position ATE of N poses, metres.
 
     Attributes:
-        weighted_m: Root of the mean square, each weighted by its information.
-        supported_m: Of the well-supported poses; None where there is none.
-        supported: (N,), which they are.
-        interval_m: Of the ATE that exact groundtruth would give, on the safe side of 95 %: see
-            `ate_interval`. None where too few poses are well supported.
+        weighted_m: RMSE weighted by the information of the poses.
+        supported_m: RMSE of the well-supported poses; None if there are none.
+        supported: (N,), which poses are well supported.
+        interval_m: Interval of the ATE against exact groundtruth with a coverage of at least 95 %:
+            see `ate_interval`. None if too few poses are well supported.
     """
 
     weighted_m: float
@@ -58,10 +58,10 @@ def uncertain_ate(
     Args:
         times: (N,), seconds.
         groundtruth: (N, 3), metres, the most likely positions.
-        covariances: (N, 3, 3), about the world's axes.
+        covariances: (N, 3, 3), m^2, about the world's axes.
         estimate: (N, 3), metres.
-        gauge: To align it by, weighted; None if it is aligned already.
-        samples: Of the groundtruth.
+        gauge: Gauge of a weighted alignment; None if the estimate is aligned already.
+        samples: Samples of the groundtruth.
 
     Raises:
         DegenerateGeometryError: Too few poses, or no motion, for the gauge's alignment.
