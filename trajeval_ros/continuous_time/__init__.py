@@ -1,4 +1,4 @@
-"""A groundtruth at any time, with its uncertainty: section IV of the probabilistic paper.
+"""Groundtruth at any time, with its uncertainty: section IV of the probabilistic paper.
 
-`trajectory.fit_trajectory` is the way in; `piecewise_gp` is its default model.
+Use `continuous_trajectory.fit_trajectory`. Its default model is in `piecewise_gp`.
 """

@@ -1,4 +1,4 @@
-"""From two beliefs about a pose to one, continuously."""
+"""Continuous transition between two beliefs about a pose."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from trajeval_ros.geometry.arrays import Floats
 def blended(first: Belief, second: Belief, weight: Floats) -> Belief:
     """Return the moments of the mixture of two beliefs at Q times.
 
-    How far the two disagree is part of the covariance; precisions that are averaged instead are
-    too sure where experts disagree.
+    The difference between the two is a part of the covariance. An average of precisions instead
+    would be overconfident where they disagree.
 
     Args:
         first: Q poses.

@@ -1,4 +1,4 @@
-"""A groundtruth that can be asked for any time, by the model that the user names."""
+"""Continuous groundtruth by one of several models."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from trajeval_ros.geometry.trajectory import Trajectory
 _HOLD_OUT_EVERY = 4
 _MOST_HELD_OUT = 3000
 _FEW = 10
-# Of the Markov prior where correlations are asked of a model that has none: WNOA.
+# Order of the Markov prior that replaces models without correlations: WNOA.
 _ORDER = 2
 
 
 class PoseModel(Protocol):
-    """Any model, fitted."""
+    """A fitted model."""
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkovPoses:
-    """Positions and rotations as Markov processes apart.
+    """Positions and rotations as independent Markov processes.
 
     Attributes:
         positions: In the world.
-        rotations: None where the groundtruth has none.
+        rotations: None if the groundtruth has no orientations.
     """
 
     positions: Interpolator
@@ -65,7 +65,7 @@ class MarkovPoses:
         return cls(positions.interpolator(), rotations)
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
         positions, spread = self.positions.at(times)
         covariances = np.zeros((len(times), 6, 6))
         rotations = np.broadcast_to(np.eye(3), (len(times), 3, 3))
@@ -89,13 +89,13 @@ _FITS: dict[str, Callable[[Samples], PoseModel]] = {
 
 @dataclass(frozen=True, eq=False)
 class ContinuousTrajectory:
-    """A groundtruth at any time.
+    """Groundtruth at any time.
 
     Attributes:
-        model: Its name; of `auto`, the one that was chosen.
-        samples: What it was fitted to.
-        poses: The model, fitted.
-        statements: What can't be said, and why, one sentence each.
+        model: Name of the model; for `auto`, of the chosen one.
+        samples: The samples of the fit.
+        poses: The fitted model.
+        statements: Remarks about its validity, one sentence each.
 
     Example:
         >>> from trajeval_ros import Noise, fit_trajectory, simulate
@@ -111,16 +111,16 @@ class ContinuousTrajectory:
     statements: tuple[str, ...]
 
     def covers(self, stamps: NDArray[np.int64]) -> Booleans:
-        """Return which stamps (Q,), nanoseconds, are neither before nor after all samples."""
+        """Return which stamps (Q,), nanoseconds, are within the time span of the samples."""
         times = self.samples.seconds(stamps)
         inside: Booleans = (times >= self.samples.times[0]) & (times <= self.samples.times[-1])
         return inside
 
     def at(self, stamps: NDArray[np.int64]) -> Belief:
-        """Return what is known at stamps (Q,), nanoseconds.
+        """Return the belief at stamps (Q,), nanoseconds.
 
         Raises:
-            InputError: One is before or after all samples: nothing is extrapolated.
+            InputError: A stamp is outside the time span of the samples; there is no extrapolation.
         """
         covered = self.covers(stamps)
         if not covered.all():
@@ -132,7 +132,7 @@ class ContinuousTrajectory:
 
     @cached_property
     def markov(self) -> MarkovPoses:
-        """Poses with all correlations: the model's own, or white noise on acceleration."""
+        """The model with all correlations: itself, or white noise on acceleration."""
         if isinstance(self.poses, MarkovPoses):
             return self.poses
         return MarkovPoses.fit(self.samples, _ORDER)
@@ -142,17 +142,17 @@ class ContinuousTrajectory:
 def fit_trajectory(
     groundtruth: Trajectory, model: str = DEFAULT_MODEL, noise: Noise | None = None
 ) -> ContinuousTrajectory:
-    """Fit a model to a groundtruth, once for all estimates that are compared with it.
+    """Fit a model to groundtruth, once for all estimates that are compared with it.
 
     Args:
-        groundtruth: Its samples; repeated stamps are dropped, nearly equal ones merged.
-        model: One of `MODELS`. `auto` chooses between `matern` and the Markov priors,
-            by the likelihood of samples that are held out.
-        noise: Of the samples; by default 2 mm and 0.1 deg.
+        groundtruth: The samples; repeated timestamps are dropped, nearly equal ones merged.
+        model: One of `MODELS`. `auto` chooses between `matern` and the Markov priors by the
+            likelihood of held-out samples.
+        noise: Noise of the samples; by default 2 mm and 0.1 deg.
 
     Raises:
-        SettingsError: There is no such model.
-        InputError: Fewer than two samples.
+        SettingsError: The model is unknown.
+        InputError: There are fewer than two samples.
 
     Example:
         >>> from trajeval_ros import Noise, fit_trajectory, simulate
@@ -170,20 +170,20 @@ def fit_trajectory(
 
 
 def _most_predictive(samples: Samples) -> str:
-    """Return the candidate under which samples that it has not seen are most likely."""
+    """Return the candidate with the largest likelihood of held-out samples."""
     if len(samples) < 2 * _HOLD_OUT_EVERY:
         return CANDIDATES[0]
     skip = max(0, (len(samples) - _MOST_HELD_OUT) // 2)
-    some = samples[np.arange(skip, min(skip + _MOST_HELD_OUT, len(samples)))]
-    # Neither the first nor the last one, between which the others must lie.
-    held = np.zeros(len(some), dtype=bool)
-    held[2 : len(some) - 1 : _HOLD_OUT_EVERY] = True
-    kept, truth = some[~held], some.poses[held]
+    middle = samples[np.arange(skip, min(skip + _MOST_HELD_OUT, len(samples)))]
+    # Held-out samples must lie between the kept ones.
+    held = np.zeros(len(middle), dtype=bool)
+    held[2 : len(middle) - 1 : _HOLD_OUT_EVERY] = True
+    kept, truth = middle[~held], middle.poses[held]
 
     def cost(model: str) -> float:
-        belief = _FITS[model](kept).at(some.times[held])
+        belief = _FITS[model](kept).at(middle.times[held])
         axes = 6 if samples.oriented else 3
-        noise = NearestSample(kept).at(some.times[held]).covariances
+        noise = NearestSample(kept).at(middle.times[held]).covariances
         spread = (belief.covariances + noise)[:, :axes, :axes]
         missed = se3.log(se3.inverse(belief.poses) @ truth)[:, :axes]
         surprise = np.einsum(
@@ -195,7 +195,7 @@ def _most_predictive(samples: Samples) -> str:
 
 
 def _statements(samples: Samples) -> tuple[str, ...]:
-    """Return what a reader of this groundtruth must know."""
+    """Return remarks about the validity of the groundtruth."""
     statements = []
     if samples.merged:
         statements.append(

@@ -1,8 +1,8 @@
-"""Overlapping segments of samples, each in coordinates about a pose of its own.
+"""Overlapping segments of samples with local coordinates about a reference pose.
 
-Section IV-B of the probabilistic paper. Its coordinates are those of se(3). There a rotation bends
-the path of the translation, which costs a factor of two to four in gaps; so positions and
-rotations are coordinates apart, unless the paper's are asked for.
+Section IV-B of the probabilistic paper, which uses coordinates of se(3). There, a rotation bends
+the path of the translation, which increases errors in gaps by a factor of two to four. Therefore
+positions and rotations have independent coordinates, unless those of the paper are requested.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 
 SIZE = 20
 _SMALLEST = 6
-# Rotation vectors bend more the longer they are, and are of no use beyond pi.
+# Rotation vectors become more nonlinear with their length, and are ambiguous beyond pi.
 MOST_TURN_RAD = 2.0
 _NOWHERE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class GPSegments:
-    """S segments of n samples, each overlapping its neighbours by half, if it has any.
+    """S segments of n samples. Neighbouring segments overlap by half.
 
     Attributes:
         rows: (S, n), indices of samples.
         times: (S, n), seconds.
-        references: (S, 4, 4), the pose in the middle of each.
-        coordinates: (S, n, 6) of the samples, about their segment's reference.
+        references: (S, 4, 4), the middle poses.
+        coordinates: (S, n, 6), of the samples about their segment's reference.
         joint: Whether coordinates are those of se(3).
     """
 
@@ -49,14 +49,14 @@ class GPSegments:
         joint: bool = False,
         breaks: Indices = _NOWHERE,
     ) -> GPSegments:
-        """Cut samples into segments, smaller ones where rotations would grow too large.
+        """Divide samples into segments, smaller ones for large rotations.
 
         Args:
             samples: At least two.
-            size: n, even; all samples are one segment where there are no more.
-            joint: Use coordinates of se(3), as the paper does.
-            breaks: Samples after which no segment goes on, if there is any run of n between them.
-                Shorter runs are in no segment.
+            size: n, even; if there are fewer samples, they are one segment.
+            joint: Use coordinates of se(3), as in the paper.
+            breaks: Samples that end a segment. Runs between breaks that are shorter than n are in
+                no segment, unless all are.
         """
         while True:
             rows = _rows(len(samples), size, breaks)
@@ -76,16 +76,16 @@ class GPSegments:
         return cls(rows, samples.times[rows], references, coordinates, joint)
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of segments."""
         return len(self.rows)
 
     def poses_at(
         self, segment: Indices, means: Floats, variances: Floats
     ) -> tuple[Floats, Floats]:
-        """Turn coordinates into poses.
+        """Convert coordinates to poses.
 
         Args:
-            segment: (Q,), of each.
+            segment: (Q,), the segments of the coordinates.
             means: (Q, 6), coordinates.
             variances: (Q, 6), of the coordinates, independent.
 
@@ -106,11 +106,11 @@ class GPSegments:
         return poses, spread @ se3.transposed(spread)
 
     def around(self, times: Floats) -> tuple[Indices, Indices, Floats]:
-        """Return the two segments (Q,) that know of each time, and the weight (Q,) of the second.
+        """Return the two segments (Q,) for every time, and the weight (Q,) of the second.
 
-        From the start of a segment, its predecessor's say fades and its own grows, until the
-        predecessor or the next segment's turn ends it: `min` keeps the last segment, which starts
-        out of step, from making a jump. Across a break, the nearer one alone knows.
+        From the start of a segment, the weight of its predecessor decreases, until the predecessor
+        ends or the next segment starts. The minimum of both avoids a jump at the last segment,
+        which is shifted. Near a break, only the nearer segment is used.
         """
         starts, ends = self.times[:, 0], self.times[:, -1]
         begins_run = np.append(True, self.rows[1:, 0] > self.rows[:-1, -1])
@@ -126,27 +126,27 @@ class GPSegments:
 
 
 def smooth_step(share: Floats) -> Floats:
-    """Return 0 to 1 over [0, 1] with two derivatives that vanish at both ends."""
+    """Return a function from 0 to 1 over [0, 1] with two zero derivatives at both ends."""
     u = np.clip(share, 0.0, 1.0)
     step: Floats = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
     return step
 
 
 def runs_between(count: int, breaks: Indices) -> tuple[Indices, Indices]:
-    """Return the first of the samples of each run, and how many there are."""
+    """Return the first sample of every run, and the number of its samples."""
     first = np.concatenate([[0], breaks + 1])
     return first, np.diff(np.append(first, count))
 
 
 def _rows(count: int, size: int, breaks: Indices) -> Indices:
-    """Return the rows (S, n) of the segments of all runs that are long enough, or of the whole."""
+    """Return the rows (S, n) of the segments of all long runs, or of all samples if none is."""
     runs = zip(*runs_between(count, breaks), strict=True)
     long = [first + _rows_of_run(length, size) for first, length in runs if length >= size]
     return np.concatenate(long or [_rows_of_run(count, size)])
 
 
 def _rows_of_run(count: int, size: int) -> Indices:
-    """Return the rows (S, n) of the segments; the last one is shifted back to be full."""
+    """Return the rows (S, n) of a run's segments; the last one is shifted back to be full."""
     size = min(size, count)
     starts = np.arange(0, count - size + 1, max(size // 2, 1))
     if starts[-1] != count - size:

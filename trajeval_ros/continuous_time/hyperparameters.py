@@ -1,4 +1,4 @@
-"""The size and the speed of a motion, by maximum likelihood over all segments at once."""
+"""Amplitude and time constant of a motion, by maximum likelihood over all segments."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from trajeval_ros.geometry.arrays import Floats
 
 _MOST_SEGMENTS = 100
 _IMPOSSIBLE = 1e25
-# Where to start: two lengths, in steps of the samples.
+# Initial time constants, in steps of the samples.
 _STARTS = (2.0, 6.0)
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Of a process.
+    """Hyperparameters of a process.
 
     Attributes:
         sigma: Standard deviation of the motion about the reference, metres or rad.
-        length: Time over which it is alike, seconds.
+        length: Correlation time, seconds.
         noise: Standard deviation of samples, metres or rad.
     """
 
@@ -35,20 +35,20 @@ class Hyperparameters:
 def most_likely(
     kernels: Sequence[Kernel], times: Floats, targets: Floats, noise: float, usual_step_s: float
 ) -> tuple[Kernel, Hyperparameters]:
-    """Return the kernel and hyperparameters that make the samples of all segments most likely.
+    """Return the kernel and hyperparameters with the largest likelihood of all segments.
 
     Args:
-        kernels: Forms to choose from.
-        times: (S, n), of the samples of each segment, seconds.
-        targets: (S, n, 3), coordinates: three processes alike.
-        noise: Standard deviation of samples, known.
-        usual_step_s: Between samples.
+        kernels: Candidates.
+        times: (S, n), of the samples by segment, seconds.
+        targets: (S, n, 3), coordinates: three processes with equal hyperparameters.
+        noise: Standard deviation of samples, given.
+        usual_step_s: Median step between samples, seconds.
     """
     if len(times) > _MOST_SEGMENTS:
-        some = np.unique(np.linspace(0, len(times) - 1, _MOST_SEGMENTS).astype(np.int64))
-        times, targets = times[some], targets[some]
+        chosen = np.unique(np.linspace(0, len(times) - 1, _MOST_SEGMENTS).astype(np.int64))
+        times, targets = times[chosen], targets[chosen]
     lags = times[:, :, None] - times[:, None, :]
-    # What doesn't move is still not known better than its samples are.
+    # The amplitude is at least the noise of the samples.
     spread = max(float(targets.std()), noise)
     log_spread, log_step = np.log(spread), np.log(usual_step_s)
     bounds = [
@@ -76,8 +76,8 @@ def most_likely(
         ]
         return min(results, key=lambda result: float(result.fun))
 
-    found = [(kernel, best_of(kernel)) for kernel in kernels]
-    kernel, best = min(found, key=lambda each: float(each[1].fun))
+    fits = [(kernel, best_of(kernel)) for kernel in kernels]
+    kernel, best = min(fits, key=lambda fitted: float(fitted[1].fun))
     sigma, length = np.exp(best.x).tolist()
     return kernel, Hyperparameters(sigma, length, noise)
 
@@ -88,9 +88,9 @@ def negative_log_likelihood(
     """Return -log p of the samples of all segments, and its gradient, eq. (30).
 
     Args:
-        kernel: Its form.
-        lags: (S, n, n), differences of time in each segment, seconds.
-        targets: (S, n, c), coordinates: c processes alike.
+        kernel: The kernel.
+        lags: (S, n, n), differences of times within segments, seconds.
+        targets: (S, n, c), coordinates: c processes with equal hyperparameters.
         log_parameters: (3,), logarithms of sigma, length and noise.
     """
     sigma, length, noise = np.exp(log_parameters)

@@ -1,4 +1,4 @@
-"""The rules that know no uncertainty between samples: nearest, and linear with slerp."""
+"""Models without uncertainty between samples: nearest sample, and linear with slerp."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from trajeval_ros.geometry.arrays import Floats
 
 @dataclass(frozen=True, eq=False)
 class LinearInterpolation:
-    """Positions on straight lines, rotations by slerp, as sure as a sample everywhere."""
+    """Linear positions and slerp, with the covariance of a sample everywhere."""
 
     samples: Samples
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
         samples = self.samples
         before, share = _before(samples, times)
         start, end = samples.poses[before], samples.poses[before + 1]
@@ -31,19 +31,19 @@ class LinearInterpolation:
 
 @dataclass(frozen=True, eq=False)
 class NearestSample:
-    """The pose of the sample that is nearest in time, as sure as that sample."""
+    """The nearest sample in time, with its covariance."""
 
     samples: Samples
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
         before, share = _before(self.samples, times)
         nearest = before + (share[:, 0] > 0.5)
         return Belief(self.samples.poses[nearest], sample_covariances(self.samples, len(times)))
 
 
 def sample_covariances(samples: Samples, count: int) -> Floats:
-    """Return a sample's covariance, `count` times, (count, 6, 6)."""
+    """Return the covariance of a sample `count` times, (count, 6, 6)."""
     noise = samples.noise
     rotation = noise.rotation_rad if samples.oriented else 0.0
     variances = np.square([noise.position_m] * 3 + [rotation] * 3)
@@ -51,7 +51,7 @@ def sample_covariances(samples: Samples, count: int) -> Floats:
 
 
 def _before(samples: Samples, times: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return the sample before each time and the share (Q, 1) of the step that has passed."""
+    """Return the sample before every time, and the elapsed share (Q, 1) of its step."""
     last = len(samples) - 2
     before = np.clip(np.searchsorted(samples.times, times, side="right") - 1, 0, last)
     start, end = samples.times[before], samples.times[before + 1]

@@ -1,7 +1,7 @@
-"""The joint covariance of a groundtruth at many times, which errors of neighbours share.
+"""The joint covariance of groundtruth at many times, with the correlations of neighbours.
 
-Covariances of single poses, taken as independent, count the same groundtruth sample once for every
-query beside it: log Bayes factors then grow with the estimate's rate without end.
+As independent poses, queries near the same groundtruth sample would count its error several times.
+Log Bayes factors would then grow with the estimate's rate.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from trajeval_ros.continuous_time.markov import Process
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.block_tridiagonal import Factor
 
-# Queries closer than this share of the usual step to a sample are at the sample: information
-# between knots that are closer than a thousandth can't be held in double precision.
+# Distance from a sample, relative to the median step, below which a query uses the sample's knot.
+# The information between knots closer than a thousandth exceeds double precision.
 _SAME_SHARE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class JointPosterior:
-    """A Markov process with knots at Q query times, which no sample measures.
+    """A Markov process with additional knots at Q query times.
 
     Attributes:
-        dimension: d, of each query's error.
-        blocks: (N, d m, d m), of the information on its diagonal.
-        lower: (N - 1, d m, d m), of the information, below.
-        factor: Of the information.
+        dimension: d, of a query's error.
+        blocks: (N, d m, d m), diagonal blocks of the information.
+        lower: (N - 1, d m, d m), blocks below the diagonal.
+        factor: Factor of the information.
         rows: (Q,), the knots of the queries.
     """
 
@@ -66,7 +66,7 @@ class JointPosterior:
         return cls(process.dimension, blocks, lower, Factor.of(blocks, lower), rows)
 
     def observed(self, tolerance: Floats) -> ObservedPosterior:
-        """Add errors that are independent of each other, of covariances R (Q, d, d)."""
+        """Add independent errors with covariances R (Q, d, d)."""
         inverse = np.asarray(np.linalg.inv(tolerance))
         blocks = self.blocks.copy()
         np.add.at(blocks[:, : self.dimension, : self.dimension], self.rows, inverse)
@@ -78,10 +78,10 @@ class JointPosterior:
 
 @dataclass(frozen=True, eq=False)
 class ObservedPosterior:
-    """The covariance P + R of what is seen at the queries, by the matrix inversion lemma.
+    """The covariance P + R of observations at the queries, by the matrix inversion lemma.
 
     Attributes:
-        factor: Of the process's information with that of the queries.
+        factor: Factor of the information including that of the observations.
         rows: (Q,), the knots of the queries.
         inverse: R^-1, (Q, d, d).
         log_determinant: Of P + R.

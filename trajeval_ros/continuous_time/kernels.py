@@ -1,4 +1,4 @@
-"""Kernels: how alike a trajectory is at two times, eq. (32) of the probabilistic paper."""
+"""Kernels: the correlation of a trajectory between two times, eq. (32) of the paper."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Kernel:
     """A stationary kernel of unit variance.
 
     Attributes:
-        scale: Factor of the lag |d| / l, for a = scale |d| / l.
-        correlation: Of a, of any shape.
-        slope: Its derivative by log l, of a.
+        scale: Factor of the normalised lag a = scale |d| / l.
+        correlation: The kernel as a function of a, any shape.
+        slope: Its derivative by log l, as a function of a.
     """
 
     scale: float
@@ -26,7 +26,7 @@ class Kernel:
     slope: Callable[[Floats], Floats]
 
     def between(self, lags: Floats, length: float) -> Floats:
-        """Return the correlation over lags d of any shape for the length l, seconds."""
+        """Return the correlation at lags d of any shape, for the correlation time l, seconds."""
         return self.correlation(np.abs(lags) * (self.scale / length))
 
     def by_log_length(self, lags: Floats, length: float) -> Floats:
@@ -37,14 +37,14 @@ class Kernel:
 SQUARED_EXPONENTIAL = Kernel(
     1.0, lambda a: np.exp(-0.5 * a * a), lambda a: a * a * np.exp(-0.5 * a * a)
 )
-"""Eq. (32). Its draws have derivatives of all orders, as no real motion has."""
+"""Eq. (32). Its samples have derivatives of all orders, unlike real motion."""
 
 MATERN_52 = Kernel(
     sqrt(5.0),
     lambda a: (1.0 + a * (1.0 + a / 3.0)) * np.exp(-a),
     lambda a: a * a * (1.0 + a) / 3.0 * np.exp(-a),
 )
-"""Its draws have a velocity and an acceleration but no more: as sure as real motion allows."""
+"""Its samples have a velocity and an acceleration: as smooth as real motion can be."""
 
 MATERN_32 = Kernel(sqrt(3.0), lambda a: (1.0 + a) * np.exp(-a), lambda a: a * a * np.exp(-a))
-"""Its draws have a velocity alone."""
+"""Its samples have a velocity only."""

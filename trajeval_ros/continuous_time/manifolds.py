@@ -1,6 +1,6 @@
-"""What a Markov process moves on: positions in R^3, or rotations in SO(3).
+"""Manifolds of Markov processes: positions in R^3, or rotations in SO(3).
 
-A local variable g is 0 at a knot T and Log(T^-1 T') at the next; its first two derivatives follow
+A local variable g is 0 at a knot T and Log(T^-1 T') at the next. Its first two derivatives follow
 from the next knot's rate w and acceleration a (Barfoot, State Estimation for Robotics, sec. 11):
 
     g' = J_r^-1(g) w,    g'' = d(J_r^-1(g) w)/dg g' + J_r^-1(g) a
@@ -17,7 +17,7 @@ from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.so3 import skew
 
-# Of the inverse Jacobian's quadratic term, as a series in the squared angle.
+# Coefficient of the inverse Jacobian's quadratic term, as a series in the squared angle.
 _SERIES = np.polynomial.Polynomial(
     [1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600]
 )
@@ -27,10 +27,10 @@ _SMALL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class LocalVariable:
-    """A local variable's derivatives, and theirs.
+    """The derivatives of a local variable, and their Jacobian.
 
     Attributes:
-        values: (N, m, d): g and as many derivatives as the process has.
+        values: (N, m, d): g and its derivatives, as many as the process has.
         jacobian: (N, m, d, m, d): of `values` by g, w, a.
     """
 
@@ -39,13 +39,13 @@ class LocalVariable:
 
 
 class Manifold(Protocol):
-    """What a process needs to know of its states."""
+    """Operations of a process on its states."""
 
     def between(self, first: Floats, second: Floats) -> Floats:
         """Return Log(first^-1 second), (N, d)."""
 
     def plus(self, states: Floats, steps: Floats) -> Floats:
-        """Return the states moved by steps (N, d) on the right."""
+        """Return states perturbed by steps (N, d) on the right."""
 
     def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
         """Return J_r^-1 and J_l^-1 (N, d, d)."""
@@ -55,7 +55,7 @@ class Manifold(Protocol):
 
 
 class Positions:
-    """R^3: everything is linear."""
+    """R^3; all operations are linear."""
 
     def between(self, first: Floats, second: Floats) -> Floats:
         """Return the differences (N, 3)."""
@@ -71,7 +71,7 @@ class Positions:
         return identities, identities
 
     def local(self, steps: Floats, rates: Floats) -> LocalVariable:
-        """Return the same values again."""
+        """Return the arguments, since the manifold is linear."""
         values = np.concatenate([steps[:, None], rates], axis=1)
         count, order = values.shape[:2]
         jacobian = np.eye(3 * order).reshape(order, 3, order, 3)
@@ -86,17 +86,17 @@ class Rotations:
         return so3.log(se3.transposed(first) @ second)
 
     def plus(self, states: Floats, steps: Floats) -> Floats:
-        """Return the rotations (N, 3, 3) turned by rotation vectors (N, 3) in the body."""
+        """Return rotations (N, 3, 3) perturbed by rotation vectors (N, 3) on the right."""
         turned: Floats = states @ so3.exp(steps)
         return turned
 
     def inverse_jacobians(self, steps: Floats) -> tuple[Floats, Floats]:
-        """Return J_r^-1 and J_l^-1 (N, 3, 3): each other's transpose."""
+        """Return J_r^-1 and J_l^-1 (N, 3, 3); one is the transpose of the other."""
         left = so3.inverse_left_jacobian(steps)
         return se3.transposed(left), left
 
     def local(self, steps: Floats, rates: Floats) -> LocalVariable:
-        """Return the local variable and its exact derivatives, up to the second one."""
+        """Return the local variable and its exact derivatives, up to the second."""
         count, order = len(steps), rates.shape[1] + 1
         values = np.zeros((count, order, 3))
         jacobian = np.zeros((count, order, 3, order, 3))

@@ -1,8 +1,8 @@
-"""Markov priors: white noise on acceleration (WNOA) or jerk (WNOJ), exactly sparse.
+"""Markov priors with white noise on acceleration (WNOA) or jerk (WNOJ), exactly sparse.
 
-Barfoot, Tong and Sarkka, RSS 2014; Dong, Boots and Dellaert, 2017. One process over the whole
-trajectory: continuous by construction, and with the joint covariance of any times. Positions and
-rotations are processes apart. The cost is O(N).
+Barfoot, Tong and Sarkka, RSS 2014; Dong, Boots and Dellaert, 2017. One process covers the whole
+trajectory. It is continuous by construction and has the joint covariance of any times. Positions
+and rotations are independent processes. The cost is O(N).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _MOST_ABOVE_ROUGH = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Process:
-    """N knots of a Markov process, at their most likely states.
+    """N knots of a Markov process at their most likely states.
 
     Attributes:
-        manifold: What it moves on.
+        manifold: Manifold of the states.
         order: m: 2 for WNOA, 3 for WNOJ (1, Brownian motion, is linear interpolation).
         times: (N,), seconds, increasing.
         measured: (N, ...), samples.
         information: (N, d), inverse variances of the samples; zero for a knot without one.
         density: (d,), power spectral density of the noise.
-        states: Like `measured`.
-        rates: (N, m - 1, d), velocities and accelerations, in the body for rotations.
+        states: (N, ...), the most likely states.
+        rates: (N, m - 1, d), velocities and accelerations; in the body for rotations.
     """
 
     manifold: Manifold
@@ -59,14 +59,14 @@ class Process:
         measured: Floats,
         noise: float,
     ) -> Process:
-        """Find the most likely density, and the most likely states.
+        """Estimate the density by maximum likelihood, and the most likely states.
 
         Args:
-            manifold: What the samples are on.
-            order: m; less where there are not more samples than that.
+            manifold: Manifold of the samples.
+            order: m; reduced if there are not more samples.
             times: (N,), seconds, distinct and in order.
             measured: (N, ...).
-            noise: Standard deviation of the samples, on all axes.
+            noise: Standard deviation of the samples along all axes.
         """
         start = cls.unsolved(manifold, order, times, measured, noise)
         likely = start._most_likely_density(noise)
@@ -76,9 +76,9 @@ class Process:
     def unsolved(
         cls, manifold: Manifold, order: int, times: Floats, measured: Floats, noise: float
     ) -> Process:
-        """Return it with density 1, states as measured and rates by differences.
+        """Return the process with density 1, states as measured and rates by differences.
 
-        Arguments as of `fit`.
+        The arguments are those of `fit`.
         """
         order = min(order, len(times) - 1)
         velocity, acceleration = _differences(manifold, times, measured)
@@ -96,11 +96,11 @@ class Process:
 
     @property
     def dimension(self) -> int:
-        """d: how many ways its states can move."""
+        """Dimension d of the manifold."""
         return int(self.information.shape[1])
 
     def solved(self, iterations: int = _MOST_ITERATIONS, tolerance: float = _CONVERGED) -> Process:
-        """Return it at the mode, by Gauss-Newton."""
+        """Return the process at its mode, by Gauss-Newton."""
         process, dimension = self, self.dimension
         for _ in range(iterations):
             diagonal, lower, slope, cost = process._normal_equations()
@@ -115,14 +115,14 @@ class Process:
         return process
 
     def _solved_with_digits(self) -> Process:
-        """Return it at the mode, with more noise for a body so still that digits run out."""
+        """Return the process at its mode; the density is increased if the matrix is singular."""
         try:
             return self.solved()
         except np.linalg.LinAlgError:
             return replace(self, density=10.0 * self.density)._solved_with_digits()
 
     def log_likelihood(self) -> float:
-        """Return log p of the samples, at the mode; exact in R^3, else by Laplace."""
+        """Return log p of the samples at the mode; exact in R^3, else by Laplace's method."""
         diagonal, lower, _, cost = self._normal_equations()
         steps = np.diff(self.times)
         motion = len(steps) * self.order * np.log(self.density).sum()
@@ -142,7 +142,7 @@ class Process:
         return Factor.of(diagonal, lower)
 
     def interpolator(self) -> Interpolator:
-        """Return what answers for any time between the knots."""
+        """Return the interpolation between the knots."""
         return Interpolator(self, *self.factor().inverse_blocks())
 
     def _normal_equations(self) -> tuple[Floats, Floats, Floats, float]:
@@ -174,12 +174,12 @@ class Process:
     def _between(
         self, first: Floats, second: Floats, rates: Floats, next_rates: Floats, steps: Floats
     ) -> tuple[Floats, ...]:
-        """Return what K steps add: to both knots' blocks, between them, to both slopes, the cost.
+        """Return the terms of K steps: blocks of both knots, between them, gradients, and cost.
 
         Args:
-            first: States at the steps' beginnings.
-            second: States at their ends.
-            rates: (K, m - 1, d), at the beginnings.
+            first: States at the starts of the steps.
+            second: States at the ends.
+            rates: (K, m - 1, d), at the starts.
             next_rates: (K, m - 1, d), at the ends.
             steps: (K,), seconds.
         """
@@ -210,17 +210,17 @@ class Process:
         )
 
     def _most_likely_density(self, noise: float) -> float:
-        """Return the density that makes the samples, the middle 1500 of them, most likely."""
+        """Return the density with the largest likelihood of the middle 1500 samples."""
         skip = max(0, (len(self.times) - _MOST_KNOTS) // 2)
-        some = slice(skip, skip + _MOST_KNOTS)
+        middle = slice(skip, skip + _MOST_KNOTS)
         warm = [
             replace(
                 self,
-                times=self.times[some],
-                measured=self.measured[some],
-                information=self.information[some],
-                states=self.states[some],
-                rates=self.rates[some],
+                times=self.times[middle],
+                measured=self.measured[middle],
+                information=self.information[middle],
+                states=self.states[middle],
+                rates=self.rates[middle],
             )
         ]
 
@@ -240,27 +240,27 @@ class Process:
         else:
             jumps = np.diff(warm[0].rates[:, -1], axis=0)
         rough = float(np.median(np.square(jumps).mean(axis=1) / steps))
-        # At least so much that the noise could hide what it moves in some seconds.
+        # The least density moves a state by the noise within a few seconds.
         span = min(float(steps.sum()), max(_STILL_S, _STILL_STEPS * float(np.median(steps))))
         least = noise**2 / span ** (2 * self.order - 1)
         most = max(rough, least) * _MOST_ABOVE_ROUGH
-        found = minimize_scalar(
+        optimum = minimize_scalar(
             cost,
             bounds=(np.log(least), np.log(most)),
             method="bounded",
             options={"maxiter": 30, "xatol": 3e-3},
         )
-        return float(np.exp(found.x))
+        return float(np.exp(optimum.x))
 
 
 @dataclass(frozen=True, eq=False)
 class Interpolator:
-    """A process and the covariances of its knots.
+    """A process with the covariances of its knots.
 
     Attributes:
-        process: At its mode.
-        own: (N, d m, d m), of each knot.
-        beside: (N - 1, d m, d m), between each knot and the next.
+        process: The process at its mode.
+        own: (N, d m, d m), covariances of the knots.
+        beside: (N - 1, d m, d m), covariances between consecutive knots.
     """
 
     process: Process
@@ -268,11 +268,12 @@ class Interpolator:
     beside: Floats
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return states (Q, ...) and covariances (Q, d, d) on the right, within the knots."""
+        """Return states (Q, ...) and right covariances (Q, d, d) at times within the knots."""
         states, covariances = lie.by_blocks(self._at, times)
         return states, covariances
 
     def _at(self, times: Floats) -> tuple[Floats, Floats]:
+        """Interpolate one block of times (Q,)."""
         process, order, dimension = self.process, self.process.order, self.process.dimension
         last = len(process.times) - 2
         knot = np.clip(np.searchsorted(process.times, times, side="right") - 1, 0, last)
@@ -286,7 +287,7 @@ class Interpolator:
         first = manifold.local(np.zeros_like(gap), rates[knot])
         variable = np.einsum("qm,qmi->qi", by_first, first.values)
         variable += np.einsum("qm,qmi->qi", by_second, second.values)
-        # The chart stays where the first knot is, so each knot moves its own end alone.
+        # The chart is fixed at the first knot, so that a knot affects its own end only.
         ahead = second.jacobian.copy()
         turned, _ = manifold.inverse_jacobians(gap)
         ahead[:, :, :, 0, :] = ahead[:, :, :, 0, :] @ turned[:, None]
@@ -302,7 +303,7 @@ class Interpolator:
 
 
 def _differences(manifold: Manifold, times: Floats, states: Floats) -> tuple[Floats, Floats]:
-    """Return velocities and accelerations (N, d) to start from, by finite differences."""
+    """Return initial velocities and accelerations (N, d), by finite differences."""
     steps = np.diff(times)
     between = manifold.between(states[:-1], states[1:]) / steps[:, None]
     velocity = np.concatenate([between[:1], between])

@@ -1,7 +1,7 @@
 """A trajectory as a piecewise Gaussian process: section IV of the probabilistic paper.
 
-Overlapping segments share their hyperparameters and are blended, so that the mean and the
-covariance are continuous everywhere, which shared hyperparameters alone don't achieve.
+Overlapping segments share their hyperparameters and are blended. Therefore mean and covariance are
+continuous everywhere; shared hyperparameters alone are not sufficient.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _BLOCK = 256
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseGP:
-    """Six processes for each segment, conditioned on its samples, eq. (31).
+    """Six processes per segment, conditioned on its samples, eq. (31).
 
     Attributes:
-        segments: With their samples.
-        kernels: Of the three translations, and of the three rotations where there are any.
+        segments: Segments with their samples.
+        kernels: Of the three translations and, if any, of the three rotations.
         hyperparameters: Likewise.
-        roots: For each of these, L^-1 (S, n, n) of K = L L^T.
-        weights: For each of these, K^-1 y (S, n, 3).
+        roots: Likewise, L^-1 (S, n, n) of K = L L^T.
+        weights: Likewise, K^-1 y (S, n, 3).
     """
 
     segments: GPSegments
@@ -49,13 +49,13 @@ class PiecewiseGP:
         joint: bool = False,
         breaks: Sequence[int] | Indices = (),
     ) -> PiecewiseGP:
-        """Fit the processes: the most likely hyperparameters, then as of `conditioned`.
+        """Estimate the hyperparameters by maximum likelihood, then condition on the samples.
 
         Args:
-            samples: Of the trajectory.
-            kernels: Forms to choose from, by the likelihood of the samples.
-            joint: Use coordinates of se(3), as the paper does.
-            breaks: Samples after which no segment goes on, as of `GPSegments.of`.
+            samples: Samples of the trajectory.
+            kernels: Candidates; the one with the largest likelihood is chosen.
+            joint: Use coordinates of se(3), as in the paper.
+            breaks: Samples that end a segment, see `GPSegments.of`.
         """
         after = np.asarray(breaks, dtype=np.int64)
         segments = GPSegments.of(samples, SIZE, joint=joint, breaks=after)
@@ -79,12 +79,12 @@ class PiecewiseGP:
         """Condition processes on samples.
 
         Args:
-            segments: With their samples.
-            chosen: Kernel and hyperparameters of translations, and of rotations if there are any.
+            segments: Segments with their samples.
+            chosen: Kernel and hyperparameters of translations and, if any, of rotations.
         """
         roots, weights = [], []
-        for block, (kernel, each) in enumerate(chosen):
-            root = _inverse_roots(kernel, segments.times, each)
+        for block, (kernel, parameters) in enumerate(chosen):
+            root = _inverse_roots(kernel, segments.times, parameters)
             roots.append(root)
             target = _axes(segments.coordinates, block)
             weights.append(se3.transposed(root) @ (root @ target))
@@ -92,29 +92,30 @@ class PiecewiseGP:
         return cls(segments, forms, numbers, tuple(roots), tuple(weights))
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
         return Belief(*lie.by_blocks(self._at, times))
 
     def in_segment(self, segment: Indices, times: Floats) -> Belief:
-        """Return what one segment for each time knows, eq. (31).
+        """Return the belief of one segment per time, eq. (31).
 
         Args:
-            segment: (Q,).
+            segment: (Q,), the segments.
             times: (Q,), seconds.
         """
         means, variances = np.zeros((len(times), 6)), np.zeros((len(times), 6))
         lags = times[:, None] - self.segments.times[segment]
-        for block, each in enumerate(self.hyperparameters):
+        for block, parameters in enumerate(self.hyperparameters):
             axes = slice(3 * block, 3 * block + 3)
-            prior = each.sigma**2
-            near = prior * self.kernels[block].between(lags, each.length)
+            prior = parameters.sigma**2
+            near = prior * self.kernels[block].between(lags, parameters.length)
             means[:, axes] = np.einsum("qn,qnc->qc", near, self.weights[block][segment])
             explained = np.square(se3.times(self.roots[block][segment], near)).sum(axis=1)
-            # Rounding must not make a variance negative where samples explain all of it.
+            # Rounding must not make a variance negative.
             variances[:, axes] = np.maximum(prior - explained, 1e-14 * prior)[:, None]
         return Belief(*self.segments.poses_at(segment, means, variances))
 
     def _at(self, times: Floats) -> tuple[Floats, Floats]:
+        """Evaluate one block of times (Q,)."""
         first, second, weight = self.segments.around(times)
         belief = self.in_segment(second, times)
         if len(self.segments) > 1:
@@ -123,25 +124,30 @@ class PiecewiseGP:
 
 
 def _axes(coordinates: Floats, block: int) -> Floats:
+    """Return the translations (block 0) or rotations (block 1) of coordinates (..., 6)."""
     return coordinates[..., 3 * block : 3 * block + 3]
 
 
-def _inverse_roots(kernel: Kernel, times: Floats, each: Hyperparameters) -> Floats:
-    """Return L^-1 (S, n, n) of K + noise, some segments at a time, which stay in the cache."""
+def _inverse_roots(kernel: Kernel, times: Floats, parameters: Hyperparameters) -> Floats:
+    """Return L^-1 (S, n, n) of K + noise, by blocks of segments that fit into the cache."""
     roots = np.empty((*times.shape, times.shape[1]))
     for begin in range(0, len(times), _BLOCK):
-        some = slice(begin, begin + _BLOCK)
-        lags = times[some, :, None] - times[some, None, :]
-        roots[some] = _inverse_root(each.sigma**2 * kernel.between(lags, each.length), each)
+        chunk = slice(begin, begin + _BLOCK)
+        lags = times[chunk, :, None] - times[chunk, None, :]
+        roots[chunk] = _inverse_root(
+            parameters.sigma**2 * kernel.between(lags, parameters.length), parameters
+        )
     return roots
 
 
-def _inverse_root(prior: Floats, each: Hyperparameters) -> Floats:
-    """Return L^-1 of a prior with noise; a smooth one may need more than that on its diagonal."""
+def _inverse_root(prior: Floats, parameters: Hyperparameters) -> Floats:
+    """Return L^-1 of a prior with noise; smooth kernels can need a larger diagonal."""
     diagonal = np.eye(prior.shape[-1])
     for jitter in (0.0, 1e-10, 1e-8, 1e-6):
         try:
-            root = np.linalg.cholesky(prior + (each.noise**2 + jitter * each.sigma**2) * diagonal)
+            root = np.linalg.cholesky(
+                prior + (parameters.noise**2 + jitter * parameters.sigma**2) * diagonal
+            )
         except np.linalg.LinAlgError:
             continue
         return np.asarray(np.linalg.inv(root))

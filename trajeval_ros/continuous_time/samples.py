@@ -1,4 +1,4 @@
-"""The samples that a continuous trajectory is fitted to, and how well each is known."""
+"""The samples of a continuous trajectory and their noise."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from trajeval_ros.geometry import lie, se3, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
-# Samples closer than this, or than this share of the usual step, are one: a Markov process can't
-# be asked to accelerate between them.
+# Distance in time, absolute and relative to the median step, below which samples are merged. A
+# Markov process cannot represent the acceleration between them.
 _SAME_S, _SAME_SHARE = 1e-6, 1e-2
-# A step so many times the usual one is a gap.
+# Length of a gap in median steps.
 GAP_STEPS = 3.0
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of a groundtruth's samples. They are given, never learned.
+    """Standard deviations of groundtruth samples, which are given, not estimated.
 
-    Between samples that are seconds apart, maximum likelihood can't tell noise from motion and
-    ends at none at all.
+    For samples seconds apart, maximum likelihood cannot distinguish noise from motion, and
+    estimates zero noise.
 
     Attributes:
-        position_m: Along each axis.
-        rotation_rad: About each axis.
+        position_m: Along every axis, metres.
+        rotation_rad: About every axis, rad.
+
+    Raises:
+        SettingsError: A value is not positive.
 
     Example:
         >>> import math
@@ -43,7 +46,7 @@ class Noise:
     rotation_rad: float = math.radians(0.1)
 
     def __post_init__(self) -> None:
-        """Refuse a groundtruth without noise."""
+        """Refuse groundtruth without noise."""
         for name in ("position_m", "rotation_rad"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingsError(
@@ -53,7 +56,7 @@ class Noise:
                 )
 
     def per_axis(self, oriented: bool) -> tuple[float, ...]:
-        """Return the deviations of positions and, where there are any, of rotations."""
+        """Return the standard deviations of positions and, if any, of rotations."""
         return (self.position_m, self.rotation_rad) if oriented else (self.position_m,)
 
 
@@ -62,12 +65,12 @@ class Samples:
     """N poses at distinct times, in order.
 
     Attributes:
-        origin: Nanoseconds; times count from it, so that none loses digits.
+        origin: Timestamp of time zero, nanoseconds; it preserves the precision of times.
         times: (N,), seconds.
-        poses: (N, 4, 4); rotations are the identity where there are none.
-        oriented: Whether there are rotations.
-        noise: Of each sample.
-        merged: How many were merged into others that were too close in time.
+        poses: (N, 4, 4); identity rotations without orientations.
+        oriented: Whether there are orientations.
+        noise: Noise of the samples.
+        merged: Number of samples that were merged with a neighbour.
     """
 
     origin: int
@@ -79,10 +82,10 @@ class Samples:
 
     @classmethod
     def of(cls, trajectory: Trajectory, noise: Noise) -> Samples:
-        """Take a trajectory's samples; those closer than 1 % of the usual step become one.
+        """Return a trajectory's samples; those closer than 1 % of the median step are merged.
 
         Raises:
-            InputError: There are fewer than two, so nothing says how the body moved.
+            InputError: There are fewer than two.
         """
         trajectory = trajectory.in_order()
         if len(trajectory) < 2:
@@ -104,25 +107,25 @@ class Samples:
         return samples._merged()
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of samples."""
         return len(self.times)
 
     def __getitem__(self, rows: Indices | Booleans) -> Samples:
-        """Return some of them."""
+        """Return the samples of some rows."""
         return Samples(self.origin, self.times[rows], self.poses[rows], self.oriented, self.noise)
 
     @property
     def usual_step_s(self) -> float:
-        """The median step."""
+        """The median step, seconds."""
         return float(np.median(np.diff(self.times)))
 
     @property
     def gaps(self) -> Indices:
-        """Indices of the samples that a gap follows."""
+        """Indices of the samples before a gap."""
         return np.flatnonzero(np.diff(self.times) > GAP_STEPS * self.usual_step_s)
 
     def seconds(self, stamps: NDArray[np.int64]) -> Floats:
-        """Return stamps (Q,), nanoseconds, as times."""
+        """Return stamps (Q,), nanoseconds, as times in seconds."""
         seconds: Floats = (stamps - self.origin) / NANOSECONDS
         return seconds
 
@@ -133,7 +136,7 @@ class Samples:
         return angles
 
     def _merged(self) -> Samples:
-        """Merge what is too close in time: means of times, positions and small turns."""
+        """Merge samples that are too close in time, by means of times, positions and rotations."""
         steps = np.diff(self.times)
         limit = max(_SAME_S, _SAME_SHARE * float(np.median(steps)))
         apart = np.concatenate([[True], steps >= limit])
@@ -167,12 +170,12 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known of a body at Q times.
+    """Distribution of a body's pose at Q times.
 
     Attributes:
-        poses: (Q, 4, 4), the most likely ones.
+        poses: (Q, 4, 4), the most likely poses.
         covariances: (Q, 6, 6), perturbations on the right, translation first: T Exp(xi), eq. (1).
-            Where the groundtruth has no rotations, their rows are zero.
+            Rows of rotations are zero without orientations.
     """
 
     poses: Floats

@@ -1,4 +1,4 @@
-"""Gaps: a second, coarser process where a segment of samples is too short to see across one."""
+"""Gaps: an additional coarse process for gaps that are longer than a segment of samples."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
 from trajeval_ros.continuous_time.samples import Belief, Samples
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 
-# A coarse segment of twenty samples spans as long as a gap, but never more than two seconds.
+# A coarse segment of twenty samples spans a gap, but at most two seconds.
 _STEPS_PER_GAP, _COARSEST_S = 20, 0.1
 _WORTHWHILE = 1.5
 _RAMP = 0.1
@@ -22,19 +22,19 @@ _RAMP = 0.1
 
 @dataclass(frozen=True, eq=False)
 class TwoScaleGP:
-    """A piecewise process, and a coarser one that takes over inside gaps.
+    """A piecewise process, and a coarser one inside gaps.
 
-    At 200 Hz twenty samples span 0.1 s and know nothing of the speed a second away, nor should
-    they: a segment across a gap would be pulled by a prior of millimetres to what is metres away
-    on the other side. The coarser one alone knows of runs that are shorter than a segment.
+    At 200 Hz, twenty samples span 0.1 s and do not determine the velocity one second later. A
+    segment across a gap would be wrong, too: its prior of millimetres does not allow metres
+    between its ends. Runs shorter than a segment are in the coarse process only.
 
     Attributes:
-        fine: Of all samples.
-        coarse: Of thinned ones; None without gaps, or where samples are sparse already.
+        fine: Process of all samples.
+        coarse: Process of thinned samples; None without gaps, or if samples are sparse.
         times: (N,), seconds, of the samples.
-        gaps: Indices of the samples that a gap follows for which the coarse one is meant.
-        short: (N,), whether a sample is in a run that is shorter than a segment.
-        ramp_s: Longest time in which one takes over from the other.
+        gaps: Indices of the samples before a gap that the coarse process covers.
+        short: (N,), whether a sample is in a run shorter than a segment.
+        ramp_s: Longest transition between the two, seconds.
     """
 
     fine: PiecewiseGP
@@ -46,12 +46,12 @@ class TwoScaleGP:
 
     @classmethod
     def fit(cls, samples: Samples, kernels: Sequence[Kernel]) -> TwoScaleGP:
-        """Fit both; arguments as of `PiecewiseGP.fit`."""
+        """Fit both; see `PiecewiseGP.fit`."""
         gaps, coarse, step = samples.gaps, None, 0.0
         if len(gaps):
             usual, lengths = samples.usual_step_s, np.diff(samples.times)[gaps]
             step = max(min(_middle(lengths) / _STEPS_PER_GAP, _COARSEST_S), usual)
-            # Across less than its own step a coarse process knows no more than the fine one.
+            # In gaps shorter than its step, the coarse process is no better than the fine one.
             gaps = gaps[lengths > step]
             if step > _WORTHWHILE * usual:
                 coarse = PiecewiseGP.fit(samples[thinned(samples, gaps, step)], kernels)
@@ -61,7 +61,7 @@ class TwoScaleGP:
         return cls(fine, coarse, samples.times, gaps, short, step)
 
     def at(self, times: Floats) -> Belief:
-        """Return what is known at times (Q,), seconds, within those of the samples."""
+        """Return the belief at times (Q,), seconds, within those of the samples."""
         belief = self.fine.at(times)
         if self.coarse is None:
             return belief
@@ -75,17 +75,17 @@ class TwoScaleGP:
         return belief
 
     def _weight(self, before: Indices, times: Floats, in_gap: Booleans) -> Floats:
-        """Return the say of the coarse process at times (Q,) that follow the samples `before`."""
+        """Return the weight of the coarse process at times (Q,) after the samples `before`."""
         after = np.minimum(before + 1, len(self.times) - 1)
         start, end = self.times[before], self.times[after]
-        # At once: what the fine one believes beyond a segment's length is its prior.
+        # The transition is short, since the fine process is its prior beyond a segment's length.
         ramp = np.where(in_gap, np.minimum(_RAMP * (end - start), self.ramp_s), 1.0)
         rise, fall = smooth_step((times - start) / ramp), smooth_step((end - times) / ramp)
         return np.where(self.short[before], 1.0, rise) * np.where(self.short[after], 1.0, fall)
 
 
 def thinned(samples: Samples, gaps: Indices, step_s: float) -> Indices:
-    """Return the rows to keep: the first of each step, and both edges of every gap."""
+    """Return the rows to keep: the first of every step, and both edges of gaps."""
     cell = np.floor(samples.times / step_s)
     first = np.concatenate([[True], np.diff(cell) > 0.0])
     first[gaps] = first[gaps + 1] = True
@@ -94,9 +94,9 @@ def thinned(samples: Samples, gaps: Indices, step_s: float) -> Indices:
 
 
 def _middle(lengths: Floats) -> float:
-    """Return the length of the gap that the middle of all missing time lies in.
+    """Return the length of the gap at the median of the total missing time.
 
-    Hundreds of lost packets don't make a dropout of ten seconds a small one.
+    Many short gaps of lost packets then have little influence next to a long dropout.
     """
     ordered = np.sort(lengths)
     missing = np.cumsum(ordered)

@@ -1,6 +1,6 @@
-"""The motion between two knots where the m-th derivative is white noise, m = 1, 2, 3.
+"""Motion between two knots with white noise on the m-th derivative, m = 1, 2, 3.
 
-Transition and covariance of (g, g', ...) over a time; both act on each axis alike.
+Transition and covariance of (g, g', ...) over a time; they are the same for all axes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def covariance(order: int, time: Floats) -> Floats:
 
 
 def information(order: int, time: Floats) -> Floats:
-    """Return Q^-1 (..., m, m) over times (...): Q scales by powers of time, so one is inverted."""
+    """Return Q^-1 (..., m, m) over times (...), by scaling the inverse at unit time."""
     scale = time[..., None] ** (np.arange(order) - order + 0.5)
     unit = np.linalg.inv(covariance(order, np.ones(())))
     inverse: Floats = scale[..., :, None] * unit * scale[..., None, :]
@@ -43,12 +43,12 @@ def information(order: int, time: Floats) -> Floats:
 
 
 def interpolation(order: int, step: Floats, since: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return how the variable between two knots depends on both, and what it does by itself.
+    """Return the interpolation between two knots, and its variance given both.
 
     Args:
         order: m.
-        step: (Q,), time from knot to knot.
-        since: (Q,), time since the first knot, within the step.
+        step: (Q,), time between the knots, seconds.
+        since: (Q,), time since the first knot, seconds.
 
     Returns:
         Rows Lambda and Psi (Q, m), with g = Lambda z_0 + Psi z_1, and the variance (Q,) of g given
