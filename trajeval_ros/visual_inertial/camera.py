@@ -1,4 +1,4 @@
-"""A pinhole camera, or a stereo pair of them, and what it sees."""
+"""Projection and field of view of a pinhole camera or a stereo pair."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 class Camera:
     """Intrinsics, noise and range. The principal point is the image's centre.
 
-    A pixel is (r,): u and v, and of a stereo pair those of the second camera after them, which
-    differs by a translation along the first one's x axis (tutorial, eq. 3).
+    A pixel is (r,): u and v, followed by u and v of the second camera if it is a stereo pair
+    (r = 4). The second camera is translated along the first one's x axis (tutorial, eq. 3).
 
     Attributes:
         focal_px: Focal length, pixels.
-        width: Of the image, pixels.
-        height: Of the image, pixels.
+        width: Image width, pixels.
+        height: Image height, pixels.
         noise_px: Standard deviation of a measured coordinate, pixels.
-        nearest_m: Depth from which on a point is seen.
-        farthest_m: Depth up to which a point is seen.
-        baseline_m: Where the second camera of a stereo pair is, None for a single camera.
+        nearest_m: Least depth of visible points.
+        farthest_m: Largest depth of visible points.
+        baseline_m: Translation of a stereo pair's second camera; None for a single camera.
     """
 
     focal_px: float
@@ -55,7 +55,7 @@ class Camera:
         return projected.reshape(*points.shape[:-1], -1)
 
     def rays(self, pixels: Floats) -> Floats:
-        """Return the points of depth 1 (..., 3), in the camera's frame, behind pixels (..., r)."""
+        """Return the points (..., 3) at depth 1, in the camera's frame, of pixels (..., r)."""
         plane = (pixels[..., :2] - self.centre) / self.focal_px
         return np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
 
@@ -63,7 +63,7 @@ class Camera:
         """Whether points in the camera's frame (..., 3) are in range and in the image."""
         depth = points[..., 2]
         in_range = (depth > self.nearest_m) & (depth < self.farthest_m)
-        # A point behind the camera is projected at depth 1, so that nothing divides by zero.
+        # Points out of range are replaced by a point at depth 1, to avoid division by zero.
         slopes = self.slopes(np.where(in_range[..., None], points, 1.0))
         pixels = self.focal_px * slopes + self.centre
         inside = (pixels >= 0.0) & (pixels < [self.width, self.height])

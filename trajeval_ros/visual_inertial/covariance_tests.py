@@ -1,6 +1,7 @@
-"""Whether an estimate from measured data is as sure as it should be: NEES per degree of freedom.
+"""Covariance tests of estimates from measured data, by NEES per degree of freedom.
 
-Against groundtruth, if that is good enough; without, by halves of the landmarks.
+They compare with groundtruth, if it is accurate enough, or compare estimates from two halves of
+the landmarks with one another.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def groundtruth_nees(
     """
     carried, moved = transform(covariance, state, truth.rotations[0], truth.positions[0])
     reference = truth.referred_to(truth.rotations[0], truth.positions[0])
-    # Groundtruth's own noise is in the gauge of nothing: aligned, it becomes Q N Q'.
+    # Groundtruth's noise N is not in the gauge of fixation; alignment transforms it to Q N Q'.
     motion = moved.motion_places
     carried, basis = carried[np.ix_(motion, motion)], moved.gauge_basis[motion]
     project = np.eye(len(carried))
@@ -52,10 +53,10 @@ def split_half_nees(
 ) -> Floats:
     """Return the NEES of the poses of two estimates over its degrees of freedom, (splits,).
 
-    Each split gives either half of the landmarks, at random, to an estimate of its own. Both use
-    the IMU, so that with P of each and H the IMU's information, their difference has the
-    covariance P1 + P2 - P1 H P2 - P2 H P1. What both share (calibration, time, the IMU's noise)
-    doesn't show.
+    A split divides the landmarks into random halves, with one estimate from either half. Both
+    estimates use the IMU. With their covariances P1 and P2 and the IMU's information H, their
+    difference has the covariance P1 + P2 - P1 H P2 - P2 H P1. The test can't detect common errors
+    (calibration, time, the IMU's noise).
 
     Raises:
         InputError: Too few landmarks for halves.
@@ -84,7 +85,7 @@ def _split_nees(
         covariances.append(fixed_covariance(problem, estimate))
         jacobians.append(_inertial_jacobian(problem, estimate))
     ours, theirs = covariances
-    # Each with its own Jacobian of the IMU: with one for both, rounding makes it indefinite.
+    # Both with their own Jacobian of the IMU: with a common one, rounding makes it indefinite.
     common = (ours @ jacobians[0].T) @ (jacobians[1] @ theirs)
     motion = state.motion_places
     difference = (ours + theirs - common - common.T)[np.ix_(motion, motion)]
@@ -92,12 +93,13 @@ def _split_nees(
 
 
 def _inertial_jacobian(problem: Problem, state: State) -> Floats:
-    """Return the derivative (wN - 9, wN) of what the IMU and its biases say by the keyframes."""
+    """Return the Jacobian (wN - 9, wN) of the residuals of IMU and biases by the keyframes."""
     _, before, after = problem.inertial(state)
     width = problem.width
     jacobian = np.zeros((len(before), width, problem.keyframes, width))
-    each = np.arange(len(before))
-    jacobian[each, :, each], jacobian[each, :, each + 1] = before, after
+    intervals = np.arange(len(before))
+    jacobian[intervals, :, intervals] = before
+    jacobian[intervals, :, intervals + 1] = after
     first = np.zeros((width - MOTION_WIDTH, problem.keyframes, width))
     first[:, 0, MOTION_WIDTH:] = np.diag(problem.first_biases(state)[1])
     return np.concatenate(
@@ -106,7 +108,7 @@ def _inertial_jacobian(problem: Problem, state: State) -> Floats:
 
 
 def _difference(state: State, reference: State) -> Floats:
-    """Return the perturbation (9N,) of the motion that leads from one state to another."""
+    """Return the perturbation (9N,) of the motion from the reference to the state."""
     turns = so3.log(state.rotations @ np.swapaxes(reference.rotations, 1, 2))
     turns[0] = state.first_turn - reference.first_turn
     parts = (state.positions - reference.positions, turns, state.velocities - reference.velocities)
@@ -114,10 +116,10 @@ def _difference(state: State, reference: State) -> Floats:
 
 
 def _nees(error: Floats, covariance: Floats) -> float:
-    """Return e' C^-1 e / dof of the poses, without what the gauge holds.
+    """Return e' C^-1 e / dof of the poses, without the four parameters that the gauge fixes.
 
-    Directions that next to nothing is uncertain in, since the IMU knows them and both estimates
-    have the same one, are left out: rounding is as large as their variance.
+    Directions with almost no variance, which the common IMU determines, are left out: rounding is
+    as large as their variance.
     """
     poses = np.arange(len(error)).reshape(-1, 9)[:, :6].ravel()
     free = np.setdiff1d(poses, GAUGE_INDICES)

@@ -1,10 +1,9 @@
-"""A simulated flight with an odometry that drifts as visual-inertial ones do, from a seed.
+"""Simulation of a flight and an odometry with the drift of visual-inertial ones, from a seed.
 
-This is a kinematic model of drift, not an estimator: nobody tracks features or integrates an IMU
-here. The true velocity is turned by a wandering yaw, stretched by a scale that is slightly off,
-disturbed, and summed up. Roll and pitch err but don't wander off, since gravity is observed.
-It gives data of the right shape for a demonstration or a test, and says nothing about how well
-any real estimator does.
+This is a kinematic model of drift, not an estimator; there are no features and no IMU. The true
+velocity is rotated by a yaw error (random walk), scaled by a slowly varying scale error, disturbed
+by noise, and integrated. Errors of roll and pitch are bounded, since gravity is observed. The data
+are for demonstrations and tests. They say nothing about the accuracy of real estimators.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ SHORTEST_S, LONGEST_S = 5.0, 86_400.0
 _GROUNDTRUTH_JITTER_S = 20e-6
 _STAMP_DELAY_S = 100e-6
 _LONGEST_STAMP_DELAY_S = 1e-3
-_GAP_S = 2.0  # how long the odometry is silent
-# How it errs, as standard deviations, which lose 0.5 to 1 % of the distance.
+_GAP_S = 2.0  # duration without estimates
+# Standard deviations of its errors, for a drift of 0.5 to 1 % of the distance.
 _YAW_DEG_PER_SQRT_S = 0.1  # after one second, growing with the square root of time
 _VELOCITY_SHARE = 0.01  # of speed, per axis
 _SCALE = 0.003  # varies slowly
@@ -37,7 +36,7 @@ TILT_DEG = 0.3  # of roll and pitch, per axis; never more than twice as much
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What was flown and what the odometry made of it.
+    """Groundtruth and estimate of a simulated flight.
 
     Attributes:
         groundtruth: About 200 states a second, with velocity, in frame `world`.
@@ -53,12 +52,12 @@ def simulate(seed: int, duration_s: float = 120.0, *, drives: bool = False) -> S
 
     Args:
         seed: Chooses the flight, the frames, the clocks' jitter and the drift.
-        duration_s: Length of the flight, 5 s to a day. Near its middle the odometry is silent
-            for two seconds.
-        drives: Whether it is a drive of some hundred metres instead of a flight of some ten.
+        duration_s: Duration of the flight, 5 s to a day. The odometry has a gap of two seconds
+            near its middle.
+        drives: True for a drive over hundreds of metres instead of a flight over tens of metres.
 
     Raises:
-        SettingsError: A flight too short for what is in it, or too long for memory.
+        SettingsError: `duration_s` out of range, or a negative seed.
 
     Example:
         >>> from trajeval_ros import simulate
@@ -83,9 +82,8 @@ def simulate(seed: int, duration_s: float = 120.0, *, drives: bool = False) -> S
 class _Flight:
     """A sum of K sine waves per axis, so that every derivative is exact.
 
-    The first wave of x and of y draw a figure eight, which is never slower than 1.19 m/s. The
-    others make it wander and never add up to more than 0.92 m/s, so the course, and with it the
-    yaw, is smooth everywhere.
+    The first waves of x and y form a figure eight with a speed of at least 1.19 m/s. The others
+    add at most 0.92 m/s, so the speed is never zero, and the course and the yaw are smooth.
 
     Attributes:
         centre: (3,), metres.
@@ -116,7 +114,7 @@ class _Flight:
     def _of_waves(cls, generator: np.random.Generator, speeds: Floats, slowest: Floats) -> _Flight:
         frequencies = slowest * generator.uniform(1.0, 1.3, slowest.shape)
         phases = generator.uniform(-np.pi, np.pi, slowest.shape)
-        # Twice the frequency and twice the phase: an eight, whichever way it is entered.
+        # Twice the frequency and twice the phase give a figure eight for any phase.
         frequencies[0, :2] = slowest[0, :2]
         phases[0, 1] = 2.0 * phases[0, 0]
         centre = np.append(generator.uniform(-2.0, 2.0, 2), 3.5)
@@ -131,7 +129,7 @@ class _Flight:
         return self._sum(times, self.speeds, np.pi / 2.0)
 
     def rotations(self, times: Floats) -> Rotation:
-        """Return N attitudes: z along the thrust, x towards where the flight goes."""
+        """Return N attitudes: z along the thrust, x along the horizontal velocity."""
         velocities = self.velocities(times)
         thrust = self._sum(times, self.speeds * self.frequencies, np.pi)
         thrust[:, 2] += GRAVITY
@@ -164,7 +162,8 @@ def _groundtruth(generator: np.random.Generator, flight: _Flight, duration_s: fl
 
 def _odometry(generator: np.random.Generator, flight: _Flight, duration_s: float) -> Trajectory:
     step_s = 1.0 / ESTIMATE_RATE_HZ
-    # Neither clock knows the other: the phase is arbitrary, and all lies within the groundtruth.
+    # The clocks are not synchronised: the phase is random. All estimates are within the
+    # groundtruth.
     start_s = generator.uniform(0.01, 0.04)
     times = np.arange(start_s, duration_s - 0.01, step_s)
     velocities = flight.velocities(times)
@@ -209,7 +208,7 @@ def _yaw_rotations(angle: Floats) -> Rotation:
 def wandering(
     generator: np.random.Generator, count: int, columns: int, correlation: float
 ) -> Floats:
-    """Return noise (count, columns) of variance 1 that forgets itself after that many rows."""
+    """Return noise (count, columns) of variance 1, correlated over that many rows."""
     from scipy.signal import lfilter
 
     memory = np.exp(-1.0 / correlation)

@@ -1,4 +1,4 @@
-"""Everything about measured keyframes that has to be known before their errors are believed."""
+"""Tests of measured keyframes, to decide whether their errors can be trusted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from trajeval_ros.visual_inertial.sensor_recording import SensorRecording
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH
 
 LAGS = (1, 2, 5, 10)
-# Noise of groundtruth per axis, which nobody knows: m, deg, m/s.
+# Assumed noise of groundtruth per axis, which is unknown: m, deg, m/s.
 GROUNDTRUTH_NOISES = ((0.0, 0.0, 0.0), (1e-3, 0.1, 5e-3), (1e-3, 0.2, 5e-3), (2e-3, 0.3, 1e-2))
 _SPLITS = 10
 _GRAVITY_TOLERANCE, _TILT_TOLERANCE_DEG = 0.1, 2.0
@@ -33,14 +33,14 @@ _DRIFT_TOLERANCE_DEG_PER_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
-    """What the user says of a recording.
+    """Settings of a recording's examination.
 
     Attributes:
-        every: Every so many images is a keyframe.
-        keyframes: So many at most.
+        every: Number of images from one keyframe to the next.
+        keyframes: Largest number of keyframes.
         pixel_noise: Standard deviation of a measured coordinate, pixels.
-        imu_noise: Densities.
-        bias_noise: To estimate biases; None to take groundtruth's.
+        imu_noise: Noise densities of the IMU.
+        bias_noise: Prior of the biases, to estimate them; None to use groundtruth's biases.
         gravity: m/s^2.
         is_split: Whether to test the covariance by halves of the landmarks.
     """
@@ -56,22 +56,23 @@ class MeasurementModel:
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """Measured keyframes and what their data and residuals say.
+    """Measured keyframes, with tests of their data and residuals.
 
     Attributes:
-        scene: To compare the ways to handle the gauge on.
-        rejection: The measurements that are left, and their solution.
+        scene: The problem for the gauge study.
+        rejection: The measurements without outliers, and their solution.
         duration_s: From first to last keyframe.
-        notes: What reader and selection joined, made up or left out.
-        gravity: (3,) by groundtruth and IMU, m/s^2.
-        drift_deg: How far groundtruth and gyroscope disagree on the rotation from first to last.
+        notes: What reader and selection joined, inserted or dropped.
+        gravity: (3,) from groundtruth and IMU, m/s^2.
+        drift_deg: Angle between groundtruth's and the gyroscope's rotation from the first to the
+            last keyframe.
         groups: Chi-square by group of residuals.
         correlation: (lags,) of reprojection errors along tracks.
         nees: NEES of the poses over its degrees of freedom, for each of `GROUNDTRUTH_NOISES`.
         biases_sigma: (6,) standard deviations of the last keyframe's biases; (0,) where biases are
             known.
-        split_half: (splits,) the same of the difference of two halves, without groundtruth; None
-            if nobody asked.
+        split_half: (splits,), NEES of the differences of two halves, without groundtruth; None
+            if not requested.
     """
 
     scene: MeasuredScene
@@ -94,7 +95,7 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
         InputError: The recording can't be used: no groundtruth at a keyframe, a gap in the IMU's
             samples, too few tracks, or gravity or a rotation that shows wrong biases, extrinsics
             or frames.
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     gravity = np.array([0.0, 0.0, -model.gravity])
     whole = select(
@@ -148,5 +149,5 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
 
 
 def tilt_of(gravity: Floats) -> float:
-    """Return the angle between a gravity (3,) and straight down, deg."""
+    """Return the angle between a gravity vector (3,) and -z, deg."""
     return float(np.degrees(np.arctan2(np.linalg.norm(gravity[:2]), -gravity[2])))

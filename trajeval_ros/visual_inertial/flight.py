@@ -1,4 +1,4 @@
-"""Bags' worth of visual-inertial odometry: a flight, its true states, and runs of an estimator."""
+"""Simulated visual-inertial odometry: a flight, its true states, and runs of an estimator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEYFRAME_RATE_HZ = 10.0
 # Half an hour takes 3.4 GB, which grows with the length, and 142 s, most of them for the spline,
 # which grow with its square.
 LONGEST_S = 1800.0
-# A dense Schur complement of more keyframes takes minutes; samples take seconds.
+# With more keyframes, solving with a dense Schur complement takes minutes; sampling takes seconds.
 MOST_SOLVED = 101
 _LANDMARKS_PER_KEYFRAME = 10
 _TRACK = 10
@@ -49,7 +49,8 @@ class Flight:
     Attributes:
         groundtruth: 200 states a second, with velocity, in frame `world`.
         scene: Its keyframes, 10 a second, and measurements.
-        is_solved: Whether runs come from the estimator itself, or from its Gaussian.
+        is_solved: True if runs are solved, False if they are sampled from the estimator's
+            Gaussian.
     """
 
     groundtruth: Trajectory
@@ -57,10 +58,10 @@ class Flight:
     is_solved: bool
 
     def runs(self, seed: int, count: int) -> Iterator[Odometry]:
-        """Yield so many runs that differ in noise and frame.
+        """Yield `count` runs that differ in noise and frame.
 
         Raises:
-            DegenerateGeometryError: More than the gauge's four directions are open.
+            DegenerateGeometryError: More than the gauge's four directions are undetermined.
         """
         sampler = None if self.is_solved else Sampler(self.scene)
         for number in range(count):
@@ -79,13 +80,13 @@ def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
 
     Args:
         seed: Chooses the flight and the landmarks.
-        duration_s: Of the flight, 5 s to half an hour.
-        profile: Of the sensors.
+        duration_s: Duration, 5 s to half an hour.
+        profile: Sensors.
 
     Raises:
-        SettingsError: A flight too short, too long for memory, or too long to be solved where
-            it must be.
-        DegenerateGeometryError: The keyframes hardly see anything together.
+        SettingsError: A flight too short, too long for memory, or too long to be solved if the
+            profile requires it.
+        DegenerateGeometryError: Too few landmarks are observed by several keyframes.
     """
     if not SHORTEST_S <= duration_s <= LONGEST_S:
         raise SettingsError(
@@ -99,7 +100,7 @@ def fly(seed: int, duration_s: float, profile: SensorProfile) -> Flight:
             f"an overconfident run of {duration_s:g} s takes too long to solve; use --duration "
             f"{longest:g} or less"
         )
-    # The spline's end must not hang in the air: fly a little longer than is evaluated.
+    # The spline is poorly determined at its end: simulate slightly more than is evaluated.
     truth = simulate(seed, duration_s + 1.0).groundtruth
     motion = recorded(truth, 0.5, (keyframes - 1) / KEYFRAME_RATE_HZ + 0.02)
     scene = make_scene(

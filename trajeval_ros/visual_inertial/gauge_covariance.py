@@ -1,7 +1,7 @@
-"""Covariances of the motion in a gauge, and the way from one to another: gauge paper, section VI.
+"""Covariances of the motion, and their transformation between gauges: gauge paper, section VI.
 
-(wN, wN), for each keyframe position, rotation, velocity and, where they are estimated, biases; the
-first rotation in the coordinates of eq. (9).
+They are (wN, wN): position, rotation, velocity and, if estimated, biases of all keyframes. The
+first rotation is in the coordinates of eq. (9).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _ROUNDING = 1e-13
 
 
 def fixed_covariance(problem: Problem, state: State) -> Floats:
-    """Return the covariance of gauge fixation, eq. (10): zero where the gauge is held.
+    """Return the covariance of gauge fixation, eq. (10): zero for the fixed parameters.
 
     Raises:
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     return _fixed(_undamped(problem, state))
 
@@ -39,13 +39,13 @@ def free_covariance(problem: Problem, state: State) -> Floats:
     """Return the motion's block of the pseudo-inverse of the whole Hessian: the free gauge.
 
     H^+ = P G P with P the projector off the gauge's directions and G any symmetric generalised
-    inverse, here that of gauge fixation: exact, and no tolerance decides the rank.
+    inverse, here that of gauge fixation. This is exact, and needs no tolerance for the rank.
 
     The result depends on the landmarks and on the units, and is not meaningful by itself: see
     `transform`.
 
     Raises:
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     reduced = _undamped(problem, state)
     fixed = _fixed(reduced)
@@ -68,12 +68,12 @@ def free_covariance(problem: Problem, state: State) -> Floats:
 def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
     """Return the covariance with the gauge prior of eq. (11).
 
-    The prior adds its own uncertainty along the gauge's directions to that of gauge fixation,
-    whatever was measured: C + V V^T / w, where V moves the state by one metre or radian of what
-    the prior holds.
+    The prior adds its variance 1/w along the gauge's directions to the covariance C of gauge
+    fixation, independently of the measurements: C + V V^T / w. The columns of V are the state's
+    perturbations by one metre or radian of the prior's four parameters.
 
     Raises:
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     fixed = fixed_covariance(problem, state)
     basis = state.gauge_basis[: len(fixed)]
@@ -85,24 +85,24 @@ def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
 def transform(
     covariance: Floats, state: State, rotation: Floats, position: Floats
 ) -> tuple[Floats, State]:
-    """Bring a covariance into the gauge of fixation: eq. (12) to (15).
+    """Transform a covariance to the gauge of fixation: eq. (12) to (15).
 
     Args:
         covariance: (wN, wN) in any gauge: free, prior, or fixed elsewhere.
-        state: The estimate that it belongs to.
+        state: The estimate of this covariance.
         rotation: (3, 3) reference of the first rotation in the gauge of fixation.
         position: (3,) first position in that gauge.
 
     Returns:
         The covariance, and the equivalent state in that gauge.
     """
-    # Eq. (13): the twist, exactly. Its z component of the rotation vector costs 3e-5.
+    # Eq. (13), with the exact twist; the z component of the rotation vector has an error of 3e-5.
     angle = -so3.yaw_of_matrix(state.rotations[0] @ rotation.T)
     turn = so3.exp(angle * np.array([0.0, 0.0, 1.0]))
     moved = state.transformed(turn, position - turn @ state.positions[0])
     moved = moved.referred_to(rotation, position)
     # Appendix A. For the first rotation its J_r^-1 J_r holds only if the reference stays.
-    # Biases are in the body, which turns with the rest.
+    # Biases are in the body's frame: the transformation does not change them.
     blocks = np.tile(np.eye(3), (len(covariance) // 3, 1, 1))
     blocks[state.motion_places[::3] // 3] = turn
     blocks[1] = (
@@ -138,7 +138,7 @@ def _fixed(reduced: ReducedSystem) -> Floats:
     size = len(reduced.matrix)
     kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
     information = reduced.matrix[np.ix_(kept, kept)]
-    # Metres, radians and m/s apart: the rank is judged, and the factor taken, without units.
+    # Scaled to a diagonal of ones: rank and factor don't depend on metres, radians and m/s.
     units = 1.0 / np.sqrt(np.diagonal(information))
     scaled = information * units * units[:, None]
     smallest, largest = np.linalg.eigvalsh(scaled)[[0, -1]]

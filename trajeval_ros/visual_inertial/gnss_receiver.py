@@ -1,8 +1,8 @@
-"""A simulated GNSS receiver: fixes whose errors last for minutes, as real ones do.
+"""Simulated GNSS receivers, whose errors are correlated over minutes like those of real ones.
 
-RTK is right to a centimetre but for stretches of float solutions, which its covariance tells. A
-consumer's receiver is wrong by a metre or two, and by much more while it hears echoes (multipath),
-half of which nothing announces. Both are silent twice, as under bridges.
+RTK has errors of a centimetre, except for periods of float solutions, which its covariance
+states. A consumer's receiver has errors of one or two metres, and much larger ones during
+multipath; its covariance states only half of these periods. Both have two gaps, as under bridges.
 """
 
 from __future__ import annotations
@@ -20,22 +20,23 @@ from trajeval_ros.visual_inertial.drifting_odometry import wandering
 
 ANTENNA_M = (0.4, 0.2, 1.0)  # in the body
 SITE = Datum(47.376, 8.548, 460.0)
-_WHITE = 0.2  # share of the variance that is new in each fix
+_WHITE = 0.2  # share of the variance that is white noise
 _UPWARDS = np.array([1.0, 1.0, 2.0])
 _PERIODS, _OUTAGES = 3, 2
 
 
 @dataclass(frozen=True)
 class Receiver:
-    """How a receiver errs.
+    """Error model of a receiver.
 
     Attributes:
-        status: Of its fixes, as in sensor_msgs/NavSatStatus.
-        sigma_m: Standard deviation along a level axis; twice as much upwards.
-        correlation_s: How long errors last, to 1/e.
-        bad_sigma_m: What it claims in its bad periods, where it tells of them.
-        bad_s: How long these are.
-        echo_m: Standard deviation of the offset in a bad period; 0 for a larger sigma instead.
+        status: Status of its fixes, as in sensor_msgs/NavSatStatus.
+        sigma_m: Standard deviation along a horizontal axis; vertically twice as much.
+        correlation_s: Correlation time of the errors, to 1/e.
+        bad_sigma_m: Stated standard deviation in bad periods, if the receiver reports them.
+        bad_s: Duration of bad periods.
+        echo_m: Standard deviation of the offset in a bad period (multipath); 0: errors of
+            `bad_sigma_m` instead.
     """
 
     status: int
@@ -65,16 +66,16 @@ def receiver_named(name: str) -> Receiver:
 def errors_of(
     receiver: Receiver, generator: np.random.Generator, times: Floats
 ) -> tuple[Floats, Floats, Booleans]:
-    """Return what a receiver makes of its position once a second.
+    """Return the errors of a receiver's fixes, once a second.
 
     Args:
-        receiver: How it errs.
-        generator: Of random numbers.
+        receiver: The error model.
+        generator: Random number generator.
         times: (N,), about a second apart.
 
     Returns:
-        The errors (N, 3), the standard deviations that it claims along a level axis (N,), both
-        metres, and which fixes arrive (N,).
+        The errors (N, 3), the stated standard deviations along a horizontal axis (N,), both in
+        metres, and a mask of the fixes that arrive (N,).
     """
     count = len(times)
     lasting = wandering(generator, count, 3, receiver.correlation_s)
@@ -86,7 +87,7 @@ def errors_of(
         inside = _period(generator, times, receiver.bad_s)
         if receiver.echo_m:
             offsets[inside] += receiver.echo_m * generator.standard_normal(3)
-            # Every other echo is announced.
+            # The stated covariance reports every other multipath period.
             sigma[inside] = receiver.bad_sigma_m if number % 2 else receiver.sigma_m
         else:
             sigma[inside] = receiver.bad_sigma_m
@@ -111,8 +112,8 @@ def receive(groundtruth: Trajectory, name: str, seed: int) -> Trajectory:
 
     Args:
         groundtruth: Poses of the body in a world whose axes are east, north and up.
-        name: Of the receiver, a key of `RECEIVERS`.
-        seed: Chooses its errors.
+        name: Name of the receiver, a key of `RECEIVERS`.
+        seed: Seed of its errors.
 
     Raises:
         SettingsError: There is no such receiver.

@@ -1,4 +1,4 @@
-"""Errors of the IMU between keyframes, and of the biases if they are estimated: eq. (1)."""
+"""Residuals of the IMU between keyframes, and of the biases if they are estimated: eq. (1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 @dataclass(frozen=True)
 class BiasNoise:
-    """What is known of an IMU's biases before they are estimated.
+    """Prior of an IMU's biases.
 
     Attributes:
         gyroscope: Standard deviation at the first keyframe, rad/s.
@@ -58,7 +58,7 @@ class InertialErrors(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """Errors (N - 1, 9 + b) before they are whitened, and what their Jacobians need."""
+    """Errors (N - 1, 9 + b) before whitening, and intermediate results for their Jacobians."""
 
     errors: Floats
     turn: Floats
@@ -68,12 +68,12 @@ class _Terms(NamedTuple):
 
 
 class InertialMeasurements:
-    """What the IMU measured between keyframes, and what is known of its biases."""
+    """The IMU's measurements between keyframes, and the prior of its biases."""
 
     def __init__(
         self, preintegrated: Preintegrated, gravity: Floats, bias_noise: BiasNoise | None
     ) -> None:
-        """Keep the measurements; without `bias_noise`, biases are known and subtracted."""
+        """Store the measurements; without `bias_noise`, known biases are already subtracted."""
         self.preintegrated, self.gravity = preintegrated, gravity
         biases = 0 if bias_noise is None else 6
         self.width = MOTION_WIDTH + biases

@@ -15,9 +15,9 @@ from trajeval_ros.visual_inertial.state import State
 
 
 def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
-    """Return H_mm - W V^-1 W^T (wN, wN), undamped; keyframes couple as far as tracks reach.
+    """Return H_mm - W V^-1 W^T (wN, wN), undamped.
 
-    Its rank is wN - 4, whatever the gauge.
+    Only keyframes that observe a common landmark are coupled. The rank is wN - 4 in any gauge.
 
     Raises:
         DegenerateGeometryError: A landmark's position is not determined.
@@ -36,7 +36,7 @@ def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
 
 
 def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
-    """Return H_mm (wN, wN): what couples keyframes directly."""
+    """Return H_mm (wN, wN), the motion's block of the normal equations."""
     count, width, _ = normal.diagonal.shape
     diagonal = scipy.sparse.bsr_matrix(
         (normal.diagonal, np.arange(count), np.arange(count + 1)),

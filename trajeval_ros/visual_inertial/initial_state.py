@@ -1,4 +1,4 @@
-"""The state that an estimator starts from: truth and noise (gauge paper, section V-B)."""
+"""Initial state of an estimator: truth with noise (gauge paper, section V-B)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _VELOCITY_MPS, _LANDMARK_M = 0.05, 0.075
 
 
 def initial_state(truth: State, generator: np.random.Generator) -> State:
-    """Return keyframes and landmarks that are as far off as the paper's, with true biases."""
+    """Return keyframes and landmarks with the paper's initial errors, and with true biases."""
     count = len(truth.positions)
     turns = np.radians(_ROTATION_DEG) * _directions(generator, count)
     rotations = so3.exp(turns) @ truth.rotations

@@ -1,4 +1,4 @@
-"""Keyframes of a recording, and what was measured at and between them."""
+"""Selection of a recording's keyframes, with the measurements at and between them."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _LONGEST_GAP_S = 0.1
 class KeyframeSelection:
     """N keyframes, K landmarks and M observations.
 
-    Pixels are those of an ideal pinhole camera of the same focal length; `weights`, d measured
-    pixel / d ideal pixel, take errors back to the image that was measured.
+    Pixels are those of an ideal pinhole camera of the same focal length. `weights`, d measured
+    pixel / d ideal pixel, transform their errors to errors in the measured image.
 
     Attributes:
         camera: The ideal camera; its noise is that of measured pixels.
@@ -46,10 +46,10 @@ class KeyframeSelection:
         keyframe_of: (M,).
         landmark_of: (M,).
         landmarks: K.
-        preintegrated: Of the N - 1 intervals.
+        preintegrated: IMU measurements of the N - 1 intervals.
         gravity: (3,) in the world, m/s^2.
-        bias_noise: If biases are estimated.
-        notes: What was left out, one sentence each.
+        bias_noise: Prior of the biases; None if they are not estimated.
+        notes: Sentences that state what was left out.
     """
 
     camera: Camera
@@ -89,9 +89,9 @@ class KeyframeSelection:
         )
 
     def kept(self, wanted: Booleans) -> tuple[KeyframeSelection, Indices]:
-        """Return a part of the observations, and which landmarks (K',) it still sees.
+        """Return the selected observations, and the indices (K',) of the remaining landmarks.
 
-        Landmarks that too few keyframes see go, too.
+        Landmarks with too few observing keyframes are dropped, too.
         """
         views = np.bincount(self.landmark_of[wanted], minlength=self.landmarks)
         wanted = wanted & (views >= FEWEST_VIEWS)[self.landmark_of]
@@ -108,10 +108,10 @@ class KeyframeSelection:
 
     @property
     def gravity_felt(self) -> Floats:
-        """Gravity (3,) in the world by groundtruth and IMU, m/s^2.
+        """Gravity (3,) in the world from groundtruth and IMU, m/s^2.
 
-        The cheapest check of frames, biases and extrinsics: groundtruth's change of velocity
-        without what the IMU measured of it.
+        It is groundtruth's change of velocity minus the IMU's, per time: a simple check of frames,
+        biases and extrinsics.
         """
         felt = np.diff(self.truth.velocities, axis=0) - np.einsum(
             "nij,nj->ni", self.truth.rotations[:-1], self.preintegrated.velocities
@@ -121,7 +121,7 @@ class KeyframeSelection:
 
     @property
     def drift_against_gyroscope_deg(self) -> float:
-        """How far groundtruth and gyroscope disagree on the rotation from first to last."""
+        """Angle between the rotations from first to last keyframe by groundtruth and gyroscope."""
         turned = np.eye(3)
         for step in self.preintegrated.rotations:
             turned = turned @ step
@@ -142,12 +142,13 @@ def select(
 
     Args:
         recording: The measurements.
-        every: Every so many images is a keyframe.
-        most: So many keyframes at most, the first ones.
+        every: Number of images from one keyframe to the next.
+        most: Largest number of keyframes; later ones are dropped.
         pixel_noise: Standard deviation of a measured coordinate, pixels.
-        imu_noise: Densities.
+        imu_noise: Noise densities of the IMU.
         gravity: (3,) in the world, m/s^2.
-        bias_noise: To estimate biases beyond groundtruth's mean; None to take groundtruth's.
+        bias_noise: Prior, to estimate biases relative to groundtruth's mean; None to use
+            groundtruth's biases.
 
     Raises:
         InputError: Too few images, no groundtruth at a keyframe, or a gap in the IMU's samples.
@@ -212,7 +213,7 @@ def select(
 
 
 def _usable_images(recording: SensorRecording) -> tuple[Indices, int]:
-    """Return the images in the time of IMU and groundtruth, and how many are not."""
+    """Return the images within the time of IMU and groundtruth, and the number of others."""
     stamps = recording.image_stamps
     known = (recording.imu_stamps, recording.groundtruth.stamps)
     first = max(int(column[0]) for column in known) - SAME_INSTANT_NS
@@ -224,15 +225,15 @@ def _usable_images(recording: SensorRecording) -> tuple[Indices, int]:
 def _between(
     recording: SensorRecording, keyframes: Stamps, noise: ImuNoise, *, is_mean: bool
 ) -> Preintegrated:
-    """Return the IMU's samples between keyframes, without biases, as one measurement each.
+    """Return the preintegrated IMU samples between keyframes, with biases subtracted.
 
-    Over a step it measures the mean of the samples at both ends: half a step of delay is visible
-    in the residuals. Keyframes between samples have steps of their own. Groundtruth's biases are
-    interpolated, or their mean over the keyframes' time.
+    The measurement of a step is the mean of the samples at both ends, since a delay of half a step
+    is visible in the residuals. Keyframes between samples add steps. Groundtruth's biases are
+    interpolated or, if `is_mean`, averaged over the keyframes' time.
     """
     stamps = recording.imu_stamps
     begin, end = keyframes[:-1], keyframes[1:]
-    # The samples of an interval, without those at the keyframes' instants.
+    # Indices of the samples inside an interval, without those at the keyframes' timestamps.
     first = np.searchsorted(stamps, begin + SAME_INSTANT_NS, side="right")
     last = np.searchsorted(stamps, end - SAME_INSTANT_NS, side="left")
     places = first[:, None] + np.arange(int((last - first).max()))

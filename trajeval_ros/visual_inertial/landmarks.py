@@ -1,4 +1,4 @@
-"""Landmarks along a motion, and which keyframes see them (gauge paper, section IV-A)."""
+"""Simulated landmarks along a motion, and their observations (gauge paper, section IV-A)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.visual_inertial.camera import Camera
 
 LAYOUTS = ("plane", "random")
-# Seen once, a landmark has an unknown depth and adds a null direction; twice is the least, and
-# poor where the keyframes are close.
+# A landmark with one view has an unknown depth and adds a null direction. Two views are the
+# minimum, but determine the depth poorly if the keyframes are close.
 FEWEST_VIEWS = 3
 _DEPTHS_M = (1.5, 7.0)
 _FRONT_WALL_M, _SIDE_WALLS_M, _FLOOR_M, _FARTHEST_WALL_M = 4.0, 3.0, 1.5, 12.0
@@ -31,14 +31,14 @@ def draw_landmarks(
     """Draw landmarks that at least three keyframes see.
 
     Args:
-        generator: Source of chance.
+        generator: Random number generator.
         layout: `plane`: on walls and a floor around the motion; `random`: anywhere in view.
-        count: How many landmarks, K.
+        count: Number of landmarks K.
         positions: (N, 3) keyframe positions, metres.
         cameras: (N, 3, 3) rotations from the camera to the world.
-        camera: What is seen.
-        track: A landmark is tracked for so many keyframes before and after the one that it was
-            drawn from, and no longer.
+        camera: Projection and field of view.
+        track: Largest number of keyframes for which a landmark is tracked, before and after the
+            keyframe that it was drawn from.
 
     Returns:
         Landmarks (K, 3), and of M observations the keyframe (M,), the landmark (M,) and the
@@ -46,14 +46,14 @@ def draw_landmarks(
 
     Raises:
         SettingsError: Unknown layout.
-        DegenerateGeometryError: The keyframes hardly see anything together.
+        DegenerateGeometryError: Too few landmarks are observed by several keyframes.
     """
     if layout not in LAYOUTS:
         raise SettingsError(
             f"unknown layout of landmarks {layout!r}; use one of {', '.join(LAYOUTS)}"
         )
     keyframes = len(positions)
-    found: list[tuple[Floats, Booleans, Indices]] = []
+    batches: list[tuple[Floats, Booleans, Indices]] = []
     kept = 0
     for _ in range(_ROUNDS):
         origin = generator.integers(0, keyframes, 4 * count)
@@ -69,7 +69,7 @@ def draw_landmarks(
             points += generator.normal(0.0, _SCATTER_M, points.shape)
         seen, near = _sightings(points, origin, positions, cameras, camera, track)
         good = (seen.sum(axis=1) >= FEWEST_VIEWS) & (depths < _FARTHEST_WALL_M)
-        found.append((points[good], seen[good], near[good]))
+        batches.append((points[good], seen[good], near[good]))
         kept += int(np.count_nonzero(good))
         if kept >= count:
             break
@@ -78,7 +78,9 @@ def draw_landmarks(
             f"only {kept} of {count} landmarks are observed by {FEWEST_VIEWS} keyframes; use "
             "closer keyframes or a wider camera"
         )
-    points, seen, near = (np.concatenate(columns)[:count] for columns in zip(*found, strict=True))
+    points, seen, near = (
+        np.concatenate(columns)[:count] for columns in zip(*batches, strict=True)
+    )
     landmark_of, place = np.nonzero(seen)
     keyframe_of = near[landmark_of, place]
     in_camera = _in_camera(points[landmark_of], positions[keyframe_of], cameras[keyframe_of])
@@ -88,7 +90,7 @@ def draw_landmarks(
 def _sightings(
     points: Floats, origin: Indices, positions: Floats, cameras: Floats, camera: Camera, track: int
 ) -> tuple[Booleans, Indices]:
-    """Return which keyframes of each point's track see it, and which keyframes these are."""
+    """Return which keyframes of a point's track see it (mask), and these keyframes' indices."""
     keyframes = len(positions)
     span = min(2 * track + 1, keyframes)
     first = np.clip(origin - track, 0, keyframes - span)
@@ -103,7 +105,7 @@ def _in_camera(points: Floats, positions: Floats, cameras: Floats) -> Floats:
 
 
 def _depths_of_walls(positions: Floats, cameras: Floats, origin: Indices, rays: Floats) -> Floats:
-    """Return the depth at which each ray meets a wall ahead, at the sides, or the floor."""
+    """Return the depths at which rays meet a wall ahead, at the sides, or the floor."""
     centre = positions.mean(axis=0)
     ahead = cameras[:, :, 2].mean(axis=0) * [1.0, 1.0, 0.0]
     ahead /= np.linalg.norm(ahead)
@@ -120,7 +122,7 @@ def _depths_of_walls(positions: Floats, cameras: Floats, origin: Indices, rays: 
     towards = rays @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
         depths = (distances - positions[origin] @ normals.T) / towards
-    # Not what is parallel, behind, or touches the lens.
+    # Excludes walls that are parallel to the ray, behind the camera, or too close.
     depths[~(depths > 0.5)] = np.inf
     nearest: Floats = np.where(np.isfinite(depths), depths, _FARTHEST_WALL_M).min(axis=1)
     return nearest

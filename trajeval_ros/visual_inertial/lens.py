@@ -1,4 +1,4 @@
-"""Lenses: distortion with its derivative, and its inverse by Newton's method."""
+"""Lens distortion with its derivative, and its inverse by Newton's method."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def _equidistant(coefficients: Floats, plane: Floats) -> tuple[Floats, Floats]:
     return scale[:, None] * plane, derivative
 
 
-# Both have four coefficients: k1, k2, p1, p2 (OpenCV's plumb bob), and k1 to k4 of Kannala and
-# Brandt's angle (OpenCV's fisheye).
+# Both have four coefficients: k1, k2, p1, p2 (OpenCV's plumb bob), and k1 to k4 of the polynomial
+# in the angle by Kannala and Brandt (OpenCV's fisheye).
 DISTORTIONS: dict[str, Distort] = {
     "radial-tangential": _radial_tangential,
     "equidistant": _equidistant,
@@ -57,7 +57,7 @@ DISTORTIONS: dict[str, Distort] = {
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """What takes the plane of depth 1 in front of a camera to its image.
+    """Intrinsics and distortion: the map from the plane at depth 1 to the image.
 
     Attributes:
         focal_px: (2,) horizontal and vertical focal lengths.
@@ -79,8 +79,8 @@ class Lens:
     def undistorted(self, pixels: Floats) -> tuple[Floats, Floats]:
         """Return points (n, 2) on the plane, and d pixel / d point (n, 2, 2) there.
 
-        Points are NaN where no point near the undistorted guess has the pixel: beyond the edge
-        of what the model describes.
+        Points are NaN if Newton's method, from the undistorted guess, finds no point with this
+        pixel: outside the range in which the model is invertible.
         """
         plane = (pixels - self.centre_px) / self.focal_px
         with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Measured keyframes for the gauge study: one problem, and a new start in every trial."""
+"""Measured keyframes for the gauge study: one problem, with a new initial state in every trial."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from trajeval_ros.visual_inertial.state import State
 
 @dataclass(frozen=True, eq=False)
 class MeasuredScene:
-    """What `study` compares on; trials differ by where they start alone.
+    """The problem of the gauge study; trials only differ in their initial state.
 
     Attributes:
         problem: The measurements.
-        truth: Groundtruth of the keyframes, and the landmarks of the solution that rejected
-            outliers: nobody surveyed them.
+        truth: Groundtruth of the keyframes, and the landmarks of the solution without outliers,
+            since their true positions are unknown.
     """
 
     problem: Problem
@@ -28,7 +28,7 @@ class MeasuredScene:
 
     @classmethod
     def of(cls, rejection: Rejection) -> MeasuredScene:
-        """Return the scene of what is left after outliers were rejected."""
+        """Return the scene of the measurements without outliers."""
         truth = dataclasses.replace(rejection.selection.truth, landmarks=rejection.state.landmarks)
         return cls(rejection.selection.problem(), truth)
 
@@ -37,5 +37,5 @@ class MeasuredScene:
         return self.problem
 
     def disturbed(self, generator: np.random.Generator) -> State:
-        """Return the state that an estimator starts from (gauge paper, section V-B)."""
+        """Return a random initial state (gauge paper, section V-B)."""
         return initial_state(self.truth, generator)

@@ -22,13 +22,14 @@ SHAPES = ("sine", "arc", "rec")
 SPEED_MPS = 2.0
 _DEGREE = 5
 _WAYPOINTS = 201
-# A rectangle has corners; so few knots round them.
+# Few knots, since they round the corners of the rectangle.
 _INNER_KNOTS = {"sine": 100, "arc": 100, "rec": 8}
-# Recorded groundtruth carries noise that isn't motion, and no vehicle's attitude bends faster.
+# Smooths the noise of recorded groundtruth; a vehicle's attitude doesn't change faster.
 _RECORDED_KNOT_STEP_S = 0.1
-# Two knots. Noise of 1 mm puts the spline 2 cm off in a gap of three, metres in one of five.
+# Two knot steps. With noise of 1 mm, the spline errs by 2 cm in a gap of three steps, and by
+# metres in a gap of five.
 _LONGEST_GAP_S = 0.2
-# Less is noise, and the camera would look wherever that goes.
+# The direction of a slower motion, and thus the camera's, would be determined by noise.
 _SLOWEST_MPS = 0.01
 
 
@@ -39,9 +40,9 @@ class Motion:
     Attributes:
         position: Spline of (3,), metres, in a world whose z is up.
         quaternion: Spline of (4,) xyzw, not of unit length between waypoints.
-        duration_s: It is defined from 0 to here.
+        duration_s: The splines are defined from 0 to this time.
         camera_in_body: (3, 3), columns are the camera's right, down and forward in the body.
-        name: What an output calls it.
+        name: Name in outputs.
     """
 
     position: BSpline
@@ -174,7 +175,7 @@ def _fitted(
     times: Floats, positions: Floats, quaternions: Floats, inner: int, camera: Floats, name: str
 ) -> Motion:
     """Return the least-squares splines through waypoints."""
-    # q and -q are one rotation: a spline needs them on one side.
+    # q and -q are the same rotation: make the signs continuous for the spline.
     flips = np.sign(np.einsum("ni,ni->n", quaternions[:-1], quaternions[1:]))
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips == 0.0, 1.0, flips))])
     duration_s = float(times[-1])

@@ -1,4 +1,4 @@
-"""Triangulation of measured tracks, and rejection of what the estimate doesn't explain."""
+"""Triangulation of measured tracks, and rejection of outliers."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from trajeval_ros.visual_inertial.keyframe_selection import (
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
-# What a tracker scatters, which decides what is an outlier, and not what an honest estimate
-# weighs its measurements by: at 1 px, the limit would let 3.7 px pass.
+# Typical noise of a tracker, for the outlier test only. The noise that weights the measurements in
+# an estimate is usually larger, and with 1 px the test would accept errors of 3.7 px.
 TRACKER_NOISE_PX = 0.3
 CHI2_LIMIT = 13.816  # chi-square of two degrees of freedom, 99.9 %
 FEWEST_LANDMARKS = 50
@@ -32,14 +32,14 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Rejection:
-    """What is left of a selection.
+    """A selection without outliers, and its solution.
 
     Attributes:
-        selection: Without outliers.
-        state: Its solution with gauge fixation.
-        median_px: Reprojection error at groundtruth before any rejection, the median.
-        within_3px: Share of the observations whose error is less than 3 px there.
-        rounds: (rounds + 1, 2), observations and landmarks before and after each round.
+        selection: The observations without outliers.
+        state: The solution with gauge fixation.
+        median_px: Median reprojection error at groundtruth before any rejection.
+        within_3px: Fraction of observations whose error at groundtruth is less than 3 px.
+        rounds: Numbers of observations and landmarks before the first and after every round.
     """
 
     selection: KeyframeSelection
@@ -50,7 +50,7 @@ class Rejection:
 
 
 def reject_outliers(selection: KeyframeSelection) -> Rejection:
-    """Drop what is far off at groundtruth, then solve and drop until nothing changes.
+    """Drop large errors at groundtruth, then solve and drop outliers until none are left.
 
     Raises:
         InputError: Too few landmarks are left.
@@ -92,7 +92,7 @@ def reject_outliers(selection: KeyframeSelection) -> Rejection:
 
 
 def triangulated(selection: KeyframeSelection) -> State:
-    """Return groundtruth with landmarks by least squares: the midpoint of rays, then refined."""
+    """Return groundtruth with landmarks: midpoints of rays, refined by least squares."""
     truth, landmark_of = selection.truth, selection.landmark_of
     cameras = truth.rotations @ selection.camera_in_body
     centres = truth.positions + truth.rotations @ selection.lever_arm
@@ -104,7 +104,7 @@ def triangulated(selection: KeyframeSelection) -> State:
     vectors = np.zeros((selection.landmarks, 3, 1))
     np.add.at(matrices, landmark_of, across)
     np.add.at(vectors, landmark_of, across @ centres[selection.keyframe_of][:, :, None])
-    # Parallel rays leave their direction open; such landmarks lack parallax and go.
+    # Parallel rays don't determine the depth; the parallax test drops these landmarks later.
     landmarks = np.linalg.solve(matrices + _TINY * np.eye(3), vectors)[..., 0].astype(np.float64)
     problem = selection.problem()
     for _ in range(_TRIANGULATION_STEPS):
@@ -123,7 +123,7 @@ def _squared_errors(selection: KeyframeSelection, state: State) -> Floats:
 
 
 def _is_good(selection: KeyframeSelection, state: State, limit: float) -> Booleans:
-    """Return which observations (M,) are explained, in range, and of landmarks with parallax."""
+    """Return which observations (M,) are inliers, in range, and of landmarks with parallax."""
     depths = selection.problem().points(state)[:, 2]
     in_range = (depths > NEAREST_M) & (depths < FARTHEST_M)
     wide = _parallax(selection, state) > np.radians(_LEAST_PARALLAX_DEG)
@@ -134,12 +134,12 @@ def _is_good(selection: KeyframeSelection, state: State, limit: float) -> Boolea
 
 
 def _parallax(selection: KeyframeSelection, state: State) -> Floats:
-    """Return the largest angle (K,) between two rays of each landmark."""
+    """Return the largest angles (K,) between two rays of a landmark."""
     centres = state.positions + state.rotations @ selection.lever_arm
     rays = state.landmarks[selection.landmark_of] - centres[selection.keyframe_of]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     order = np.argsort(selection.landmark_of, kind="stable")
     ends = np.cumsum(np.bincount(selection.landmark_of, minlength=selection.landmarks))[:-1]
-    cosines = [(each @ each.T).min(initial=1.0) for each in np.split(rays[order], ends)]
+    cosines = [(own @ own.T).min(initial=1.0) for own in np.split(rays[order], ends)]
     angles: Floats = np.arccos(np.clip(cosines, -1.0, 1.0))
     return angles

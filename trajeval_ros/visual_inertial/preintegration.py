@@ -1,8 +1,8 @@
 """Preintegration: the IMU's samples between two keyframes as one measurement with covariance.
 
-Zero-order hold of each sample, known biases (gauge paper, section II). The accelerometer's
-sample is turned by the attitude in the middle of its interval: with the attitude at its start,
-Forster's scheme, the error of about 1/2 w dt |a| exceeds the noise of a good IMU.
+Samples are held (zero order), and biases are known (gauge paper, section II). An acceleration is
+rotated by the attitude in the middle of its step. With the attitude at the start of the step
+(Forster's scheme), the error of about 1/2 w dt |a| exceeds the noise of a good IMU.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ImuNoise:
 
 @dataclass(frozen=True, eq=False)
 class Preintegrated:
-    """The motion between keyframes i and i + 1 as the IMU measured it, for I intervals.
+    """The motion between keyframes i and i + 1 as measured by the IMU, for I intervals.
 
     Attributes:
         durations_s: (I,).
@@ -40,8 +40,8 @@ class Preintegrated:
         velocities: (I, 3), change of velocity in body i without gravity's, m/s.
         positions: (I, 3), change of position in body i without gravity's and v_i's, metres.
         covariances: (I, 9, 9) of (rotation about the body's axes, velocity, position).
-        by_biases: (I, 9, 6), their derivative by biases of gyroscope (rad/s) and accelerometer
-            (m/s^2), which the samples are taken without.
+        by_biases: (I, 9, 6), derivative by the biases of gyroscope (rad/s) and accelerometer
+            (m/s^2) that are subtracted from the samples.
     """
 
     durations_s: Floats
@@ -64,8 +64,8 @@ def preintegrate(
     Args:
         angular_velocities: (I, m, 3), rad/s, in the body.
         accelerations: (I, m, 3), specific force, m/s^2, in the body.
-        steps_s: For how long each sample holds, (I, m) or one for all. Intervals with fewer than
-            m samples are filled up with samples that hold for 0 s.
+        steps_s: Duration of every sample, (I, m), or one for all. Intervals with fewer than m
+            samples are padded with samples of duration 0 s.
         noise: Densities; a sample's standard deviation is the density / sqrt(step).
         scheme: `middle`, or `start` to turn accelerations by the attitude before the sample.
     """

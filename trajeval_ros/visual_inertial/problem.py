@@ -92,24 +92,24 @@ class Problem:
         gravity: Floats = GRAVITY,
         bias_noise: BiasNoise | None = None,
     ) -> None:
-        """Keep the measurements.
+        """Store the measurements.
 
         Args:
             camera: Intrinsics and noise.
             camera_in_body: (3, 3) rotation.
             pixels: (M, r) measured.
-            keyframe_of: (M,) which keyframe saw it.
-            landmark_of: (M,) which landmark it saw.
+            keyframe_of: (M,), keyframes of the observations.
+            landmark_of: (M,), landmarks of the observations.
             landmarks: Number of landmarks K.
             preintegrated: N - 1 intervals between keyframes.
             lever_arm: (3,) the camera's centre in the body, metres; None for the body's origin.
-            weights: (M, r, r) multiply each reprojection error before it is divided by the
-                camera's noise; None for errors that weigh the same.
+            weights: (M, r, r), factors of the reprojection errors before their division by the
+                camera's noise; None for identities.
             gravity: (3,) in the world, along z, m/s^2.
-            bias_noise: To estimate biases at each keyframe; None where they are known.
+            bias_noise: Prior, to estimate biases at all keyframes; None if they are known.
 
         Raises:
-            InputError: Nothing was observed, or from one keyframe alone.
+            InputError: No observations, or observations of one keyframe only.
         """
         if not len(pixels) or not len(preintegrated.durations_s):
             raise InputError(
@@ -124,7 +124,7 @@ class Problem:
         self.width = self._between.width
         self.preintegrated = preintegrated
         self.weights, self.gravity = weights, gravity
-        # Where the camera's centre is in its own axes.
+        # The lever arm in the camera's axes.
         self._offset = np.zeros(3) if lever_arm is None else camera_in_body.T @ lever_arm
         self.longest_track = _longest_track(keyframe_of, landmark_of, landmarks)
         # Products with these sum over the observations of a keyframe, and of a landmark.
@@ -230,8 +230,8 @@ class Problem:
     def _points(self, state: State) -> tuple[Floats, Floats]:
         """Return the rays from body to landmark in the world, and the landmarks in the camera.
 
-        How a landmark moves in the camera when the state does depends on the rays alone: the
-        lever arm has no part in it.
+        The derivatives of the landmarks in the camera only depend on the rays, not on the lever
+        arm.
         """
         rays = state.landmarks[self.landmark_of] - state.positions[self.keyframe_of]
         cameras = (state.rotations @ self.camera_in_body)[self.keyframe_of]
@@ -243,7 +243,7 @@ class Problem:
 
 
 def _longest_track(keyframe_of: Indices, landmark_of: Indices, landmarks: int) -> int:
-    """Return from first to last how many keyframes a landmark couples at most, two at least."""
+    """Return the largest number of keyframes from a landmark's first to its last; at least 2."""
     first, last = np.full(landmarks, np.iinfo(np.int64).max), np.zeros(landmarks, dtype=np.int64)
     np.minimum.at(first, landmark_of, keyframe_of)
     np.maximum.at(last, landmark_of, keyframe_of)

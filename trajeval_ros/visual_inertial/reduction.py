@@ -12,15 +12,15 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations
 
-# Pivots below this share of a landmark's largest are rounding (seen once, or without parallax).
+# Pivots below this share of a landmark's largest pivot are rounding (one view, or no parallax).
 _ROUNDING = 1e-13
-# Where keyframes see a smaller share of the landmarks, sparse products are faster than dense ones.
+# If keyframes see a smaller share of the landmarks, sparse products are faster than dense ones.
 _SPARSE_SHARE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedSystem:
-    """The normal equations of the motion alone, and the way back to the landmarks.
+    """The normal equations of the motion, and the factors for the landmarks' step.
 
     Attributes:
         matrix: (wN, wN), H_mm - W V^-1 W^T.
@@ -38,7 +38,7 @@ class ReducedSystem:
     pull: Floats
 
     def landmarks_after(self, motion_step: Floats) -> Floats:
-        """Return the landmarks' step (3K,), V^-1 (-g_l - W^T dm), that goes with (wN,)."""
+        """Return the landmarks' step V^-1 (-g_l - W^T dm) (3K,) for the motion's step dm (wN,)."""
         keyframes = self.half.shape[0] // 6
         pose_step = motion_step.reshape(keyframes, -1)[:, :6].ravel()
         return self.by_inverse(-self.pull - self.half.T @ pose_step)
@@ -51,7 +51,7 @@ class ReducedSystem:
 
 
 def motion_matrix(normal: NormalEquations) -> Floats:
-    """Return H_mm (wN, wN): what couples keyframes directly."""
+    """Return H_mm (wN, wN), the motion's block of the normal equations."""
     count, width, _ = normal.diagonal.shape
     matrix = np.zeros((count, width, count, width))
     each, next_ = np.arange(count), np.arange(1, count)
@@ -79,7 +79,8 @@ def reduce_landmarks(
     if len(normal.cross) < _SPARSE_SHARE * count * landmarks:
         half = sparse_half(normal, inverse)
         product = half @ half.T
-        # What isn't touched of the matrix costs nothing: only keyframes that share landmarks are.
+        # Only blocks of keyframes with common landmarks are written; other memory is never
+        # touched.
         rows = np.repeat(np.arange(count), np.diff(product.indptr))
         by_keyframe[rows, :6, product.indices, :6] -= product.data
     else:
@@ -95,9 +96,9 @@ def reduce_landmarks(
 
 
 def sparse_half(normal: NormalEquations, inverse: Floats) -> scipy.sparse.bsr_matrix:
-    """Return W L^-T (6N, 3K) of blocks (6, 3), from L^-1 (K, 3, 3) of each landmark."""
+    """Return W L^-T (6N, 3K) in blocks (6, 3), from the landmarks' L^-1 (K, 3, 3)."""
     count, landmarks = len(normal.diagonal), len(normal.landmark)
-    # In order of keyframes, as a block-sparse matrix wants its rows.
+    # Sorted by keyframe, as required for the rows of a block-sparse matrix.
     order = np.lexsort((normal.landmark_of, normal.keyframe_of))
     starts = np.searchsorted(normal.keyframe_of[order], np.arange(count + 1))
     blocks = _half_blocks(normal, inverse)[order]
@@ -113,7 +114,7 @@ def _half_blocks(normal: NormalEquations, inverse: Floats) -> Floats:
 
 
 def inverse_landmark_factors(normal: NormalEquations, damping: Floats | float) -> Floats:
-    """Return L^-1 (K, 3, 3) of each landmark's damped V = L L^T.
+    """Return the landmarks' L^-1 (K, 3, 3) of the damped V = L L^T.
 
     Raises:
         numpy.linalg.LinAlgError: A V is not positive definite.

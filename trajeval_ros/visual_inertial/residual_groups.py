@@ -1,6 +1,6 @@
-"""What residuals say of the noise that was assumed: by group, and along tracks.
+"""Tests of the assumed noise by residuals: chi-square by group, and correlation along tracks.
 
-The total chi-square says nothing of the IMU: its residuals are a few percent of all.
+The total chi-square does not test the IMU, whose residuals are only a few percent of all.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ class ResidualGroup:
     """Residuals of one kind.
 
     Attributes:
-        name: Of what.
-        count: How many.
-        redundancy: How many of them the estimate doesn't use up: the count without the diagonal
-            of the hat matrix.
+        name: Name of the group.
+        count: Number of residuals.
+        redundancy: Degrees of freedom: the count minus the group's trace of the hat matrix.
         chi2: Sum of the squared whitened residuals.
     """
 
@@ -35,17 +34,17 @@ class ResidualGroup:
 
     @property
     def ratio(self) -> float:
-        """chi2 / redundancy: 1 where the noise is as assumed, on average."""
+        """chi2 / redundancy; its expectation is 1 if the noise is as assumed."""
         return self.chi2 / self.redundancy
 
 
 def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
-    """Return camera, rotation, velocity and position of the IMU, and biases, at a minimum.
+    """Return the groups camera, IMU rotation, velocity and position, and biases, at a minimum.
 
-    Biases have their change between keyframes and their start in one group.
+    The biases' group has their changes between keyframes and their prior at the first one.
 
     Raises:
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     visual, _ = problem.residuals(state)
     errors, before, after = problem.inertial(state)
@@ -82,9 +81,9 @@ def residual_groups(problem: Problem, state: State) -> list[ResidualGroup]:
 
 
 def track_correlation(problem: Problem, state: State, lags: Sequence[int]) -> Floats:
-    """Return how reprojection errors of one track correlate at lags in keyframes, (lags,).
+    """Return the autocorrelation (lags,) of reprojection errors along tracks, lags in keyframes.
 
-    White errors give about zero. NaN where no track is that long.
+    It is about zero for white errors, and NaN at lags longer than all tracks.
     """
     visual, _ = problem.residuals(state)
     errors = np.zeros((problem.landmarks, problem.keyframes, visual.shape[1]))

@@ -1,9 +1,9 @@
-"""Runs with known covariance: solved one by one, or sampled from the estimator's own Gaussian.
+"""Runs with known covariance: solved, or sampled from the estimator's Gaussian.
 
-For a sample, the normal equations are evaluated at the truth. Their solution is linear in the
-noise, so truth plus a sample of it is what an estimator would return, to first order, and its
-covariance is exactly the one that goes with it. It costs a matrix product, and time grows with
-the length of the run and no faster.
+For sampling, the normal equations are linearised at the truth. Their solution is linear in the
+noise. Truth plus a sample of the solution's Gaussian is, to first order, the result of an
+estimator, and its covariance is exact. A sample costs a matrix product, with a time proportional
+to the length of the run.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SampledEstimate:
-    """An estimate in a frame of its own, and how sure it is.
+    """An estimate in its own frame, with its information.
 
     Attributes:
-        state: Keyframes as estimated.
+        state: Estimated keyframes.
         information: (9N, 9N), rank 9N - 4, of left perturbations in the estimate's frame.
-        marginals: (N, 9, 9), covariance of each keyframe in the gauge of the first one.
+        marginals: (N, 9, 9), covariances of the keyframes in the gauge of the first one.
     """
 
     state: State
@@ -40,7 +40,7 @@ class SampledEstimate:
     marginals: Floats
 
     def elsewhere(self, generator: np.random.Generator) -> SampledEstimate:
-        """Return the run in a frame that is turned about gravity and shifted at will."""
+        """Return the run in a frame with random yaw and translation."""
         yaw = generator.uniform(-np.pi, np.pi)
         turn = so3.exp(yaw * np.array([0.0, 0.0, 1.0]))
         shift = generator.uniform(-_FARTHEST_OFFSET_M, _FARTHEST_OFFSET_M, 3)
@@ -54,14 +54,15 @@ class SampledEstimate:
 
 
 def solved(scene: Scene, generator: np.random.Generator) -> SampledEstimate:
-    """Return what the estimator makes of one set of measurements, in the free gauge.
+    """Return the estimate from one set of noisy measurements, in the free gauge.
 
     Raises:
-        DegenerateGeometryError: More than the gauge's four directions are open.
+        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     problem, start = scene.measured(generator), scene.disturbed(generator)
     state = solve(problem, start, GaugeHandling.FREE, function_tolerance=_TOLERANCE).state
-    # As its own reference, its first rotation is perturbed on the left like all others.
+    # With the state as its own reference, the first rotation is perturbed on the left like all
+    # others.
     state = state.referred_to(state.rotations[0], state.positions[0])
     information = information_of(problem, state)
     run = SampledEstimate(state, information, _FixedGaugeGaussian(information).marginals())
@@ -75,7 +76,7 @@ class Sampler:
         """Linearise at the truth.
 
         Raises:
-            DegenerateGeometryError: More than the gauge's four directions are open.
+            DegenerateGeometryError: More than the gauge's four directions are undetermined.
         """
         self._truth = scene.truth
         self._information = information_of(scene.noise_free(), scene.truth)
@@ -83,7 +84,7 @@ class Sampler:
         self._marginals = self._held.marginals()
 
     def draw(self, generator: np.random.Generator) -> SampledEstimate:
-        """Return one run; its landmarks are the true ones, moved into its frame."""
+        """Return one run; its landmarks are the true ones in its frame."""
         step = np.concatenate(
             [self._held.sampled(generator), np.zeros(self._truth.landmarks.size)]
         )
@@ -92,7 +93,7 @@ class Sampler:
 
 
 class _FixedGaugeGaussian:
-    """The motion's Gaussian with position and yaw of the first keyframe held: eq. (10)."""
+    """The motion's Gaussian with position and yaw of the first keyframe fixed: eq. (10)."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
         self._size = information.shape[0]
@@ -106,9 +107,9 @@ class _FixedGaugeGaussian:
         return step
 
     def marginals(self) -> Floats:
-        """Return the covariance of each keyframe, (N, 9, 9)."""
+        """Return the covariances of single keyframes, (N, 9, 9)."""
         blocks = np.zeros((self._size // 9, 9, 9))
-        # Of the first keyframe, roll, pitch and velocity are not held.
+        # Roll, pitch and velocity of the first keyframe are not fixed.
         first = self._kept[:5]
         blocks[0][np.ix_(first, first)] = self._gaussian.marginals(np.array([0]), 5)[0]
         blocks[1:] = self._gaussian.marginals(np.arange(5, len(self._kept), 9), 9)

@@ -27,16 +27,16 @@ IMU_RATE_HZ = 200.0
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """Sensors, and whether the estimator's model of them is right.
+    """Sensors, and whether the estimator's model of them is exact.
 
     Attributes:
         camera: Intrinsics and noise.
         imu: Noise densities.
-        landmarks: How many, where nobody says otherwise.
-        honest: True: samples and integration match exactly, so every error is noise that the
-            covariance knows. False: the IMU is sampled at the start of each interval and
-            integrated by Euler's rule, an error that no covariance accounts for. The less noise
-            the IMU has, the more it matters.
+        landmarks: Default number of landmarks.
+        honest: True: samples and integration match exactly, so all errors are noise that the
+            covariance includes. False: the IMU is sampled at the start of steps and integrated by
+            Euler's rule, which adds errors that the covariance doesn't include. The smaller the
+            IMU's noise, the more they matter.
     """
 
     camera: Camera
@@ -46,17 +46,17 @@ class SensorProfile:
 
     @property
     def scheme(self) -> str:
-        """Of preintegration."""
+        """Scheme of the preintegration: `middle` or `start`."""
         return "middle" if self.honest else "start"
 
 
 # The densities of EuRoC's IMU, an ADIS16448, from its sensor.yaml.
 _EUROC_IMU = ImuNoise(1.6968e-4, 2.0e-3)
-# A quarter of that, as the best of small IMUs have.
+# A quarter of that, like the best small IMUs.
 _GOOD_IMU = ImuNoise(4.2e-5, 5.0e-4)
 
 PROFILES = {
-    # Errors of the paper's Table II, and its number of iterations; the paper states no noise.
+    # Reproduces errors and iterations of the paper's Table II; the paper doesn't state its noise.
     "paper": SensorProfile(Camera(150.0, 320, 240), ImuNoise(7e-4, 1e-2), 50),
     "euroc": SensorProfile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
     # The baseline is EuRoC's.
@@ -69,7 +69,7 @@ def profile_named(name: str) -> SensorProfile:
     """Return a profile by name.
 
     Raises:
-        SettingsError: There is none of that name.
+        SettingsError: Unknown name.
     """
     if name not in PROFILES:
         raise SettingsError(f"unknown profile {name!r}; use one of {', '.join(PROFILES)}")
@@ -78,13 +78,13 @@ def profile_named(name: str) -> SensorProfile:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is true, and what noise-free sensors would measure of it.
+    """True states, and the noise-free measurements of the sensors.
 
     Attributes:
         profile: The sensors.
-        times_s: (N,) of the keyframes.
-        truth: Of keyframes and landmarks.
-        flown: The same at the IMU's rate, from 0 s to the last keyframe, without landmarks.
+        times_s: (N,), times of the keyframes.
+        truth: True keyframes and landmarks.
+        flown: True states at the IMU's rate, from 0 s to the last keyframe, without landmarks.
         keyframe_of: (M,) keyframe of each observation.
         landmark_of: (M,) landmark of each observation.
         pixels: (M, r).
@@ -144,7 +144,7 @@ class Scene:
         )
 
     def disturbed(self, generator: np.random.Generator) -> State:
-        """Return the state that an estimator starts from (gauge paper, section V-B)."""
+        """Return a random initial state (gauge paper, section V-B)."""
         return initial_state(self.truth, generator)
 
 
@@ -160,17 +160,18 @@ def make_scene(
     """Return a scene: keyframes evenly over a motion, with landmarks drawn from a seed.
 
     Args:
-        motion: Of the body.
-        layout: Of landmarks, `plane` or `random`.
-        profile: Of the sensors.
-        seed: Chooses the landmarks.
-        keyframes: How many, N.
-        landmarks: How many, K; the profile's number by default.
-        track: For how many keyframes before and after a landmark is followed; all by default.
+        motion: Motion of the body.
+        layout: Layout of the landmarks, `plane` or `random`.
+        profile: Sensors.
+        seed: Seed of the landmarks.
+        keyframes: Number of keyframes N.
+        landmarks: Number of landmarks K; the profile's by default.
+        track: Largest number of keyframes for which a landmark is tracked, before and after the
+            keyframe that it was drawn from; all by default.
 
     Raises:
         SettingsError: Too few keyframes or landmarks, or keyframes closer than the IMU's samples.
-        DegenerateGeometryError: The keyframes hardly see anything together.
+        DegenerateGeometryError: Too few landmarks are observed by several keyframes.
     """
     samples = int(motion.duration_s * IMU_RATE_HZ / max(keyframes - 1, 1) + 1e-9)
     if keyframes < 3 or samples < 1:
@@ -213,13 +214,13 @@ def make_scene(
 
 
 def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Floats, Floats]:
-    """Return what a noise-free IMU measures over each step between `times`."""
+    """Return the measurements of a noise-free IMU over the steps between `times`."""
     rotations = motion.rotations(times)
     if not honest:
         turned = np.swapaxes(rotations[:-1], 1, 2)
         forces = motion.accelerations(times[:-1]) - GRAVITY
         return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", turned, forces)
-    # The constant rates and forces that lead from one state of the motion to the next.
+    # The constant rates and specific forces that integrate from one state to the next.
     step_s = 1.0 / IMU_RATE_HZ
     rates = so3.log(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]) / step_s
     middle = rotations[:-1] @ so3.exp(rates * (step_s / 2.0))
@@ -230,9 +231,9 @@ def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Fl
 def _flown(motion: Motion, times: Floats, *, honest: bool) -> State:
     """Return the truth at the IMU's rate, as a state without landmarks.
 
-    Of an honest profile it is what the perfect samples lead to, so that no measurement errs but
-    by its noise: attitude and velocity of the motion, and the sum of its velocities, which stays
-    within some 10 um of it in a flight of the paper's length.
+    For an honest profile it is the integral of the perfect samples, so that measurements have no
+    errors except noise: attitudes and velocities are those of the motion, positions are the sum of
+    the velocities, within about 10 um of the motion in a flight of the paper's length.
     """
     positions, velocities = motion.positions(times), motion.velocities(times)
     if honest:

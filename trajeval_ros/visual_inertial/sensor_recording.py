@@ -11,7 +11,7 @@ from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.lens import Lens
 
-# Stamps that went through doubles differ by up to 256 ns in our century.
+# Timestamps that were stored as doubles (seconds) differ by up to 256 ns.
 SAME_INSTANT_NS = 1000
 
 
@@ -21,8 +21,8 @@ class CalibratedCamera:
 
     Attributes:
         lens: Intrinsics and distortion.
-        width: Of the image, pixels.
-        height: Of the image, pixels.
+        width: Image width, pixels.
+        height: Image height, pixels.
         rotation: (3, 3), camera to body.
         lever_arm: (3,), the camera's centre in the body, metres.
     """
@@ -36,20 +36,20 @@ class CalibratedCamera:
 
 @dataclass(frozen=True, eq=False)
 class SensorRecording:
-    """What was measured; the IMU's frame is the body's.
+    """Measurements of camera and IMU; the IMU's frame is the body's.
 
     Attributes:
-        name: What an output calls it.
+        name: Name in outputs.
         camera: Intrinsics and extrinsics.
         imu_stamps: (S,) nanoseconds, rising.
         angular_velocities: (S, 3), rad/s, in the body.
         accelerations: (S, 3), specific force, m/s^2, in the body.
         image_stamps: (F,) nanoseconds, rising.
-        image_of: (O,) image of each observation.
-        track_of: (O,) name of the track that it belongs to; a track is once in an image at most.
+        image_of: (O,), images of the observations.
+        track_of: (O,), track names of the observations; a track is at most once in an image.
         pixels: (O, 2), distorted as in the image.
         groundtruth: Poses of the body with velocities and, where they are known, biases.
-        notes: What the reader joined or made up, one sentence each.
+        notes: Sentences that state what the reader joined or inserted.
     """
 
     name: str
@@ -66,17 +66,17 @@ class SensorRecording:
 
 
 def one_instant_each(stamps: Stamps) -> tuple[Stamps, Indices]:
-    """Return the instants (F,) that stamps (O,) in any order belong to, and which each is of."""
+    """Return distinct instants (F,) of timestamps (O,) in any order, and indices (O,) to them."""
     distinct, place = np.unique(stamps, return_inverse=True)
     begins = np.diff(distinct, prepend=distinct[0] - SAME_INSTANT_NS - 1) > SAME_INSTANT_NS
     return distinct[begins], np.cumsum(begins)[place] - 1
 
 
 def at_instants(stamps: Stamps, instants: Stamps, what: str) -> Indices:
-    """Return the index of the stamp (of S, rising) at each of the instants (N,).
+    """Return the indices (N,) of the timestamps (S,), increasing, at the instants (N,).
 
     Raises:
-        InputError: There is none at some instant.
+        InputError: An instant without a timestamp.
     """
     after = np.clip(np.searchsorted(stamps, instants), 1, len(stamps) - 1)
     is_before = instants - stamps[after - 1] <= stamps[after] - instants

@@ -1,4 +1,4 @@
-"""The IMU of a simulated flight, with the noise of a consumer's sensor."""
+"""The IMU of a simulated flight, with the noise of a consumer sensor."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import Trajectory
 
 _GRAVITY = 9.81
-# Densities of white noise and of the walk of the bias, and the bias's spread: an ADIS16448, as
-# EuRoC's flights had; rad/s and m/s^2, per root of Hz and of s.
+# Densities of white noise and bias random walk, and the standard deviation of the initial bias, of
+# an ADIS16448 (EuRoC's IMU), in rad/s and m/s^2 per sqrt(Hz) and per sqrt(s).
 _GYRO = (1.7e-4, 2e-5, 0.01)
 _ACCELEROMETER = (2e-3, 3e-3, 0.03)
 
 
 def readings_of(groundtruth: Trajectory, seed: int) -> InertialReadings:
-    """Return what an IMU on the body measures between the states of a smooth groundtruth.
+    """Return the readings of an IMU on the body between the states of a smooth groundtruth.
 
     Args:
         groundtruth: N states with orientations and velocities, without noise, in a world whose z
             is up.
-        seed: Of noise and biases.
+        seed: Seed of noise and biases.
 
     Returns:
-        N - 1 readings, each in the middle of two states.
+        N - 1 readings, at the middle times of consecutive states.
     """
     quaternions, velocities = groundtruth.quaternions, groundtruth.velocities
     assert quaternions is not None

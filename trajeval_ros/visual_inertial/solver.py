@@ -1,8 +1,8 @@
 """Levenberg-Marquardt by the rules of Ceres, with three ways to handle the gauge.
 
 The rules are those of `levenberg_marquardt_strategy.cc` and `trust_region_minimizer.cc` with
-their default settings. How the gauge is treated is the subject (gauge paper, section III), which
-is why no library's solver is used.
+their default settings. No library's solver is used, since the handling of the gauge is what is
+studied (gauge paper, section III).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 1e4, 1e16, 1e-32
 _SMALLEST_DIAGONAL, _LARGEST_DIAGONAL = 1e-6, 1e32
 _LEAST_QUALITY = 1e-3
 _MOST_ITERATIONS = 50
-# A cost that changes by a smaller share hasn't changed: the step knows better.
+# Smaller relative changes of the cost are rounding.
 _ROUNDING = 1e-12
-# Of the matrix's size, up to which a banded factor is faster than a dense one.
+# Largest bandwidth, relative to the matrix's size, at which a banded factor is faster.
 _BANDED_SHARE = 0.25
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
@@ -42,12 +42,12 @@ class GaugeHandling(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What the accepted states were like, (I + 1,) each, the initial state first.
+    """Properties of the I accepted states and, first, of the initial state, (I + 1,).
 
     Attributes:
         cost: Half the squared length of all residuals, the prior's included.
         reprojection_px: Mean reprojection error.
-        position_m: Distance of the first position from where it began.
+        position_m: Distance of the first position from its initial value.
         yaw_deg: Absolute z component of the first rotation's Dphi.
     """
 
@@ -59,14 +59,14 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class SolverResult:
-    """Where the iterations ended.
+    """The result of the iterations.
 
     Attributes:
         state: The estimate.
-        cost: Of the state.
+        cost: Cost of the state.
         iterations: Number of linear solves.
-        reason: `function`, `step`, `gradient`, `iterations` or `radius`: which rule ended it.
-        trace: Of the accepted states.
+        reason: Stopping rule: `function`, `step`, `gradient`, `iterations` or `radius`.
+        trace: Costs and gauge of the accepted states.
     """
 
     state: State
@@ -89,13 +89,13 @@ def solve(
 
     Args:
         problem: The measurements.
-        initial: Where to start; also where the gauge is fixed, or has its prior.
-        handling: Of the gauge freedom.
-        prior_weight: w of the gauge prior, eq. (11), for the three metres and the radian alike.
-        function_tolerance: Stop once a step changes the cost by a smaller share.
-        keep_last_step: Ceres throws the step away by which it sees that it has converged. False
-            does so too, and reproduces the paper's differences between gauges; True is nearer
-            to the minimum.
+        initial: Initial state; also the reference of gauge fixation and gauge prior.
+        handling: How the gauge freedom is handled.
+        prior_weight: w of the gauge prior, eq. (11), for position (1/m^2) and yaw (1/rad^2).
+        function_tolerance: Relative change of the cost below which the iterations stop.
+        keep_last_step: Ceres discards the step with which it detects convergence. False does so,
+            too, and reproduces the paper's differences between gauges. True is closer to the
+            minimum.
     """
     descent = _Descent(problem, handling, prior_weight if handling is GaugeHandling.PRIOR else 0.0)
     state, here = initial, descent.at(initial)
@@ -143,7 +143,7 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """The normal equations at a state, the prior's share included."""
+    """The normal equations at a state, including the gauge prior."""
 
     normal: NormalEquations
     cost: float
@@ -172,7 +172,7 @@ class _Linearised:
 
 
 class _Descent:
-    """What depends on how the gauge is handled."""
+    """The computations that depend on the handling of the gauge."""
 
     def __init__(self, problem: Problem, handling: GaugeHandling, weight: float) -> None:
         self.problem, self.weight = problem, weight
@@ -196,7 +196,7 @@ class _Descent:
         return here.cost, here.normal.reprojection_px, float(np.linalg.norm(shift[:3])), yaw_deg
 
     def step(self, here: _Linearised, damping: Floats) -> tuple[Floats, float]:
-        """Return the damped step and the decrease that it promises; 0 if there is none."""
+        """Return the damped step and the predicted decrease of the cost; 0 if there is no step."""
         motion_damping, landmark_damping = np.split(damping, [len(self.free)])
         try:
             reduced = reduce_landmarks(
@@ -204,7 +204,8 @@ class _Descent:
             )
             motion = self._solved(reduced, here.prior)
         except np.linalg.LinAlgError:
-            # With next to no damping the free gauge's matrix is singular: damp more.
+            # With almost no damping the free gauge's matrix is singular: a decrease of 0 increases
+            # damping.
             return np.zeros(len(damping)), 0.0
         step = np.concatenate([motion, reduced.landmarks_after(motion)])
         # -g d - d H d / 2 with (H + D) d = -g.
@@ -246,6 +247,6 @@ def _from_reference(state: State) -> Floats:
 
 
 def _size(state: State) -> float:
-    """Return the length of all parameters; each quaternion counts 1."""
+    """Return the norm of all parameters; a quaternion has norm 1."""
     parts = (state.positions, state.velocities, state.landmarks, state.biases)
     return float(np.sqrt(sum(np.vdot(part, part) for part in parts) + len(state.positions)))

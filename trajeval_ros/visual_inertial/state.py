@@ -1,4 +1,4 @@
-"""The state of the estimation problem and how it is perturbed: eq. (2), (5), (8) and (9)."""
+"""The state of the estimation problem and its perturbation: eq. (2), (5), (8) and (9)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ MOTION_WIDTH = 9
 class State:
     """Keyframes and landmarks; eq. (2) of the gauge paper.
 
-    A step is (wN + 3K,): for each keyframe position, rotation, velocity and biases, then the
-    landmarks. w is 9 where the biases are known, and 15 where they are estimated.
-    Rotations move on the left, R <- Exp(dphi) R (eq. 8), all but the first: that is
-    Exp(Dphi) R_ref with the vector Dphi itself moved (eq. 9), so that its yaw can be held.
+    A step is (wN + 3K,): position, rotation, velocity and biases of all keyframes, then the
+    landmarks. w is 9 if the biases are known, and 15 if they are estimated. Rotations are
+    perturbed on the left, R <- Exp(dphi) R (eq. 8), except for the first one. This is Exp(Dphi)
+    R_ref with steps added to the vector Dphi (eq. 9), so that its yaw can be fixed.
 
     Attributes:
         positions: (N, 3), metres.
         rotations: (N, 3, 3), body to world.
         velocities: (N, 3), m/s, in the world.
         landmarks: (K, 3), metres.
-        biases: (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), beyond those that the
-            samples were taken without; (N, 0) where they are not estimated.
+        biases: (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), relative to those already
+            subtracted from the samples; (N, 0) if they are not estimated.
         first_turn: (3,), Dphi of eq. (9), rad.
         reference_rotation: (3, 3), R_ref, the first rotation's initial value.
         reference_position: (3,), the first position's initial value.
@@ -73,7 +73,7 @@ class State:
 
     @property
     def motion_places(self) -> Indices:
-        """Where in a step (wN + 3K,) position, rotation and velocity are, (9N,)."""
+        """Indices (9N,) of positions, rotations and velocities in a step (wN + 3K,)."""
         first = self.width * np.arange(len(self.positions))
         return (first[:, None] + np.arange(MOTION_WIDTH)).ravel()
 
@@ -96,7 +96,7 @@ class State:
         )
 
     def transformed(self, rotation: Floats, translation: Floats) -> State:
-        """Return the state moved by g, eq. (5), with its references left where they are."""
+        """Return the state transformed by g, eq. (5), with unchanged references."""
         return State(
             self.positions @ rotation.T + translation,
             rotation @ self.rotations,
@@ -123,7 +123,7 @@ class State:
 
     @property
     def gauge_basis(self) -> Floats:
-        """U of eq. (15), (wN + 3K, 4): how yaw about the origin and translation move the state."""
+        """U of eq. (15), (wN + 3K, 4): derivatives by yaw about the origin and translation."""
         count, width = len(self.positions), self.width
         rows = width * count // 3
         basis = np.zeros((rows + len(self.landmarks), 3, 4))

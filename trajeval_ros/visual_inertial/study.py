@@ -1,7 +1,7 @@
 """The gauge paper's comparison: accuracy, cost and covariance of three ways to handle the gauge.
 
-Every trial draws new noise and a new initial state. Errors are those of the paper's section
-IV-C: root mean squares over the keyframes after alignment by the first one, yaw and translation.
+Every trial has new noise and a new initial state. Errors are those of the paper's section IV-C:
+RMSE over the keyframes after alignment of the first keyframe's yaw and position.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _DRAW, _START = 1, 2
 
 
 class StudiedScene(Protocol):
-    """What is solved in every trial: simulated or measured."""
+    """The problem of the trials, simulated or measured."""
 
     @property
     def truth(self) -> State:
-        """The keyframes that errors are measured from."""
+        """Reference of the errors."""
 
     def measured(self, generator: np.random.Generator) -> Problem:
         """Return the measurements of a trial."""
@@ -50,14 +50,14 @@ class StudiedScene(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """What one way to handle the gauge gave in T trials, (T,) each.
+    """Results of T trials with one handling of the gauge; all arrays are (T,).
 
     Attributes:
         position_m: RMSE over the keyframes.
         rotation_deg: RMSE of the rotation errors' angles.
         velocity_mps: RMSE.
         iterations: Number of linear solves.
-        seconds: From the initial state to the solution.
+        seconds: Duration of the solve.
     """
 
     position_m: Floats
@@ -68,19 +68,19 @@ class Trials:
 
     @property
     def seconds_per_iteration(self) -> float:
-        """Median time per linear solve: the machine has other things to do as well."""
+        """Median time per linear solve; the median since other processes disturb the timing."""
         return float(np.median(self.seconds / self.iterations))
 
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """The motion's covariances of one trial, without biases, (9N, 9N) each: Fig. 9.
+    """The motion's covariances (9N, 9N) of one trial, without biases: Fig. 9.
 
     Attributes:
-        free: Of the free gauge.
-        transformed: The same by eq. (12), in the gauge of fixation.
-        fixed: Of a separate solve with gauge fixation.
-        difference: Of the latter two, relative, Frobenius norm.
+        free: Covariance of the free gauge.
+        transformed: `free`, transformed to the gauge of fixation by eq. (12).
+        fixed: Covariance of a separate solve with gauge fixation.
+        difference: Relative difference of the latter two, Frobenius norm.
     """
 
     free: Floats
@@ -90,11 +90,11 @@ class Covariances:
 
 
 def compare(scene: StudiedScene, trials: int, advance: Advance) -> dict[GaugeHandling, Trials]:
-    """Solve the same trials with each way to handle the gauge (Table II and III, Fig. 7)."""
+    """Solve the same trials with all handlings of the gauge (Table II and III, Fig. 7)."""
     handlings = list(GaugeHandling)
-    rows: dict[GaugeHandling, list[tuple[float, ...]]] = {each: [] for each in handlings}
+    rows: dict[GaugeHandling, list[tuple[float, ...]]] = {handling: [] for handling in handlings}
     for trial in range(trials):
-        # Whichever comes first pays for cold caches: they take turns.
+        # The first one has cold caches: alternate the order for fair times.
         turn = trial % len(handlings)
         for handling in (*handlings[turn:], *handlings[:turn]):
             rows[handling].append(_trial(scene, trial, handling, PRIOR_WEIGHT)[0])
@@ -105,7 +105,7 @@ def compare(scene: StudiedScene, trials: int, advance: Advance) -> dict[GaugeHan
 def sweep(
     scene: StudiedScene, trials: int, advance: Advance, weights: Sequence[float]
 ) -> list[Trials]:
-    """Solve the same trials with each prior weight (Fig. 4 and 5)."""
+    """Solve the same trials with all prior weights (Fig. 4 and 5)."""
     outcome = []
     for weight in weights:
         outcome.append(
@@ -118,7 +118,7 @@ def sweep(
 
 
 def paths(scene: StudiedScene, weights: Sequence[float]) -> list[Trace]:
-    """Return the iterations' ways in one trial, by prior weight (Fig. 6)."""
+    """Return the traces of the iterations in one trial, by prior weight (Fig. 6)."""
     return [_trial(scene, 0, GaugeHandling.PRIOR, weight)[1].trace for weight in weights]
 
 
@@ -126,9 +126,9 @@ def covariances(scene: StudiedScene, *, is_converged: bool) -> Covariances:
     """Return the covariances of the first trial (Fig. 9 and 10).
 
     Args:
-        scene: What is solved.
-        is_converged: False stops as Ceres does and the paper's estimator did; True goes on to
-            the minimum, where eq. (12) is exact.
+        scene: The problem.
+        is_converged: False stops like Ceres and the paper's estimator; True continues to the
+            minimum, where eq. (12) is exact.
     """
     problem = scene.measured(np.random.default_rng([_DRAW, 0]))
     start = scene.disturbed(np.random.default_rng([_START, 0]))
@@ -140,7 +140,9 @@ def covariances(scene: StudiedScene, *, is_converged: bool) -> Covariances:
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
     motion = np.ix_(free.motion_places, free.motion_places)
-    of_free, transformed, of_fixed = (each[motion] for each in (of_free, transformed, of_fixed))
+    of_free, transformed, of_fixed = (
+        matrix[motion] for matrix in (of_free, transformed, of_fixed)
+    )
     difference = np.linalg.norm(transformed - of_fixed) / np.linalg.norm(of_fixed)
     return Covariances(of_free, transformed, of_fixed, float(difference))
 
@@ -151,8 +153,8 @@ def _trial(
     problem = scene.measured(np.random.default_rng([_DRAW, trial]))
     start = scene.disturbed(np.random.default_rng([_START, trial]))
     begin = time.perf_counter()
-    # As Ceres does, the step that shows convergence is thrown away: the paper's small
-    # differences between gauges are what is missing to the minimum.
+    # Like Ceres, it discards the step that shows convergence: the paper's small differences
+    # between gauges are the remaining distances to the minimum.
     solution = solve(problem, start, handling, weight, keep_last_step=False)
     seconds = time.perf_counter() - begin
     return (*_errors(scene.truth, solution.state), solution.iterations, seconds), solution
