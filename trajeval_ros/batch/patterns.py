@@ -67,7 +67,7 @@ class Pattern:
         if SEQUENCE not in _PLACEHOLDER.findall(path):
             raise SettingsError(
                 f"the pattern {text!r} has no {{sequence}}; write it in place of the sequence "
-                "name, as in groundtruth/{sequence}.txt"
+                "name, as in groundtruth/{sequence}.txt, or list the files in a manifest"
             )
         return cls(text, path, topic)
 
