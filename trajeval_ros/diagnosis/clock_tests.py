@@ -99,8 +99,7 @@ def clock_rate(
     grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
     if not (grows and constant_s > _STRAIGHTER * noise_s):
         return Examined(name, scores)
-    before, after = estimate.shifted(offset_s), estimate.shifted(level, rate)
-    scores["unlikeness"] = unlikeness_ratio(truth, before, after)
+    scores["unlikeness"] = unlikeness_ratio(truth, estimate, level, rate, known_s=offset_s)
     if not scores["unlikeness"] < LEAST_LIKELY:
         return Examined(name, scores)
     values: dict[str, Value] = {

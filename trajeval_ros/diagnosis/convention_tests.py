@@ -140,12 +140,25 @@ def _families(rivals: list[Hypothesis], moving: ShortMotions) -> dict[str, set[s
     families: dict[str, set[str]] = {}
     for each in rivals:
         families.setdefault(each.cause, set()).add(each.side)
-    # In a plane a flip and half a turn look alike; the flip is the usual mistake.
-    if MIRRORED in families:
-        families.pop(AXES_MIXED, None)
+    if {MIRRORED, AXES_MIXED} <= families.keys():
+        families.pop(_less_usual(rivals))
     if len(families.get(INVERSE, ())) > 1:
         families[INVERSE] = {shorter_if_inverted(moving)}
     return families
+
+
+def _less_usual(rivals: list[Hypothesis]) -> str:
+    """Return which of mirrored and mixed axes takes more flips, where motion in a plane fits both.
+
+    Poses that are mirrored as a whole fit with all three axes of the positions flipped.
+    """
+    flips = dict.fromkeys((MIRRORED, AXES_MIXED), 3)
+    for each in rivals:
+        if each.cause in flips:
+            flips[each.cause] = min(flips[each.cause], int(np.count_nonzero(each.axes < 0.0)))
+            if (each.axes == -np.eye(3)).all():
+                return AXES_MIXED
+    return AXES_MIXED if flips[MIRRORED] <= flips[AXES_MIXED] else MIRRORED
 
 
 def _told_apart(

@@ -35,7 +35,7 @@ class Finding:
     def of(cls, seen: Seen) -> Finding:
         """Put what a test has seen into words."""
         cause = CAUSES[seen.cause]
-        words = {**seen.values, "side": _possessor(seen)}
+        words = {**seen.values, "owner": _owner(seen)}
         return cls(
             cause.name,
             cause.sentence.format(**words),
@@ -113,9 +113,7 @@ def _cause(finding: Finding) -> Cause:
     return CAUSES[finding.cause]
 
 
-def _possessor(seen: Seen) -> str:
-    """Return whose it is, as a sentence says it."""
+def _owner(seen: Seen) -> str:
+    """Return the side of a finding as a possessive: "the estimate's"."""
     side = str(seen.values.get("side", ""))
-    if CAUSES[seen.cause].of_conventions:
-        return {"both": "both sides", "one side": "one side"}.get(side, f"the {side}")
-    return side
+    return {"both": "both sides'", "one side": "one side's"}.get(side, f"the {side}'s")

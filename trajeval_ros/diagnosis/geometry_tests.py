@@ -26,6 +26,9 @@ _BODY_DEG, _BODY_OR_WORLD_DEG = 5.0, 25.0
 _LEAST_LEVER, _SURE_LEVER, _LEAST_SHARE = 0.02, 0.05, 0.3
 _THIRDS = 3
 _BY_SCALE = 0.5
+# A mistake is the same all along, and drift isn't: by how much each third of a run may differ
+# from the whole, as a share of what is found.
+_ALIKE = 0.35
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
@@ -48,6 +51,9 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
         if abs(float(np.log(found / unit))) < _UNIT_WITHIN and gain > 0.5:
             return Examined(name, scores, (Seen(cause, gain, values),))
     if gain > _STEADY_GAIN and spread < 0.5 * off:
+        parts = [scale_of(each)[0] for each in moving.thirds]
+        scores["thirds_apart"] = max(abs(float(np.log(each / found))) for each in parts) / off
+    if scores.get("thirds_apart", np.inf) < _ALIKE:
         return Examined(name, scores, (Seen("scale", gain, values),))
     return Examined(name, scores)
 
@@ -91,7 +97,10 @@ def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examine
         "tilt_deg": tilt_deg,
     }
     if axis == "z" or off_deg >= _NEAR_AXIS_DEG:
-        return Examined(name, scores, (Seen("tilted", 1.0, values),))
+        parts = [each.world()[2] for each in moving.thirds]
+        scores["thirds_apart"] = max(_degrees(each @ turned[2]) for each in parts) / tilt_deg
+        seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
+        return Examined(name, scores, seen)
     if axis == "-z":
         extents = np.linalg.svd(bounded(moving.true_steps), compute_uv=False)
         true, ours = moving.true_steps[:, 2], (moving.steps @ turned.T)[:, 2]
@@ -153,14 +162,21 @@ def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
         return Examined(name, why_not="one side has no orientations")
     if as_read.turning <= 0.8 or as_read.cost >= 2.0 * (1.0 - _AGREE):
         return Examined(name, why_not="motions do not agree")
+    mean, rest = _constant(_between_bodies(moving, as_read.turned))
+    angle = float(np.degrees(lie.angle(mean)))
+    # Worlds that are turned against each other look alike, unless the body itself turns.
     true = moving.truth_turned[0]
     aligned = lie.multiply(lie.from_matrix(as_read.turned), moving.estimate_turned[0])
-    angle, rest = _constant(lie.multiply(lie.conjugate(aligned), true))
-    # Worlds that are turned against each other look alike, unless the body itself turns.
     worlds = _constant(lie.multiply(true, lie.conjugate(aligned)))[1]
     scores = {"angle_deg": angle, "rest_deg": rest, "rest_of_worlds_deg": worlds}
     limit = _BODY_DEG if worlds > 2.0 * rest else _BODY_OR_WORLD_DEG
     if angle <= limit or rest >= angle / 3.0:
+        return Examined(name, scores)
+    # Drift turns the world, so every third gets a world of its own.
+    parts = [mean_rotation(_between_bodies(each, each.world())) for each in moving.thirds]
+    apart = [lie.angle(lie.multiply(lie.conjugate(mean), each)) for each in parts]
+    scores["thirds_apart"] = float(np.degrees(max(apart))) / angle
+    if scores["thirds_apart"] >= _ALIKE:
         return Examined(name, scores)
     values: dict[str, Value] = {"angle_deg": angle, "rest_deg": rest}
     return Examined(name, scores, (Seen("body", 1.0 - (rest / angle) ** 2, values),))
@@ -211,7 +227,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     ) / max(length, 1e-9)
     scores = {"lever_m": length, "share": share, "worst_third": worst, "apart": apart}
     explains = share > 0.7 and worst < 0.6
-    agrees = apart < 0.35 and length > _SURE_LEVER
+    agrees = apart < _ALIKE and length > _SURE_LEVER
     if not (explains or agrees):
         return Examined(name, scores)
     values: dict[str, Value] = {"lever_m": length, "percent": 100.0 * share}
@@ -231,11 +247,24 @@ def _squares(vectors: Floats) -> float:
     return float(np.sum(vectors**2))
 
 
-def _constant(quaternions: Floats) -> tuple[float, float]:
-    """Return the angle of the mean of N rotations, and the median of what it leaves, deg."""
+def _between_bodies(moving: ShortMotions, turned: Floats) -> Floats:
+    """Return the rotations (N, 4) between the bodies' axes at the starts of N motions.
+
+    Args:
+        moving: With orientations of both sides.
+        turned: Rotation (3, 3) from the estimate's world to the groundtruth's.
+    """
+    assert moving.truth_turned is not None
+    assert moving.estimate_turned is not None
+    aligned = lie.multiply(lie.from_matrix(turned), moving.estimate_turned[0])
+    return lie.multiply(lie.conjugate(aligned), moving.truth_turned[0])
+
+
+def _constant(quaternions: Floats) -> tuple[Floats, float]:
+    """Return the mean (4,) of N rotations, (N, 4), and the median of their angles to it, deg."""
     mean = mean_rotation(quaternions)
     rest = lie.angle(lie.multiply(lie.conjugate(mean), quaternions))
-    return float(np.degrees(lie.angle(mean))), float(np.degrees(median(rest)))
+    return mean, float(np.degrees(median(rest)))
 
 
 def _degrees(cosine: float) -> float:

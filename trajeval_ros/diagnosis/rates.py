@@ -135,27 +135,52 @@ def match_clocks(truth: MotionTrack, estimate: MotionTrack) -> ClockMatch | None
     )
 
 
-def unlikeness_ratio(truth: MotionTrack, before: MotionTrack, after: MotionTrack) -> float:
-    """Return how much of the difference of two rates other stamps leave: less than 1 if they help.
+def unlikeness_ratio(
+    truth: MotionTrack,
+    estimate: MotionTrack,
+    offset_s: float,
+    rate: float = 0.0,
+    *,
+    known_s: float = 0.0,
+) -> float:
+    """Return the ratio of the differences of two rates with and without a clock's correction.
 
-    Under drift, offsets that are found by chance don't help.
+    It is less than 1 if the correction helps. Under drift, an offset that was found by chance
+    doesn't help.
 
     Args:
         truth: In order.
-        before: An estimate, in order.
-        after: The same with other stamps.
+        estimate: In order.
+        offset_s: Correction of the estimate's stamps.
+        rate: Correction of its clock's rate.
+        known_s: Offset that is applied without the correction.
 
     Returns:
         NaN where the two overlap for less than 8 s.
     """
-    return _unlikeness(truth, after) / max(_unlikeness(truth, before), 1e-12)
+    before = _unlikeness(_by_clock_of(estimate, truth, known_s, 0.0), estimate)
+    after = _unlikeness(_by_clock_of(estimate, truth, offset_s, rate), estimate)
+    return after / max(before, 1e-12)
+
+
+def _by_clock_of(
+    estimate: MotionTrack, truth: MotionTrack, offset_s: float, rate: float
+) -> MotionTrack:
+    """Return the groundtruth with the stamps of the estimate's clock.
+
+    Corrected stamps of the estimate would meet the cells at other phases. Interpolation between
+    two poses averages their noise, which looks like a better match.
+    """
+    start_s = float(estimate.seconds[0])
+    seconds = start_s + (truth.seconds - start_s - offset_s) / (1.0 + rate)
+    return MotionTrack(seconds, truth.positions, truth.quaternions)
 
 
 def _unlikeness(truth: MotionTrack, estimate: MotionTrack) -> float:
     """Return 1 - the correlation of turning, or of speed without orientations, as stamped."""
     cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
     window_s = max(_SHORT_WINDOW_S, 2.0 * truth.usual_step_s, 2.0 * estimate.usual_step_s)
-    epoch_s = float(truth.seconds[0])
+    epoch_s = float(estimate.seconds[0])
     ours, true = (MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, truth))
     begin = max(ours.start, true.start)
     end = min(ours.start + len(ours.known), true.start + len(true.known))

@@ -60,16 +60,17 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
         _TIMES_TRUE * true_steps,
     )
     spun = turned > max(_SPUN_DEG, 40.0 * median(turned[both]))
-    jumps = np.flatnonzero(both & ((excess > limit) | spun))
+    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
+    at_first = lengths(some.positions[1:] - some.positions[0]) < _HOME * size
+    # A restart sets the position back, too; only near the first pose it turns and does not move.
+    jumps = np.flatnonzero(both & ((excess > limit) | (spun & at_first)))
     if not 0 < len(jumps) <= _MOST:
         return Examined(_NAME, {"jumps": float(len(jumps))})
     worst = jumps[int(np.argmax(excess[jumps] / max(extent, 1e-9) + turned[jumps] / 180.0))]
     cut = int(worst) + 1
     if (some.positions[cut - 1] == some.positions[max(cut - 3, 0)]).all():
         return Examined(_NAME, why_not="the jump ends an interval of repeated poses")
-    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
-    from_home = lengths(some.positions[jumps + 1] - some.positions[0])
-    home = jumps[from_home < _HOME * size]
+    home = jumps[at_first[jumps]]
     at_home = worst in home
     # Many parts explain anything; more than two only where each starts at the first pose.
     cuts = np.union1d(home + 1, [cut]) if at_home and len(home) > 1 else np.array([cut])

@@ -100,6 +100,21 @@ class ShortMotions:
         steps: Floats = self.estimate[1] - self.estimate[0]
         return steps
 
+    @property
+    def thirds(self) -> list[ShortMotions]:
+        """Three parts of the run; the groundtruth moves about equally far in each of them."""
+        way = np.cumsum(lengths(bounded(self.true_steps)))
+        part = np.minimum(3.0 * way / max(float(way[-1]), 1e-300), 2.0).astype(np.int64)
+        return [self._only(part == each) for each in range(3)]
+
+    def world(self) -> Floats:
+        """Return the rotation (3, 3) from the estimate's world that fits these motions best."""
+        fitted = moment(bounded(self.true_steps), bounded(self.steps))
+        if self.truth_turned is not None and self.estimate_turned is not None:
+            turns = (turned_in_world(each) for each in (self.truth_turned, self.estimate_turned))
+            fitted = fitted + moment(*(bounded(each) for each in turns))
+        return best_rotations(fitted)[1]
+
     def without_jumps(self, estimate: MotionTrack) -> ShortMotions:
         """Return those that no jump of the estimate lies in: a restart turns its world."""
         moved = estimate.moved

@@ -51,7 +51,7 @@ def small_clock_offset(
         within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
             return Examined(_NAME, scores)
-        scores["unlikeness"] = unlikeness_ratio(truth, estimate, estimate.shifted(apart_s))
+        scores["unlikeness"] = unlikeness_ratio(truth, estimate, apart_s)
         if not scores["unlikeness"] < LEAST_LIKELY:
             return Examined(_NAME, scores)
         how = f"the {guess.signal}s match best"
