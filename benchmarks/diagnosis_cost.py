@@ -55,10 +55,10 @@ def _command_ms(pair: Pair) -> float:
         paths = [str(Path(folder) / name) for name in ("groundtruth.txt", "estimate.txt")]
         for path, side in zip(paths, (pair.truth, pair.estimate), strict=True):
             _write(side, path)
-        command = "from trajeval_ros.cli.app import main; main()"
         words = ["evaluate", "-g", paths[0], "-e", paths[1], "--gauge", "yaw", "--quiet"]
         before = _children_ms()
-        subprocess.run([sys.executable, "-c", command, *words], check=True, capture_output=True)
+        command = [sys.executable, "-m", "trajeval_ros", *words]
+        subprocess.run(command, check=True, capture_output=True)
         return _children_ms() - before
 
 

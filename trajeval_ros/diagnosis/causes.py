@@ -1,7 +1,7 @@
-"""The causes that a diagnosis knows: what each is called, says, advises, and how it is mended.
+"""All causes: name, severity, message, advice and the option that corrects the mistake.
 
-A test names a cause and gives the numbers behind it (`Seen`); what is said of it stands here.
-docs/diagnosis.md explains each.
+A test returns a cause by name with its numbers (`Seen`). The texts are here.
+docs/diagnosis.md explains every cause.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ EXACT, CORRELATED, FITTED = "exact", "correlated", "fitted"
 
 @dataclass(frozen=True)
 class Cause:
-    """What a user may have got wrong.
+    """A mistake in the input, with its texts.
 
     Attributes:
         name: A stable identifier, for `--fix` and for programs.
-        rank: The larger, the graver: what makes other tests meaningless comes first.
-        confidence: What it rests on: equality of numbers, a correlation, or a fit.
-        sentence: What is wrong and how it is seen, to be filled in with the numbers.
-        advice: What to do.
-        mend: Words of the command line that mend it, to be filled in; empty where none does.
-        of_conventions: Whether poses mean something else than what was read.
+        rank: Severity. Causes that invalidate other tests have the largest values.
+        confidence: Basis of the finding: equality of numbers, a correlation, or a fit.
+        sentence: The mistake and its evidence, a format string for the numbers.
+        advice: Instruction for the user, a format string.
+        mend: Options that correct it, format strings by name; empty without such an option.
+        of_conventions: Whether the poses have another convention than the reader assumed.
     """
 
     name: str

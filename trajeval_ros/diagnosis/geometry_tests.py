@@ -1,4 +1,4 @@
-"""With time and conventions settled: scale, what is up, other bodies, lever arms."""
+"""Tests of scale, vertical axes, body axes and lever arms, after time and conventions."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from trajeval_ros.metrics.statistics import median, quantile
 _OFF = 0.2  # of the logarithm of the scale
 _UNITS = {1e-3: "estimate_mm", 1e3: "truth_mm"}
 _UNIT_WITHIN, _STEADY_GAIN = 0.15, 0.8
-# A plane's thickness by its length, and a line's width; the share of turning about its normal.
+# Ratios of a plane's thickness and a line's width to the length; rotation about the normal.
 _PLANE, _LINE, _ONE_AXIS, _SAME_AXIS = 0.15, 0.2, 0.75, 0.9
 _LEAST_TILT_DEG, _NEAR_AXIS_DEG = 12.0, 25.0
 _FLAT, _SAME_HEIGHTS = 0.2, 0.5
 _AGREE, _AGREE_WELL = 0.7, 0.85
-# A turn of the body, deg: where a turn of the world explains it far worse, and where it doesn't.
+# Least rotation of the body, deg: if a rotation of the world fits much worse, and otherwise.
 _BODY_DEG, _BODY_OR_WORLD_DEG = 5.0, 25.0
 _LEAST_LEVER, _SURE_LEVER, _LEAST_SHARE = 0.02, 0.05, 0.3
 _THIRDS = 3
 _BY_SCALE = 0.5
-# A mistake is the same all along, and drift isn't: by how much each third of a run may differ
-# from the whole, as a share of what is found.
+# A mistake is constant, and drift is not: largest difference between a third of the run and the
+# whole run, as a fraction of the value.
 _ALIKE = 0.35
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
-    """Compare how far both sides move in the same time."""
+    """Compare the distances that both sides move in the same time."""
     name = "scale"
     if gauge.has_scale:
         return Examined(name, why_not="the alignment removes the scale")
@@ -70,7 +70,7 @@ def scale_of(moving: ShortMotions) -> tuple[float, float]:
 
 
 def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
-    """Compare what is up, where the alignment can't turn it."""
+    """Compare the vertical axes, if the alignment does not include roll and pitch."""
     name = "vertical axes"
     if not gauge.turns_about_gravity_only:
         return Examined(name, why_not="the alignment includes roll and pitch, or no rotation")
@@ -82,7 +82,7 @@ def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examine
     scores = {"tilt_deg": tilt_deg}
     if tilt_deg <= _LEAST_TILT_DEG or kinds - as_read.cost <= _AGREE_WELL * kinds:
         return Examined(name, scores)
-    # Each side's vertical in the other one's world: the other one's axis, if that is right.
+    # The vertical of a side in the frame of the other side: one of its axes, if that is wrong.
     sides = {"estimate": turned[2], "groundtruth": turned[:, 2]}
     side = max(sides, key=lambda each: round(float(np.abs(sides[each]).max()), 2))
     up = sides[side]
@@ -107,7 +107,7 @@ def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examine
         true, ours = true - true.mean(), ours - ours.mean()
         alike = float(true @ ours) / max(float(lengths(np.array([true, ours])).prod()), 1e-30)
         scores["heights_alike"] = alike
-        # In a plane, a left-handed path looks like one that is seen from below.
+        # In a plane, a left-handed path has the same motions as a path with z down.
         if extents[2] < _FLAT * extents[0] and alike < _SAME_HEIGHTS:
             cause = "mirrored" if alike < -_SAME_HEIGHTS else "up_axis_or_mirrored"
             values |= {"axes": "x,y,-z", "agreement": 100.0 * (1.0 - as_read.cost / kinds)}
@@ -119,7 +119,7 @@ def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examine
 
 
 def groundtruth_plane(moving: ShortMotions, turning: ShortMotions, gauge: Gauge) -> Examined:
-    """Look whether the groundtruth moves across, and turns about, another axis than z."""
+    """Test whether the groundtruth moves perpendicular to and rotates about x or y."""
     name = "plane of the groundtruth"
     if not gauge.turns_about_gravity_only or turning.truth_turned is None:
         return Examined(
@@ -156,7 +156,7 @@ def groundtruth_plane(moving: ShortMotions, turning: ShortMotions, gauge: Gauge)
 
 
 def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
-    """Look for one rotation between the axes of both bodies."""
+    """Test for a constant rotation between the axes of the bodies."""
     name = "body axes"
     if moving.truth_turned is None or moving.estimate_turned is None:
         return Examined(name, why_not="one side has no orientations")
@@ -164,7 +164,7 @@ def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
         return Examined(name, why_not="motions do not agree")
     mean, rest = _constant(_between_bodies(moving, as_read.turned))
     angle = float(np.degrees(lie.angle(mean)))
-    # Worlds that are turned against each other look alike, unless the body itself turns.
+    # A rotation of the world has the same effect, unless the body rotates.
     true = moving.truth_turned[0]
     aligned = lie.multiply(lie.from_matrix(as_read.turned), moving.estimate_turned[0])
     worlds = _constant(lie.multiply(true, lie.conjugate(aligned)))[1]
@@ -172,7 +172,7 @@ def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     limit = _BODY_DEG if worlds > 2.0 * rest else _BODY_OR_WORLD_DEG
     if angle <= limit or rest >= angle / 3.0:
         return Examined(name, scores)
-    # Drift turns the world, so every third gets a world of its own.
+    # Drift rotates the world, so the world of every third is fitted separately.
     parts = [mean_rotation(_between_bodies(each, each.world())) for each in moving.thirds]
     apart = [lie.angle(lie.multiply(lie.conjugate(mean), each)) for each in parts]
     scores["thirds_apart"] = float(np.degrees(max(apart))) / angle
@@ -183,7 +183,7 @@ def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
 
 
 def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
-    """Fit d_truth - s W d_estimate = (R_end - R_start) l over all motions, and over thirds."""
+    """Fit d_groundtruth - s W d_estimate = (R_end - R_start) l to all motions and to thirds."""
     name = "lever arm"
     if moving.estimate_turned is None:
         return Examined(name, why_not="one side has no orientations")
@@ -196,7 +196,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     by_scale = 1.0 - _squares(moving.true_steps - scale_of(moving)[0] * ours) / max(
         _squares(moving.true_steps - ours), 1e-300
     )
-    # On a circle, a scale is a lever arm to its middle.
+    # On a circle, a scale error equals a lever arm to the centre.
     if found == 1.0 and by_scale > _BY_SCALE:
         return Examined(name, {"by_scale": by_scale}, why_not="a scale explains the same error")
     start, end = (as_read.turned @ lie.to_matrix(each) for each in moving.estimate_turned)
@@ -204,7 +204,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     size = lengths(left)
     keep = size < 6.0 * median(size) + 1e-9
     lever = np.zeros(3)
-    for _ in range(2):  # the second time without what the first one doesn't explain
+    for _ in range(2):  # the second time without outliers of the first fit
         lever = _least_squares(swing[keep], left[keep], 1e-4)
         rest = lengths(left - swing @ lever)
         keep = rest < 6.0 * median(rest) + 1e-9
