@@ -68,3 +68,8 @@ def test_every_cause_has_an_entry() -> None:
 @pytest.mark.parametrize("cause", CAUSES)
 def test_a_message_is_quoted_as_it_is_printed(cause: str) -> None:
     assert without_numbers(QUOTED[cause]) == without_numbers(printed(cause))
+
+
+def test_the_example_at_the_top_is_as_it_is_printed() -> None:
+    (line,) = re.findall(r"^  diagnosis: (.*)$", PAGE.read_text("utf-8"), re.M)
+    assert without_numbers(line) == without_numbers(printed("estimate_mm"))
