@@ -46,7 +46,7 @@ def small_clock_offset(
     scores = {"offset_s": guess.offset_s, "peak": guess.peak}
     if guess.is_usable:
         apart_s = guess.offset_s
-        step_s = float(median(np.diff(np.sort(pairs.estimate.stamps)))) / NANOSECONDS
+        step_s = median(np.diff(np.sort(pairs.estimate.stamps))) / NANOSECONDS
         # Timestamps of pairs may differ by the limit of the association.
         within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
