@@ -11,13 +11,14 @@ import argparse
 import collections
 import dataclasses
 import itertools
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.diagnosis_mistakes import FURTHER, MISTAKES, Mistake
+from benchmarks.diagnosis_cost import cost
+from benchmarks.diagnosis_further import FURTHER
+from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
 from benchmarks.diagnosis_runs import DRIFTS, KINDS, Pair, recorded, simulated
 from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation, diagnose_sides
 from trajeval_ros.diagnosis.findings import Diagnosis
@@ -84,7 +85,9 @@ def matrix(pairs: list[Pair], mistakes: dict[str, Mistake]) -> None:
     )
 
 
-def right(pairs: list[Pair], seed: int, count: int, worse: float) -> Iterator[Pair]:
+def right(
+    pairs: list[Pair], seed: int, count: int, worse: float, drifts: Sequence[str] = DRIFTS
+) -> Iterator[Pair]:
     """Yield right recordings: real ones and parts of them, and simulated ones."""
     random = np.random.default_rng(seed)
     for pair in pairs:
@@ -96,7 +99,7 @@ def right(pairs: list[Pair], seed: int, count: int, worse: float) -> Iterator[Pa
             if long_s < whole_s and min(len(part.truth), len(part.estimate)) > 10:
                 yield part
     for number in range(count):
-        kind, drift = KINDS[number % 4], DRIFTS[number // 4 % 5]
+        kind, drift = KINDS[number % 4], drifts[number // 4 % len(drifts)]
         duration_s = random.uniform(20.0, 150.0)
         yield simulated(10_000 * (seed + 1) + number, kind, drift, duration_s, worse=worse)
 
@@ -234,41 +237,6 @@ def _positions(pair: Pair) -> Pair:
     return dataclasses.replace(pair, truth=dataclasses.replace(pair.truth, quaternions=None))
 
 
-def cpu() -> None:
-    """Print the time of an evaluation of 100 000 poses, and of the diagnosis of it."""
-    pair = simulated(1, "drone", "walk", 600.0)
-    rows = np.linspace(0, len(pair.estimate) - 1, 100_000)
-    dense = _resampled(pair, rows)
-    evaluation = evaluate(dense.truth, dense.estimate, dense.protocol)
-    times = []
-    for step in (
-        lambda: evaluate(dense.truth, dense.estimate, dense.protocol),
-        lambda: diagnose_evaluation(evaluation, dense.truth, dense.estimate),
-    ):
-        taken = []
-        for _ in range(5):
-            begin = time.process_time()
-            step()
-            taken.append(time.process_time() - begin)
-        times.append(1e3 * min(taken))
-    print(f"100 000 poses: evaluation {times[0]:.0f} ms, diagnosis {times[1]:.0f} ms of CPU")
-
-
-def _resampled(pair: Pair, rows: np.ndarray) -> Pair:
-    """Return a pair with more poses on both sides, between those that there are."""
-    from trajeval_ros.diagnosis.motion_track import MotionTrack
-
-    sides = {}
-    for side, count in (("estimate", len(rows)), ("truth", 2 * len(rows))):
-        one = getattr(pair, side)
-        track = MotionTrack.of(one, int(one.stamps[0]))
-        seconds = np.linspace(0.0, track.span_s, count)
-        between = track.at(seconds)
-        stamps = int(one.stamps[0]) + np.rint(1e9 * seconds).astype(np.int64)
-        sides[side] = type(one).from_columns(stamps, between.positions, between.quaternions)
-    return dataclasses.replace(pair, **sides)
-
-
 def main() -> None:
     """Print all tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -294,8 +262,11 @@ def main() -> None:
         alarms("first half", right(real[::2], 0, options.count // 2, 1.0))
         alarms("second half", right(real[1::2], 1, options.count // 2, 1.0))
         alarms("drift 5 times worse", right([], 2, options.count, 5.0))
+        alarms("drift 5 times worse, more", right([], 104, 2 * options.count, 5.0))
         # No threshold was ever chosen on these.
-        alarms("drift 5 times worse, fresh seeds", right([], 104, 2 * options.count, 5.0))
+        alarms("drift 5 times worse, fresh seeds", right([], 205, 4 * options.count, 5.0))
+        heavier = right([], 206, 2 * options.count, 5.0, ("heavier",))
+        alarms("drift 5 times worse, heavier tails", heavier)
         positions = (_positions(each) for each in right(real, 3, options.count, 1.0))
         alarms("positions only", positions)
         alarms("2 Hz", (_every(each, 0.5) for each in real))
@@ -308,7 +279,7 @@ def main() -> None:
     if "thinned" in wanted:
         thinned(real + made)
     if "cpu" in wanted:
-        cpu()
+        cost()
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Make = Callable[[Pair], Pair]
-_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
@@ -42,19 +42,21 @@ class Mistake:
         return True
 
 
-def _change(pair: Pair, side: str, **columns: object) -> Pair:
+def change(pair: Pair, side: str, **columns: object) -> Pair:
+    """Return a pair with other columns on a side."""
     changed = dataclasses.replace(getattr(pair, side), **columns)
     return dataclasses.replace(pair, **{side: changed})
 
 
-def _q(trajectory: Trajectory) -> Array:
+def quaternions_of(trajectory: Trajectory) -> Array:
+    """Return the orientations (N, 4), which all recordings here have."""
     assert trajectory.quaternions is not None
     return trajectory.quaternions
 
 
 def scaled(side: str, factor: float) -> Make:
     """Return what multiplies positions."""
-    return lambda pair: _change(pair, side, positions=factor * getattr(pair, side).positions)
+    return lambda pair: change(pair, side, positions=factor * getattr(pair, side).positions)
 
 
 def w_first(*sides: str) -> Make:
@@ -62,8 +64,8 @@ def w_first(*sides: str) -> Make:
 
     def make(pair: Pair) -> Pair:
         for side in sides:
-            q = np.ascontiguousarray(_q(getattr(pair, side))[:, [3, 0, 1, 2]])
-            pair = _change(pair, side, quaternions=q)
+            q = np.ascontiguousarray(quaternions_of(getattr(pair, side))[:, [3, 0, 1, 2]])
+            pair = change(pair, side, quaternions=q)
         return pair
 
     return make
@@ -72,11 +74,11 @@ def w_first(*sides: str) -> Make:
 def mirrored(pair: Pair) -> Pair:
     """Flip y of positions and rotations, as a left-handed engine does."""
     one = pair.estimate
-    return _change(
+    return change(
         pair,
         "estimate",
         positions=one.positions * [1.0, -1.0, 1.0],
-        quaternions=_q(one) * [-1.0, 1.0, -1.0, 1.0],
+        quaternions=quaternions_of(one) * [-1.0, 1.0, -1.0, 1.0],
     )
 
 
@@ -85,20 +87,20 @@ def inverse(side: str) -> Make:
 
     def make(pair: Pair) -> Pair:
         one = getattr(pair, side)
-        q = lie.conjugate(_q(one))
-        return _change(pair, side, positions=-lie.rotate(q, one.positions), quaternions=q)
+        q = lie.conjugate(quaternions_of(one))
+        return change(pair, side, positions=-lie.rotate(q, one.positions), quaternions=q)
 
     return make
 
 
 def transposed(pair: Pair) -> Pair:
     """Invert rotations alone."""
-    return _change(pair, "estimate", quaternions=lie.conjugate(_q(pair.estimate)))
+    return change(pair, "estimate", quaternions=lie.conjugate(quaternions_of(pair.estimate)))
 
 
 def shifted(seconds: float) -> Make:
     """Return what sets a clock."""
-    return lambda pair: _change(
+    return lambda pair: change(
         pair, "estimate", stamps=pair.estimate.stamps + round(1e9 * seconds)
     )
 
@@ -106,12 +108,12 @@ def shifted(seconds: float) -> Make:
 def fast_clock(pair: Pair) -> Pair:
     """Let the estimate's clock gain 1000 ppm."""
     stamps = pair.estimate.stamps
-    return _change(pair, "estimate", stamps=stamps + (stamps - stamps[0]) // 1000)
+    return change(pair, "estimate", stamps=stamps + (stamps - stamps[0]) // 1000)
 
 
 def whole_seconds(pair: Pair) -> Pair:
     """Cut stamps to seconds."""
-    return _change(pair, "estimate", stamps=pair.estimate.stamps // 10**9 * 10**9)
+    return change(pair, "estimate", stamps=pair.estimate.stamps // 10**9 * 10**9)
 
 
 def duplicated(pair: Pair) -> Pair:
@@ -164,12 +166,12 @@ def bridged(pair: Pair) -> Pair:
     share = (truth.stamps[stretch] - truth.stamps[stretch.start]) / (
         truth.stamps[stretch.stop] - truth.stamps[stretch.start]
     )
-    p, q = truth.positions.copy(), _q(truth).copy()
+    p, q = truth.positions.copy(), quaternions_of(truth).copy()
     ends = p[[stretch.start, stretch.stop]]
     p[stretch] = ends[0] + share[:, None] * (ends[1] - ends[0])
     start, end = (np.repeat(q[[row]], len(share), axis=0) for row in (stretch.start, stretch.stop))
     q[stretch] = lie.slerp(start, end, share)
-    return _change(pair, "truth", positions=p, quaternions=q)
+    return change(pair, "truth", positions=p, quaternions=q)
 
 
 def wide_gap(pair: Pair) -> Pair:
@@ -186,11 +188,11 @@ def in_axes(axes: Array, *sides: str) -> Make:
     def make(pair: Pair) -> Pair:
         for side in sides:
             one = getattr(pair, side)
-            pair = _change(
+            pair = change(
                 pair,
                 side,
                 positions=one.positions @ axes.T,
-                quaternions=lie.multiply(turn, _q(one)),
+                quaternions=lie.multiply(turn, quaternions_of(one)),
             )
         return pair
 
@@ -200,7 +202,7 @@ def in_axes(axes: Array, *sides: str) -> Make:
 def camera_by_yaw(pair: Pair) -> Pair:
     """Align by yaw what is in a camera's axes, as KITTI's files are."""
     if not pair.name.startswith("KITTI"):
-        pair = in_axes(_CAMERA, "truth", "estimate")(pair)
+        pair = in_axes(CAMERA, "truth", "estimate")(pair)
     return dataclasses.replace(pair, gauge=Gauge.YAW)
 
 
@@ -215,25 +217,25 @@ def two_pairs(pair: Pair) -> Pair:
 def restarted(pair: Pair) -> Pair:
     """Begin anew at the origin, with another yaw."""
     one, row = pair.estimate, int(0.55 * len(pair.estimate))
-    p, q = one.positions.copy(), _q(one).copy()
+    p, q = one.positions.copy(), quaternions_of(one).copy()
     about_z = lie.rotation_vector(lie.conjugate(q[row])) * [0.0, 0.0, 1.0]
     turn = lie.from_rotation_vector(about_z)
     p[row:] = lie.rotate(turn, p[row:] - p[row])
     q[row:] = lie.multiply(turn, q[row:])
-    return _change(pair, "estimate", positions=p, quaternions=q)
+    return change(pair, "estimate", positions=p, quaternions=q)
 
 
 def marker(pair: Pair) -> Pair:
     """Turn the body's axes."""
     turn = lie.from_rotation_vector(np.radians([35.0, -50.0, 80.0]))
-    return _change(pair, "estimate", quaternions=lie.multiply(_q(pair.estimate), turn))
+    return change(pair, "estimate", quaternions=lie.multiply(quaternions_of(pair.estimate), turn))
 
 
 def lever(pair: Pair) -> Pair:
     """Take another point of the body."""
     one = pair.estimate
-    arm = lie.rotate(_q(one), np.array([0.3, -0.25, 0.4]))
-    return _change(pair, "estimate", positions=one.positions + arm)
+    arm = lie.rotate(quaternions_of(one), np.array([0.3, -0.25, 0.4]))
+    return change(pair, "estimate", positions=one.positions + arm)
 
 
 def keyframes(pair: Pair) -> Pair:
@@ -254,20 +256,13 @@ def body_twist(pair: Pair) -> Pair:
     """Give velocities in the body's axes."""
     one = pair.estimate
     velocity = np.gradient(one.positions, one.seconds, axis=0)
-    return _change(pair, "estimate", velocities=lie.rotate(lie.conjugate(_q(one)), velocity))
+    return change(
+        pair, "estimate", velocities=lie.rotate(lie.conjugate(quaternions_of(one)), velocity)
+    )
 
 
 def _rows(rows: list[int]) -> Indices:
     return np.array(rows, dtype=np.int64)
-
-
-def _still(pair: Pair) -> Pair:
-    return _change(pair, "estimate", positions=0.0 * pair.estimate.positions)
-
-
-def _names_swapped(pair: Pair) -> Pair:
-    pair = _change(pair, "truth", source="run/vio_odometry.txt")
-    return _change(pair, "estimate", source="run/groundtruth.txt")
 
 
 MISTAKES: dict[str, Mistake] = {
@@ -292,8 +287,8 @@ MISTAKES: dict[str, Mistake] = {
     "the same file": Mistake(
         lambda pair: dataclasses.replace(pair, estimate=pair.truth[::5]), ("identical",)
     ),
-    "camera axes": Mistake(in_axes(_CAMERA, "estimate"), ("up_axis",), "yaw"),
-    "NED": Mistake(in_axes(_NED, "estimate"), ("up_axis", "up_axis_or_mirrored"), "yaw"),
+    "camera axes": Mistake(in_axes(CAMERA, "estimate"), ("up_axis",), "yaw"),
+    "NED": Mistake(in_axes(NED, "estimate"), ("up_axis", "up_axis_or_mirrored"), "yaw"),
     "KITTI by yaw": Mistake(camera_by_yaw, ("truth_up_axis",), "vehicle"),
     "two pairs": Mistake(two_pairs, ("few_pairs",)),
     "restart": Mistake(restarted, ("restart",)),
@@ -301,14 +296,4 @@ MISTAKES: dict[str, Mistake] = {
     "lever arm": Mistake(lever, ("lever_arm",)),
     "keyframes": Mistake(keyframes, ("keyframes",)),
     "body twist": Mistake(body_twist, ("twist_body",)),
-}
-FURTHER: dict[str, Mistake] = {
-    "stands still": Mistake(_still, ("stands_still",)),
-    "sides swapped": Mistake(_names_swapped, ("swapped",)),
-    "groundtruth in camera axes": Mistake(
-        in_axes(_CAMERA, "truth"), ("up_axis", "truth_up_axis"), "yaw"
-    ),
-    "groundtruth in NED": Mistake(
-        in_axes(_NED, "truth"), ("up_axis", "up_axis_or_mirrored"), "yaw"
-    ),
 }

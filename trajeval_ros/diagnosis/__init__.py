@@ -1,1 +1,1 @@
-"""What a user may have got wrong: warnings, restarts, clocks that seem to differ."""
+"""Detection and correction of mistakes in the input, and warnings about results."""

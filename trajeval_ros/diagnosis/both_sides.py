@@ -1,4 +1,4 @@
-"""One recording as a diagnosis sees it: both sides, and how they are compared."""
+"""Groundtruth, estimate and the settings of their comparison, as input of the tests."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Groundtruth and an estimate, as they are compared.
+    """Groundtruth, an estimate and the settings of their comparison.
 
     Attributes:
         groundtruth: As it was read.
         estimate: As it was read.
-        truth: Its columns, as they stand.
-        track: Columns of the estimate, its stamps with the time offset that is applied.
+        truth: Columns of the groundtruth, in the order of the source.
+        track: Columns of the estimate; the applied time offset is added to the timestamps.
         gauge: Of the alignment.
         max_gap_s: Longest step of the groundtruth to interpolate across.
-        time_offset_s: What is added to the estimate's stamps.
-        by_time: Whether states are paired by their stamps, so that these mean something.
+        time_offset_s: Offset that is added to the timestamps of the estimate, seconds.
+        by_time: Whether states are paired by timestamps; otherwise by row index.
     """
 
     groundtruth: Trajectory
@@ -48,14 +48,14 @@ class Recording:
         *,
         time_offset_s: float | None = None,
     ) -> Recording:
-        """Take two trajectories as a protocol compares them.
+        """Return two trajectories with the settings of a protocol.
 
         Args:
             groundtruth: One state at least.
             estimate: One state at least.
             protocol: The settings.
-            time_offset_s: What is still to be added to the estimate's stamps; None for the
-                protocol's.
+            time_offset_s: Offset to add to the timestamps of the estimate, seconds; None for
+                the offset of the protocol.
         """
         rule = protocol.association
         offset_s = rule.time_offset_s if time_offset_s is None else time_offset_s

@@ -1,7 +1,7 @@
-"""The causes that a diagnosis knows: what each is called, says, advises, and how it is mended.
+"""All causes: name, severity, message, advice and the option that corrects the mistake.
 
-A test names a cause and gives the numbers behind it (`Seen`); what is said of it stands here.
-docs/diagnosis.md explains each.
+A test returns a cause by name with its numbers (`Seen`). The texts are here.
+docs/diagnosis.md explains every cause.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ EXACT, CORRELATED, FITTED = "exact", "correlated", "fitted"
 
 @dataclass(frozen=True)
 class Cause:
-    """What a user may have got wrong.
+    """A mistake in the input, with its texts.
 
     Attributes:
         name: A stable identifier, for `--fix` and for programs.
-        rank: The larger, the graver: what makes other tests meaningless comes first.
-        confidence: What it rests on: equality of numbers, a correlation, or a fit.
-        sentence: What is wrong and how it is seen, to be filled in with the numbers.
-        advice: What to do.
-        mend: Words of the command line that mend it, to be filled in; empty where none does.
-        of_conventions: Whether poses mean something else than what was read.
+        rank: Severity. Causes that invalidate other tests have the largest values.
+        confidence: Basis of the finding: equality of numbers, a correlation, or a fit.
+        sentence: The mistake and its evidence, a format string for the numbers.
+        advice: Instruction for the user, a format string.
+        mend: Options that correct it, format strings by name; empty without such an option.
+        of_conventions: Whether the poses have another convention than the reader assumed.
     """
 
     name: str
@@ -67,7 +67,7 @@ _TABLE = (
         "stamps_rounded",
         9.0,
         EXACT,
-        "the {side}'s timestamps are rounded to {step_s:g} s: {poses_per_stamp:.0f} different "
+        "{owner} timestamps are rounded to {step_s:g} s: {poses_per_stamp:.0f} different "
         "poses per timestamp",
         "write timestamps with all digits",
     ),
@@ -84,7 +84,7 @@ _TABLE = (
         "duplicated",
         8.6,
         EXACT,
-        "{percent:.0f} % of the {side}'s poses occur twice, {rows_apart:.0f} rows apart: a part "
+        "{percent:.0f} % of {owner} poses occur twice, {rows_apart:.0f} rows apart: a part "
         "was recorded twice",
         "remove the second copy, or record again",
     ),
@@ -171,7 +171,7 @@ _TABLE = (
         "wxyz",
         6.0,
         FITTED,
-        "{side}'s quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
+        "{owner} quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
         f"{_AGREE}",
         "read them as w, x, y, z",
         {"quaternion_order": "{order}"},
@@ -181,8 +181,7 @@ _TABLE = (
         "wxyz_transposed",
         6.0,
         FITTED,
-        "{side}'s quaternions are in the order w, x, y, z and inverse (world in body): "
-        f"{_AGREE}",
+        f"{{owner}} quaternions are in the order w, x, y, z and inverse (world in body): {_AGREE}",
         "correct both",
         {"quaternion_order": "{order}", "inverse": "{inverse}"},
         of_conventions=True,
@@ -191,7 +190,7 @@ _TABLE = (
         "transposed",
         6.0,
         FITTED,
-        f"{{side}}'s rotations are inverse (world in body), and its positions are not: {_AGREE}",
+        f"{{owner}} rotations are inverse (world in body), and its positions are not: {_AGREE}",
         "invert the rotations",
         {"inverse": "{inverse}"},
         of_conventions=True,
@@ -200,7 +199,7 @@ _TABLE = (
         "inverse",
         6.0,
         FITTED,
-        f"{{side}}'s poses are inverse (world in body): {_AGREE}",
+        f"{{owner}} poses are inverse (world in body): {_AGREE}",
         "invert the poses",
         {"inverse": "{inverse}"},
         of_conventions=True,
@@ -255,14 +254,14 @@ _TABLE = (
         5.8,
         FITTED,
         "{said}",
-        "align by all rotations",
+        "or align by all rotations",
         {"gauge": "se3"},
     ),
     Cause(
         "up_axis",
         5.8,
         FITTED,
-        "the vertical axis of {side}'s frame is probably {axis}{called}, within {off_deg:.0f} "
+        "the vertical axis of {owner} frame is probably {axis}{called}, within {off_deg:.0f} "
         "deg; this alignment leaves a tilt of {tilt_deg:.0f} deg",
         "set the vertical axis",
         {"up": "{axes_up}"},
@@ -309,7 +308,7 @@ _TABLE = (
         "twist_body",
         5.0,
         FITTED,
-        "the {side}'s velocities are in the body frame: rotated to the world frame they differ "
+        "{owner} velocities are in the body frame: rotated to the world frame they differ "
         "by {turned_percent:.0f} % from the derivative of its positions, instead of "
         "{off_percent:.0f} %",
         "write them in the world frame; other errors are not affected",
@@ -347,7 +346,7 @@ _TABLE = (
         4.0,
         FITTED,
         "the estimate's covariances probably have rotation before position: the ratios of "
-        "squared error and variance are {exchanged:.2g} (position) and "
+        "error and standard deviation are {exchanged:.2g} (position) and "
         "{exchanged_rotation:.2g} (rotation) with exchanged blocks, and {as_read:.2g} and "
         "{as_read_rotation:.2g} as read",
         "write position before rotation",
@@ -356,8 +355,8 @@ _TABLE = (
         "covariance_degrees",
         4.0,
         FITTED,
-        "the rotation covariances of the estimate are probably in square degrees: they are "
-        "{times:.0f} times too large for the errors, and position covariances are not",
+        "the rotation covariances of the estimate are probably in square degrees: their standard "
+        "deviations are {times:.0f} times the errors, and those of positions are not",
         "write them in square radians",
     ),
     Cause(

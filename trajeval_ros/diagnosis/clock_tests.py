@@ -1,4 +1,4 @@
-"""Tests of the clocks, before those of axes: whole offsets, rates, and small offsets."""
+"""Tests of the clocks: large offsets and rates. They precede the tests of axes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from trajeval_ros.diagnosis.rates import (
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.statistics import median
 
-SMALL_S = 0.25  # the finer test's
-USABLE = 0.8  # correlation, of an offset that other tests take into account
+SMALL_S = 0.25  # limit of the test on the finer grid
+USABLE = 0.8  # least correlation of an offset that other tests apply
 _GAIN = 0.1
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
@@ -29,11 +29,11 @@ _FEWEST_HZ = 3.0
 
 
 def clock_offset(match: ClockMatch | None, applied_s: float) -> Examined:
-    """Look for clocks that are far apart.
+    """Test for a large offset between the clocks.
 
     Args:
-        match: Of the rates of motion; None where they don't overlap.
-        applied_s: The offset that the estimate's stamps have already.
+        match: Match of the rates of motion; None without a common time span.
+        applied_s: Offset that is already added to the estimate's timestamps, seconds.
     """
     if match is None:
         return Examined("clocks", why_not="no offset gives a common time span of 8 s")
@@ -68,14 +68,14 @@ def clock_rate(
     offset_s: float,
     applied_s: float,
 ) -> Examined:
-    """Look for an offset that grows, part by part of the run.
+    """Test for an offset that increases along the run.
 
     Args:
-        truth: In order.
-        estimate: In order.
-        match: Of the whole run.
-        offset_s: The clocks' offset, as far as it is known.
-        applied_s: The offset that the estimate's stamps have already.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
+        match: Match of the whole run.
+        offset_s: Known offset between the clocks, seconds.
+        applied_s: Offset that is already added to the estimate's timestamps, seconds.
     """
     name = "clock rates"
     if match is None or not match.is_alone:
@@ -99,8 +99,7 @@ def clock_rate(
     grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
     if not (grows and constant_s > _STRAIGHTER * noise_s):
         return Examined(name, scores)
-    before, after = estimate.shifted(offset_s), estimate.shifted(level, rate)
-    scores["unlikeness"] = unlikeness_ratio(truth, before, after)
+    scores["unlikeness"] = unlikeness_ratio(truth, estimate, level, rate, known_s=offset_s)
     if not scores["unlikeness"] < LEAST_LIKELY:
         return Examined(name, scores)
     values: dict[str, Value] = {
@@ -114,12 +113,12 @@ def clock_rate(
 
 
 def _slope(times: Floats, offsets: Floats) -> float:
-    """Return the median slope of all pairs: what outliers don't move (Theil, 1950)."""
+    """Return the median slope of all pairs of points, robust against outliers (Theil, 1950)."""
     rows = np.array(list(itertools.combinations(range(len(times)), 2)))
     steps = offsets[rows[:, 1]] - offsets[rows[:, 0]]
     return median(steps / (times[rows[:, 1]] - times[rows[:, 0]]))
 
 
 def _spread(offsets: Floats) -> float:
-    """Return a standard deviation by the median, and 4 ms that no offset is better than."""
+    """Return a standard deviation from the median, plus 4 ms, the resolution of an offset."""
     return 1.48 * median(np.abs(offsets)) + 0.004

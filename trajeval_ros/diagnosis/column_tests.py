@@ -1,4 +1,4 @@
-"""Tests of one side alone: velocities against positions, and the rhythm of its poses."""
+"""Tests of one side: velocities against positions, and intervals between poses."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _SLOW_HZ = 4.0
 
 
 def velocities(truth: MotionTrack, estimate: MotionTrack) -> Examined:
-    """Compare velocities with the rate of the positions, as they are and turned by the body.
+    """Compare velocities, as read and rotated to the world, with the rate of the positions.
 
     Args:
-        truth: In order.
-        estimate: In order.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
     """
     seen: list[Seen] = []
     scores: dict[str, float] = {}
@@ -54,11 +54,11 @@ def velocities(truth: MotionTrack, estimate: MotionTrack) -> Examined:
 
 
 def rhythm(truth: MotionTrack, estimate: MotionTrack) -> Examined:
-    """Look whether the estimate has keyframes alone: few, at irregular times.
+    """Test whether the estimate has only keyframes: few, at irregular times.
 
     Args:
-        truth: In order.
-        estimate: In order.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
     """
     if len(estimate) < 6:
         return Examined("keyframes", why_not="too few poses")

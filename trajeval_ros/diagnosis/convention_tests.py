@@ -1,4 +1,4 @@
-"""Which convention poses were written in, where another one than was read fits far better."""
+"""Test of conventions: whether another convention fits much better than the one that was read."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 
 NAME = "conventions"
-# Of J, per kind of motion: as read it must be wrong, the other right, and far better.
+# Of J, per kind of motion: least value as read, largest value and ratio of the other one.
 _WRONG, _RIGHT, _RATIO = 0.004, 0.2, 0.4
 _TIE, _TIE_SHARE = 0.02, 0.15
 _UNLIKE, _UNLIKE_RATES, _LONG_S = 0.5, 0.7, 15.0
-# No convention changes how far a body turns.
+# No convention changes the angle of a rotation.
 _TURNS_LESS, _TURNS_MORE, _TURNS_ALIKE = 0.6, 1.6, 0.4
 _SAME_BODY_DEG, _OTHER_BODY_DEG = 20.0, 50.0
-_CHANGE = 0.02  # of J, that another change must be worth
+_CHANGE = 0.02  # least decrease of J per change
 
 
 def conventions(
@@ -43,13 +43,13 @@ def conventions(
     turning: ShortMotions,
     match: ClockMatch | None,
 ) -> Examined:
-    """Judge hypotheses.
+    """Return the convention that the motions have, if it is not the one that was read.
 
     Args:
         hypotheses: As `fit_hypotheses` returns them.
-        moving: What they were fitted to.
-        turning: Likewise.
-        match: Of the rates of motion; None where they say nothing.
+        moving: Motions of the displacements that they were fitted to.
+        turning: Motions of the rotations that they were fitted to.
+        match: Match of the rates of motion; None without timestamps.
     """
     as_read, others = hypotheses[0], hypotheses[1:]
     kinds = 1 if turning.truth_turned is None else 2
@@ -136,22 +136,35 @@ def _total_turn(quaternions: Floats) -> float:
 
 
 def _families(rivals: list[Hypothesis], moving: ShortMotions) -> dict[str, set[str]]:
-    """Return the sides that each cause may concern."""
+    """Return the possible sides by cause."""
     families: dict[str, set[str]] = {}
     for each in rivals:
         families.setdefault(each.cause, set()).add(each.side)
-    # In a plane a flip and half a turn look alike; the flip is the usual mistake.
-    if MIRRORED in families:
-        families.pop(AXES_MIXED, None)
+    if {MIRRORED, AXES_MIXED} <= families.keys():
+        families.pop(_less_usual(rivals))
     if len(families.get(INVERSE, ())) > 1:
         families[INVERSE] = {shorter_if_inverted(moving)}
     return families
 
 
+def _less_usual(rivals: list[Hypothesis]) -> str:
+    """Return which of mirrored and mixed axes needs more flips, if planar motion fits both.
+
+    Poses that are mirrored as a whole fit if all three axes of the positions are flipped.
+    """
+    flips = dict.fromkeys((MIRRORED, AXES_MIXED), 3)
+    for each in rivals:
+        if each.cause in flips:
+            flips[each.cause] = min(flips[each.cause], int(np.count_nonzero(each.axes < 0.0)))
+            if (each.axes == -np.eye(3)).all():
+                return AXES_MIXED
+    return AXES_MIXED if flips[MIRRORED] <= flips[AXES_MIXED] else MIRRORED
+
+
 def _told_apart(
     families: dict[str, set[str]], rivals: list[Hypothesis], moving: ShortMotions
 ) -> dict[str, set[str]]:
-    """Return the causes that make the bodies' axes equal, or the simplest, if that tells."""
+    """Return the causes with equal body axes, or the simplest, if either criterion decides."""
     if moving.truth_turned is None:
         return families
     angles = {
@@ -171,16 +184,16 @@ def _told_apart(
 
 
 def _flip(rivals: list[Hypothesis], moving: ShortMotions) -> str:
-    """Return the axes to read a mirrored estimate in."""
+    """Return the option value that corrects a mirrored estimate."""
     mirrored = [each for each in rivals if each.cause == MIRRORED]
     whole = [each for each in mirrored if (each.axes == -np.eye(3)).all()]
-    if not whole:  # positions were flipped, and rotations weren't
+    if not whole:  # only positions were flipped
         return _axes(min(mirrored, key=lambda each: each.cost))
     best, flips = whole[0], {}
     for axis in (1, 0, 2):  # the first of equals
         flip = np.eye(3)
         flip[axis, axis] = -1.0
-        # All flips differ by rotations, which the world's absorbs.
+        # Flips differ by rotations, which are part of the rotation of the world.
         world = best.turned @ best.axes @ flip
         turned_deg = float(np.degrees(np.arccos(np.clip(world[2, 2], -1.0, 1.0))))
         if moving.truth_turned is not None and moving.estimate_turned is not None:
@@ -194,7 +207,7 @@ def _flip(rivals: list[Hypothesis], moving: ShortMotions) -> str:
 
 
 def _axes(hypothesis: Hypothesis) -> str:
-    """Return the axes to read positions in that alone are in others."""
+    """Return the option value that corrects positions in other axes than the rotations."""
     words = []
     for row in hypothesis.axes:
         axis = int(np.argmax(np.abs(row)))

@@ -1,4 +1,4 @@
-"""Whether the blocks of the estimate's covariances are exchanged, or in another unit."""
+"""Test for exchanged blocks or another unit of the covariances of the estimate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _NAME = "covariance blocks"
 _FEWEST = 50
-# Of decimal logarithms: by how much the two blocks must differ, and what is the same.
+# Of decimal logarithms: least difference between the blocks, and largest of equal ones.
 _APART, _SAME = 1.0, 0.25
 _NEAR = 0.5
 _DEGREES = float(np.log10(180.0 / np.pi))
@@ -60,5 +60,5 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
 
 
 def _too_small(errors: Floats, variances: Floats) -> float:
-    """Return how many times too small standard deviations are for errors, both of three axes."""
+    """Return the ratio of errors and standard deviations, median over N states of three axes."""
     return float(np.sqrt(median(errors**2 / variances)))

@@ -1,4 +1,4 @@
-"""The diagnosis of an evaluation: of both sides, and of the errors that they made."""
+"""The diagnosis of an evaluation: tests of the input and of the errors."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.protocol import Protocol
 
-# Where one of these is found, errors say nothing of small offsets and covariances.
+# With such a finding, the errors contain no information on small offsets and covariances.
 _GRAVE = 5.2  # of ranks
-# A coarse offset under so many seconds, or cells, is none.
+# A smaller coarse offset, in seconds or cells, is not significant.
 _NONE_S, _NONE_CELLS = 0.005, 0.05
 
 
 def diagnose_evaluation(
     evaluation: Evaluation, groundtruth: Trajectory, estimate: Trajectory, *, paired: bool = False
 ) -> Diagnosis:
-    """Look for mistakes behind an evaluation.
+    """Search for mistakes that affect an evaluation.
 
     Args:
-        evaluation: Of the two.
-        groundtruth: As it was evaluated, before it was put in order.
-        estimate: Likewise, without the time offset that pairs have.
-        paired: Whether the two are all that there is: the pairs, row by row.
+        evaluation: The evaluation of the two trajectories.
+        groundtruth: Evaluated groundtruth in the order of its source.
+        estimate: Evaluated estimate in the order of its source, without the time offset.
+        paired: Whether the trajectories contain only the pairs, row by row.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
@@ -57,7 +57,7 @@ def diagnose_evaluation(
 
 
 def diagnose_sides(groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol) -> Diagnosis:
-    """Look for mistakes in two trajectories that can't be evaluated.
+    """Search for mistakes in two trajectories that can't be evaluated.
 
     Raises:
         InputError: A side has no usable pose.
@@ -67,7 +67,7 @@ def diagnose_sides(groundtruth: Trajectory, estimate: Trajectory, protocol: Prot
     found = diagnose(Recording.of(groundtruth, estimate, protocol))
     try:
         pairs = associate(groundtruth, estimate, protocol.association)
-    except InputError:  # nothing pairs, which is no matter of their number
+    except InputError:  # no pairs: their number is not the cause
         return found
     number = number_of_pairs(protocol, pairs, groundtruth, estimate)
     return Diagnosis.of([number, *found.examined])
@@ -76,12 +76,12 @@ def diagnose_sides(groundtruth: Trajectory, estimate: Trajectory, protocol: Prot
 def require_conventions(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
 ) -> None:
-    """Refuse a hand-eye calibration where poses mean something else than what was read.
+    """Refuse a hand-eye calibration of poses with a wrong convention.
 
-    It would take a mirrored axis for half a turn of the body, and be sure of it.
+    The calibration would confuse a mirrored axis with a body rotated by 180 deg.
 
     Raises:
-        InputError: They do.
+        InputError: A convention is wrong.
     """
     if pairs is not None:
         groundtruth, estimate = pairs.groundtruth, pairs.estimate
@@ -95,7 +95,7 @@ def require_conventions(
 
 
 def _may_be_apart(found: Diagnosis) -> bool:
-    """Return whether a search on a finer grid could find anything."""
+    """Return whether a search on a finer grid can find an offset."""
     clocks = next((each.scores for each in found.examined if each.test == "clocks"), {})
     if "offset_s" not in clocks or clocks["peak"] < clocks["usable_from"]:
         return True

@@ -1,4 +1,4 @@
-"""What a test has seen, before it is said: a cause by name, and the numbers behind it."""
+"""Results of tests: causes by name, and their numbers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ Value = float | str
 
 @dataclass(frozen=True)
 class Seen:
-    """A cause that a test accepts.
+    """A cause that a test detected.
 
     Attributes:
         cause: Its name in `CAUSES`.
-        explained: Share of what doesn't fit that goes away with it, 0 to 1.
-        values: What the cause's sentence and option are filled in with: numbers are evidence.
+        explained: Fraction of the mismatch that the correction removes, 0 to 1.
+        values: Values of the format strings of the cause; numbers are evidence.
     """
 
     cause: str
@@ -25,13 +25,13 @@ class Seen:
 
 @dataclass(frozen=True)
 class Examined:
-    """What a test looked at, and what it accepts.
+    """A test and its results.
 
     Attributes:
-        test: What it is called.
-        scores: Its statistics, by name.
-        seen: The causes that it accepts.
-        why_not: Why it could not be made; "" if it was.
+        test: Name of the test.
+        scores: Statistics by name.
+        seen: Detected causes.
+        why_not: Reason why the test is not applicable; "" if it is.
     """
 
     test: str

@@ -1,4 +1,4 @@
-"""An ATE from a few pairs, such as surveyed points, of which the alignment takes most out."""
+"""Test of the number of pairs: the alignment removes most of the error of a few pairs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def few_pairs(protocol: Protocol, pairs: Association) -> str:
-    """Return that there are too few pairs, for the line that gives the ATE; else nothing."""
+    """Return the note of the ATE line if there are too few pairs; else ""."""
     count = len(pairs)
     if count >= enough_pairs(protocol.gauge, protocol.align_states):
         return ""
@@ -29,7 +29,7 @@ def few_pairs(protocol: Protocol, pairs: Association) -> str:
 def number_of_pairs(
     protocol: Protocol, pairs: Association, truth: Trajectory, estimate: Trajectory
 ) -> Examined:
-    """Judge the number of pairs of two trajectories, and say what may give more."""
+    """Test the number of pairs of two trajectories, with advice on how to get more."""
     name, scores = "number of pairs", {"pairs": float(len(pairs))}
     warning = few_pairs(protocol, pairs)
     if not warning:

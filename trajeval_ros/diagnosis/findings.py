@@ -1,4 +1,4 @@
-"""What a diagnosis says: causes in words, the gravest first, and what was looked at."""
+"""The result of a diagnosis: findings in order of severity, and all tests."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from trajeval_ros.diagnosis.evidence import Examined, Seen
 
 @dataclass(frozen=True)
 class Finding:
-    """A mistake that the recording shows.
+    """A mistake that was detected, with its texts.
 
     Attributes:
-        cause: Its name, one of `CAUSES`.
-        sentence: What is wrong, and how it is seen.
-        advice: What to do.
-        mend: Words of the command line that mend it; empty where none does.
-        explained: Share of what doesn't fit that goes away with it, 0 to 1.
+        cause: Name of the cause, a key of `CAUSES`.
+        sentence: The mistake and its evidence.
+        advice: Instruction for the user.
+        mend: Options that correct it, values by name; empty without such an option.
+        explained: Fraction of the mismatch that the correction removes, 0 to 1.
         confidence: `exact`, `correlated` or `fitted`.
-        evidence: The numbers behind it, by name.
+        evidence: Statistics by name.
     """
 
     cause: str
@@ -33,9 +33,9 @@ class Finding:
 
     @classmethod
     def of(cls, seen: Seen) -> Finding:
-        """Put what a test has seen into words."""
+        """Return the finding of a detected cause."""
         cause = CAUSES[seen.cause]
-        words = {**seen.values, "side": _possessor(seen)}
+        words = {**seen.values, "owner": _owner(seen)}
         return cls(
             cause.name,
             cause.sentence.format(**words),
@@ -48,7 +48,7 @@ class Finding:
 
     @property
     def option(self) -> str:
-        """What to type; "" where no option mends it."""
+        """The options on the command line; "" without an option that corrects it."""
         return " ".join(
             f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
             if text
@@ -65,17 +65,17 @@ class Finding:
 
     @property
     def rank(self) -> float:
-        """The larger, the graver."""
+        """Severity; findings are sorted by it."""
         return CAUSES[self.cause].rank
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything that was looked at, and what it shows.
+    """All tests and findings.
 
     Attributes:
-        findings: The gravest first; empty where nothing is wrong that a recording shows.
-        examined: Each test with its scores, in the order in which they were made.
+        findings: Findings, the most severe one first; empty if no mistake was detected.
+        examined: All tests with their statistics, in their order.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -83,21 +83,21 @@ class Diagnosis:
 
     @classmethod
     def of(cls, examined: list[Examined]) -> Diagnosis:
-        """Rank what tests have seen: by certainty, then by the share that is explained."""
+        """Return all findings of tests, sorted by severity and by the fraction explained."""
         findings = [Finding.of(seen) for each in examined for seen in each.seen]
         return cls(_ranked(findings), tuple(examined))
 
     def with_others(self, others: Sequence[Finding]) -> Diagnosis:
-        """Return it with more findings, in their places."""
+        """Return the diagnosis with more findings, sorted."""
         return Diagnosis(_ranked([*self.findings, *others]), self.examined)
 
     @property
     def suggested(self) -> Finding | None:
-        """The gravest finding; None if there is none."""
+        """The most severe finding; None without findings."""
         return self.findings[0] if self.findings else None
 
     def of_conventions(self) -> Finding | None:
-        """Return the finding that poses mean something else than was read; None without one."""
+        """Return the finding about a convention; None without one."""
         return next((each for each in self.findings if _cause(each).of_conventions), None)
 
     def named(self, cause: str) -> Finding | None:
@@ -113,9 +113,7 @@ def _cause(finding: Finding) -> Cause:
     return CAUSES[finding.cause]
 
 
-def _possessor(seen: Seen) -> str:
-    """Return whose it is, as a sentence says it."""
+def _owner(seen: Seen) -> str:
+    """Return the side of a finding as a possessive: "the estimate's"."""
     side = str(seen.values.get("side", ""))
-    if CAUSES[seen.cause].of_conventions:
-        return {"both": "both sides", "one side": "one side"}.get(side, f"the {side}")
-    return side
+    return {"both": "both sides'", "one side": "one side's"}.get(side, f"the {side}'s")

@@ -1,4 +1,4 @@
-"""What a reader must know of errors that were measured by GNSS fixes."""
+"""Warnings about errors that were measured with GNSS fixes."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.own_error import OwnError
 
-# Claimed sigmas that span more than this are of two kinds, such as fixed and float RTK.
+# Standard deviations with a larger ratio are of two kinds, such as fixed and float RTK.
 _SPAN = 10.0
-# Heights this bad, as a share of the level extent, tilt an alignment that is free to.
+# Standard deviation of heights, as a fraction of the horizontal extent, that tilts an alignment.
 _HEIGHT_SHARE = 0.1
 # The tangent plane leaves the ground by d^2 / 2R, 2 m at this distance.
 _EXTENT_M = 5000.0
-# Geoid and ellipsoid are up to 100 m apart; a receiver's heights hardly step by this much.
+# Geoid and ellipsoid are up to 100 m apart; other steps of heights are smaller.
 _GEOID_STEP_M = 8.0
 _STEP_FIXES = 10  # on both sides of a step
 # The error of linear interpolation that is too much, relative to the ATE.
@@ -37,10 +37,10 @@ _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 def require_fixes_fit(
     groundtruth: Trajectory, estimates: Sequence[Trajectory], gauge: Gauge, rule: FixRule
 ) -> None:
-    """Refuse a gauge that GNSS fixes can't serve.
+    """Refuse a gauge that GNSS fixes do not support.
 
     Raises:
-        InputError: They have no heights, or a frame that nobody chose.
+        InputError: They have no heights, or an arbitrary frame.
     """
     if groundtruth.fixes is None:
         return
@@ -62,8 +62,8 @@ def about_fixes(
 
     Args:
         evaluation: Finished.
-        own: The error without the noise of the fixes, if there is one.
-        why: Why there is none, else.
+        own: Error without the noise of the fixes; None if it is unknown.
+        why: Reason why it is unknown.
         lever_arm_known: Whether the antenna's place on the body was calibrated or given.
         of: Number of estimates that were evaluated by these fixes.
     """
@@ -181,7 +181,7 @@ def _about_heights(evaluation: Evaluation) -> list[str]:
 
 
 def _height_step(errors: Floats) -> float | None:
-    """Return by how much errors of height (N,) step for good, metres; None if they don't."""
+    """Return the size of a permanent step of height errors (N,), metres; None without one."""
     if len(errors) < 2 * _STEP_FIXES:
         return None
     steps = np.diff(errors)

@@ -1,4 +1,4 @@
-"""Whether one constant offset is nearly all of the error, where nothing aligns the positions."""
+"""Test for a constant offset that causes nearly all of the error, without an alignment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _VERTICAL, _GEOID_M = 0.1, (5.0, 110.0)
 
 
 def frame_offset(evaluation: Evaluation) -> Examined:
-    """Compare the errors with their mean, if the frames are taken to be the same."""
+    """Compare the errors with their mean, if the gauge assumes equal frames."""
     if evaluation.protocol.gauge is not Gauge.NONE:
         return Examined(_NAME, why_not="the alignment removes an offset")
     truth = evaluation.association.groundtruth.positions
@@ -31,7 +31,7 @@ def frame_offset(evaluation: Evaluation) -> Examined:
     share = float(mean @ mean) / total if total > 0.0 else 0.0
     length = float(np.linalg.norm(mean))
     scores = {"offset_m": length, "share": share}
-    # An error as large as the path is no offset of frames that anyone would overlook.
+    # Smaller offsets are errors of the estimate.
     if len(apart) < _FEWEST or length < _LEAST_M or share < _SHARE:
         return Examined(_NAME, scores)
     up = evaluation.groundtruth.up.matrix[2]

@@ -1,7 +1,7 @@
-"""Groundtruth that stands still or runs dead straight where the estimate doesn't.
+"""Tests for groundtruth that is constant or linear while the estimate moves.
 
-A simulator's groundtruth at rest is constant to the last digit, too: so the estimate's motion
-decides.
+The groundtruth of a simulator at rest is constant to the last digit, so the motion of the estimate
+is required.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from trajeval_ros.geometry.thinning import evenly
 from trajeval_ros.metrics.statistics import median
 
 _FEWEST = 20
-_STEP_S = 0.04  # what is held or bridged stays so at 25 poses a second
-_REACH_S = 1.0  # across which the estimate is interpolated
+_STEP_S = 0.04  # 25 poses per second are sufficient
+_REACH_S = 1.0  # largest step of the estimate to interpolate
 _STRETCH_S = 0.15
 _HELD_M, _HELD_SHARE = 0.02, 0.3
 _FROZEN_S, _FROZEN_M = 1.0, 0.15
@@ -25,11 +25,11 @@ _HOLE_S, _HOLE_M, _MOST_HOLES = 1.0, 0.1, 20
 
 
 def groundtruth_defects(truth: MotionTrack, estimate: MotionTrack, max_gap_s: float) -> Examined:
-    """Look for poses that were held, a body that was lost, and dropouts that were filled in.
+    """Test for poses that were held, for a frozen body, and for dropouts that were filled.
 
     Args:
-        truth: In order.
-        estimate: In order.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
         max_gap_s: Longest step of the groundtruth that pairs are interpolated across.
     """
     name = "groundtruth defects"
@@ -68,7 +68,7 @@ def _metres_per_unit(truth: MotionTrack, estimate: MotionTrack, begin: float, en
 
 
 def _stretches(truth: MotionTrack, flags: Booleans) -> tuple[Floats, Floats]:
-    """Return when stretches of flagged steps start and end."""
+    """Return start and end of intervals of flagged steps, seconds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     begin, end = truth.seconds[edges[::2]], truth.seconds[edges[1::2]]
     long = end - begin > _STRETCH_S
@@ -108,7 +108,7 @@ def _still(
 def _gliding(
     truth: MotionTrack, estimate: MotionTrack, gliding: Booleans, scale: float
 ) -> list[Seen]:
-    # A velocity is equal to that of the step before, which belongs to the stretch.
+    # A velocity equals the velocity of the previous step, which is part of the interval.
     begin, end = _stretches(truth, gliding | np.append(gliding[1:], False))
     if not len(begin):
         return []
@@ -136,11 +136,11 @@ def _gliding(
 def _holes(
     truth: MotionTrack, estimate: MotionTrack, max_gap_s: float, scale: float
 ) -> list[Seen]:
-    """Look into the holes that the association interpolates across."""
+    """Test the gaps that the association interpolates."""
     steps_s = np.diff(truth.seconds)
     holes = np.flatnonzero((steps_s > _HOLE_S) & (steps_s <= max_gap_s))
     worst_m, inside = 0.0, 0
-    # A groundtruth that is so slow throughout is no dropout.
+    # A groundtruth with a low rate has no dropouts.
     if len(holes) > 0.2 * len(steps_s):
         return []
     for hole in holes[np.argsort(-steps_s[holes])][:_MOST_HOLES]:

@@ -1,10 +1,10 @@
-"""Ways in which poses may have been written, and how well each fits: one cost in closed form.
+"""Conventions of poses, and the cost of each in closed form.
 
-Displacements turn with the world, and so do rotation vectors of R_end R_start^T: if all is as it
-should be, one rotation W of the world brings those of the estimate to those of the groundtruth.
+Displacements rotate with the world, and so do the rotation vectors of R_end R_start^T. If the
+convention is right, one rotation W of the world maps the estimate's to the groundtruth's.
 With H_p and H_r their moments (`short_motions.moment`), J = 2 - max over W of tr W^T (H_p + H_r)
-is 0 for a perfect fit and about 1 where one of the two doesn't fit. A hypothesis changes a moment,
-so that it costs one decomposition of a 3x3 matrix.
+is 0 for a perfect fit, and about 1 if one of the two does not fit. A hypothesis changes a moment,
+so it costs one decomposition of a 3x3 matrix.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ WXYZ, TRANSPOSED, WXYZ_TRANSPOSED = "wxyz", "transposed", "wxyz_transposed"
 MIRRORED, AXES_MIXED, INVERSE = "mirrored", "axes_mixed", "inverse"
 _CHANGES = {AS_READ: 0, WXYZ: 1, TRANSPOSED: 1, WXYZ_TRANSPOSED: 2}
 _WRITTEN = tuple(_CHANGES)
-# What was read as x, y, z, w is w, x, y, z.
+# Columns that were read as x, y, z, w and are w, x, y, z.
 W_FIRST = [1, 2, 3, 0]
 
 
 def _signed_permutations() -> Floats:
-    """Return the 48 matrices that exchange and flip axes: the identity first, then the mildest."""
+    """Return the 48 matrices that exchange and flip axes, the identity first, by trace."""
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -55,17 +55,17 @@ _PROPER = np.linalg.det(_PERMUTATIONS) > 0.0
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A way in which poses may have been written, fitted.
+    """A convention with its fit.
 
     Attributes:
-        cause: `as_read`, or the cause that it stands for.
-        side: Whose poses are concerned; "" where that is open.
-        changes: How many mistakes it takes.
+        cause: `as_read`, or the name of a cause.
+        side: Side with the mistake; "" if it is unknown.
+        changes: Number of mistakes.
         cost: J, 0 for a perfect fit.
         turned: The rotation W (3, 3) from the estimate's world to the groundtruth's.
         moving: Correlation of the displacements.
         turning: Correlation of the rotations; 0 without orientations.
-        axes: Signed permutation (3, 3) that the estimate's positions are taken through.
+        axes: Signed permutation (3, 3) of the estimate's positions.
     """
 
     cause: str
@@ -79,11 +79,11 @@ class Hypothesis:
 
 
 def fit_hypotheses(moving: ShortMotions, turning: ShortMotions) -> list[Hypothesis]:
-    """Return all hypotheses, the one that poses are as they were read first.
+    """Return all hypotheses; the first one is the convention that was read.
 
     Args:
-        moving: Motions long enough to move.
-        turning: Motions short enough to turn little.
+        moving: Motions for displacements.
+        turning: Motions for rotations.
     """
     steps = moment(bounded(moving.true_steps), bounded(moving.steps))
     if turning.truth_turned is None or turning.estimate_turned is None:
@@ -103,7 +103,7 @@ def fit_hypotheses(moving: ShortMotions, turning: ShortMotions) -> list[Hypothes
                 _Moments(cause, GROUNDTRUTH, changes, steps, turns[row, 0]),
                 _Moments(cause, BOTH, changes, steps, turns[row, row]),
             ]
-    # Poses mirrored as a whole, M p and M R M, are positions alone times -1: M turns the rotation
+    # Poses mirrored as a whole, M p and M R M, equal positions times -1: M rotates the rotation
     # vectors by -M, which is a rotation.
     permuted = steps @ np.swapaxes(_PERMUTATIONS, 1, 2)
     todo += [
@@ -135,7 +135,7 @@ def _mirrored(steps: Floats, turns: Floats) -> _Moments:
 
 
 def _as_written(truth: Floats, estimate: Floats) -> Floats:
-    """Return bounded rotation vectors (2, 4, N, 3) of both sides, by what quaternions may be.
+    """Return bounded rotation vectors (2, 4, N, 3) of both sides, by convention of quaternions.
 
     Args:
         truth: (2, N, 4) quaternions of the groundtruth at starts and ends.
@@ -148,14 +148,14 @@ def _as_written(truth: Floats, estimate: Floats) -> Floats:
     orders = np.stack([sides, sides[..., W_FIRST]], axis=2)
     world = turned_in_world(orders)
     vectors = np.concatenate([world, -turned_in_body(orders)], axis=1)
-    # No order of components and no side of the product changes the angle.
+    # Order of components and side of the product do not change the angle.
     bounds = np.array([bound_of(size) for size in lengths(world[:, 0])])
     written: Floats = vectors / bounds[:, None, :, None]
     return written
 
 
 def _steps_if_inverted(positions: Floats, quaternions: Floats | None) -> Floats:
-    """Return displacements (N, 3) of poses (2, N) if those are of the world in the body."""
+    """Return displacements (N, 3) of poses (2, N) under the hypothesis of inverse poses."""
     assert quaternions is not None
     steps: Floats = np.diff(lie.rotate(lie.conjugate(quaternions), -positions), axis=0)[0]
     return steps
@@ -182,7 +182,7 @@ def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
 
 
 def body_angle(hypothesis: Hypothesis, motions: ShortMotions) -> float:
-    """Return the angle between the axes of both bodies, deg, if the hypothesis holds."""
+    """Return the angle between the axes of the bodies, deg, under the hypothesis."""
     assert motions.truth_turned is not None
     assert motions.estimate_turned is not None
     true, ours = motions.truth_turned[0], motions.estimate_turned[0]
@@ -194,13 +194,13 @@ def body_angle(hypothesis: Hypothesis, motions: ShortMotions) -> float:
         true = lie.conjugate(true) if hypothesis.side in (GROUNDTRUTH, BOTH) else true
     aligned = lie.multiply(lie.from_matrix(hypothesis.turned), ours)
     mean = mean_rotation(lie.multiply(lie.conjugate(aligned), true))
-    # A mirrored world mirrors the body: half a turn about one of its axes is the same axes.
+    # A mirrored world mirrors the body: 180 deg about one of its axes are the same axes.
     near = np.abs(mean).max() if hypothesis.cause == MIRRORED else abs(mean[3])
     return float(np.degrees(2.0 * np.arccos(min(1.0, float(near)))))
 
 
 def shorter_if_inverted(motions: ShortMotions) -> str:
-    """Return the side whose path gets shorter by inverting: inverse poses swing with each turn."""
+    """Return the side with the larger decrease of path length by inversion."""
     gains = []
     for positions, quaternions in (
         (motions.estimate, motions.estimate_turned),

@@ -1,4 +1,4 @@
-"""Tests of the numbers themselves, by exact equality: stamps, rows, and whole files."""
+"""Tests by exact equality of timestamps, rows and files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.statistics import median
 
 _PROBES = 400
-_ENOUGH = 5000  # stamps, to see that they are rounded
+_ENOUGH = 5000  # timestamps for the test of rounding
 _FEWEST_POSES = 30
-# Of a body at rest and of one that moves, by the share of the steps that change nothing, and the
-# distance in units of the source.
+# Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
+# in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
 _TRUE_NAMES = re.compile(
     r"(ground.?truth|\bgt\b|_gt\b|\bgt_|vicon|mocap|optitrack|leica|vrpn)", re.I
@@ -30,7 +30,7 @@ _ESTIMATED_NAMES = re.compile(
 
 
 def rounded_stamps(recording: Recording) -> Examined:
-    """Look for stamps of which several poses share each."""
+    """Test for rounded timestamps that several poses share."""
     seen = []
     for side, track, read in (
         ("estimate", recording.track, recording.estimate),
@@ -60,7 +60,7 @@ def rounded_stamps(recording: Recording) -> Examined:
 
 
 def duplicated_rows(recording: Recording) -> Examined:
-    """Look for poses that occur twice, bit by bit, at one distance in rows, and that move."""
+    """Test for blocks of moving poses that occur twice, bit by bit, at one distance in rows."""
     seen: list[Seen] = []
     scores: dict[str, float] = {}
     for side, track in _sides(recording):
@@ -80,10 +80,10 @@ def duplicated_rows(recording: Recording) -> Examined:
 
 
 def _repeats(track: MotionTrack) -> tuple[int, int, float]:
-    """Return how many of 400 probes occur again, how far apart, and over which extent."""
+    """Return the number of repeated probes of 400, their distance in rows, and their extent."""
     count = len(track)
     probes = evenly(count, _PROBES)
-    # Rows that may be equal, by a table of their first numbers' bits: no sorting of all.
+    # Candidates by a hash table of the first coordinate, which is faster than a sort.
     bits = np.ascontiguousarray(track.positions[:, 0]).view(np.int64)
     bits = (bits ^ (bits >> 23)) & 0x3FFFF
     table = np.zeros(0x40000, dtype=bool)
@@ -101,7 +101,7 @@ def _repeats(track: MotionTrack) -> tuple[int, int, float]:
     first, second = first[far], second[far]
     if len(first) < 10:
         return 0, 0, 0.0
-    # A copied block repeats at one distance; a body at rest at any.
+    # A copied block repeats at one distance; a body at rest repeats at all distances.
     distances, numbers = np.unique(second - first, return_counts=True)
     most = int(np.argmax(numbers))
     again = first[second - first == distances[most]]
@@ -110,7 +110,7 @@ def _repeats(track: MotionTrack) -> tuple[int, int, float]:
 
 
 def same_motion(recording: Recording) -> Examined:
-    """Compare positions at equal stamps, as they are and after a rigid fit."""
+    """Compare positions at equal timestamps, as read and after a rigid fit."""
     if not recording.by_time:
         return Examined("same file", why_not="poses are paired by row index")
     truth, track = recording.in_order
@@ -125,7 +125,7 @@ def same_motion(recording: Recording) -> Examined:
     estimate, true = track.positions[rows][known], truth.positions[nearest[known]]
     if len(true) < 10:
         return Examined("same file", why_not="no equal timestamps")
-    # Of a few repeated stamps another pose may have been read: the median.
+    # The median tolerates repeated timestamps with another pose.
     apart = median(lengths(true - estimate))
     a, b = estimate - estimate.mean(axis=0), true - true.mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum(b * b, axis=1))))
@@ -139,7 +139,7 @@ def same_motion(recording: Recording) -> Examined:
 
 
 def standing_still(recording: Recording) -> Examined:
-    """Look for a side that stays where it is while the other one moves."""
+    """Test for a side that does not move while the other one moves."""
     sizes = {side: _travelled(track.positions) for side, track in _sides(recording)}
     still = min(sizes, key=lambda side: sizes[side])
     moving = max(sizes.values())
@@ -153,7 +153,7 @@ def standing_still(recording: Recording) -> Examined:
 
 
 def swapped_names(recording: Recording) -> Examined:
-    """Look whether both sides are called by what the other one is."""
+    """Test whether the names of the sources contradict their roles."""
     truth, estimate = (
         each.source.rsplit("/", 1)[-1] or each.name
         for each in (recording.groundtruth, recording.estimate)
@@ -182,7 +182,7 @@ def _other(side: str) -> str:
 
 
 def _travelled(positions: Floats) -> float:
-    """Return the extent of a path, without a few outliers."""
+    """Return the extent of a path without outliers."""
     some = positions[evenly(len(positions), _PROBES)]
     outliers = len(some) // 50
     ranked = np.sort(some, axis=0)

@@ -1,4 +1,4 @@
-"""Places where an estimate moves as its robot can't have: a restart, or a large correction."""
+"""Detection of jumps of the estimate: a restart, or a large correction."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _TIMES_TYPICAL = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """How the motion from each of N + 1 pairs to the next differs between estimate and truth.
+    """Differences of the steps of estimate and groundtruth between N + 1 consecutive pairs.
 
-    Only lengths and angles of steps are compared, which no alignment changes, and neither does a
-    groundtruth of another body whose rotation against the estimate's is constant.
+    Lengths and angles of steps do not depend on the alignment or on a constant rotation between
+    the bodies.
 
     Attributes:
-        true_m: (N,) distances that the groundtruth moved.
-        position_m: (N,) differences of the distances moved.
-        rotation_deg: (N,) differences of the angles turned; zeros without rotations.
+        true_m: (N,) distances moved by the groundtruth, metres.
+        position_m: (N,) differences of the distances moved, metres.
+        rotation_deg: (N,) differences of the rotation angles, deg; zeros without rotations.
     """
 
     true_m: Floats
@@ -59,13 +59,13 @@ class Steps:
         return cls(true_m, position_m, rotation_deg)
 
     def jumps(self, typical_m: float, typical_deg: float) -> NDArray[np.int64]:
-        """Return the steps, by index, that are no motion of the robot.
+        """Return the indices of steps that are not a motion of the robot.
 
         Args:
-            typical_m: A usual difference of the distances moved.
-            typical_deg: A usual difference of the angles turned.
+            typical_m: Typical difference of the distances moved, metres.
+            typical_deg: Typical difference of the rotation angles, deg.
         """
-        # Across a hole in the estimate the robot moves far, and drift may be large.
+        # Distance and drift are large across a gap of the estimate.
         limit_m = np.maximum(self.true_m, max(LEAST_JUMP_M, _TIMES_TYPICAL * typical_m))
         limit_deg = max(LEAST_JUMP_DEG, _TIMES_TYPICAL * typical_deg)
         found: NDArray[np.int64] = np.flatnonzero(

@@ -1,4 +1,4 @@
-"""How a finding is mended: by the words of the command line that it names."""
+"""Correction of a finding by the options that it names (`--fix`)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ SUGGESTED = "suggested"
 
 @dataclass(frozen=True)
 class Mended:
-    """A finding that was mended, because somebody asked for it.
+    """A finding that was corrected on request.
 
     Attributes:
-        finding: What was found without the mend.
-        before: The errors without it.
-        after: The errors with it.
+        finding: Finding without the correction.
+        before: Errors without the correction.
+        after: Errors with the correction.
     """
 
     finding: Finding
@@ -40,24 +40,24 @@ class Mended:
 
 
 def require_fix(fix: str) -> None:
-    """Refuse what is no cause.
+    """Refuse an unknown cause.
 
     Raises:
-        SettingsError: It is none that an option mends, nor `suggested`.
+        SettingsError: It is neither `suggested` nor a cause that an option corrects.
     """
     known = [name for name, cause in CAUSES.items() if cause.mend]
     require_one_of(fix, [SUGGESTED, *known], "cause to fix")
 
 
 def finding_to_mend(diagnosis: Diagnosis, fix: str) -> Finding | None:
-    """Return the finding to be mended; None if the gravest is asked for and there is none.
+    """Return the finding to correct; None for `suggested` without findings.
 
     Args:
-        diagnosis: Without the mend.
-        fix: A cause, or `suggested` for the gravest finding.
+        diagnosis: Diagnosis without the correction.
+        fix: A cause, or `suggested` for the most severe finding.
 
     Raises:
-        InputError: The recording doesn't show the cause, or no option mends what it shows.
+        InputError: The cause was not found, or no option corrects the finding.
     """
     if fix == SUGGESTED:
         found = diagnosis.suggested
@@ -82,7 +82,7 @@ def changes_by(
     mends: Mends,
     time_span: TimeSpan | None,
 ) -> dict[str, Any]:
-    """Return what of a request the words of a mend change, by the names of its attributes."""
+    """Return the changed attributes of a request by name, for the options of a correction."""
     changes: dict[str, Any] = {}
     rule = protocol.association
     if "gauge" in words:
@@ -111,14 +111,14 @@ def changes_by(
 
 
 def _shorter(span: TimeSpan, until: TimeSpan) -> TimeSpan:
-    """Return a span that ends earlier, counted from where it begins."""
+    """Return a span that ends earlier, relative to its start."""
     assert until.end_ns is not None
     end_ns = (span.start_ns or 0) + until.end_ns
     return dataclasses.replace(span, end_ns=end_ns, absolute_end=span.absolute_start)
 
 
 def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:
-    """Return the finding about an estimate whose poses are all those of another one."""
+    """Return the finding about an estimate with the same poses as another one; else None."""
     for other in others:
         if other.fingerprint == estimate.fingerprint:
             name = other.source or other.name or "another one"

@@ -1,4 +1,4 @@
-"""Mends: how trajectories are read otherwise than they were written, when somebody says so."""
+"""Corrections of trajectories as they are read, on request of the user."""
 
 from __future__ import annotations
 
@@ -23,23 +23,22 @@ _POSITIONS = "positions="
 
 @dataclass(frozen=True)
 class Mends:
-    """What of both sides is to be read otherwise; by default nothing.
+    """Corrections of both sides; by default none.
 
     Attributes:
-        groundtruth_scale: Metres per unit of the groundtruth's positions.
-        estimate_scale: Metres per unit of the estimates'.
-        quaternion_order: Of the groundtruth's columns and of the estimates', which were read as
-            x, y, z, w: one of `ORDERS` for both, or two with a comma between them.
-        inverse: Which poses, or rotations alone, are of the world in the body: some of
-            `INVERTED`, with commas between them.
-        estimate_axes: The axes of the estimates' frame, such as "x,-y,z", in which they become
-            right-handed; "positions=y,z,x" turns positions alone.
-        clock_rate: By how many parts in a million the estimates' stamps are stretched, from the
-            first one on.
-        swap: Whether groundtruth and estimate change places.
+        groundtruth_scale: Metres per unit of the positions of the groundtruth.
+        estimate_scale: Metres per unit of the positions of the estimates.
+        quaternion_order: Order of the columns that were read as x, y, z, w: one of `ORDERS` for
+            both sides, or one for the groundtruth and one for the estimates, separated by a comma.
+        inverse: Poses or rotations to invert: values of `INVERTED`, separated by commas.
+        estimate_axes: New axes of the estimates' frame, such as "x,-y,z"; "positions=y,z,x"
+            applies to positions only.
+        clock_rate: Correction of the estimates' clock, parts per million, from the first
+            timestamp on.
+        swap: Whether groundtruth and estimate are exchanged.
 
     Raises:
-        SettingsError: A value that means nothing.
+        SettingsError: A value is not valid.
 
     Example:
         >>> from trajeval_ros import simulate
@@ -59,7 +58,7 @@ class Mends:
     swap: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing."""
+        """Refuse values that are not valid."""
         for scale in (self.groundtruth_scale, self.estimate_scale):
             if not 0.0 < scale < np.inf:
                 raise SettingsError(f"a scale must be greater than zero and finite, not {scale:g}")
@@ -75,15 +74,15 @@ class Mends:
 
     @classmethod
     def of(cls, words: Mapping[str, Any]) -> Mends:
-        """Read the words of the command line that are mends.
+        """Return the corrections among the options of the command line.
 
         Raises:
-            SettingsError: A value that means nothing.
+            SettingsError: A value is not valid.
         """
         return cls().changed(words)
 
     def changed(self, words: Mapping[str, Any]) -> Mends:
-        """Return these mends and others, by words; words that are no mends are left out."""
+        """Return these corrections with changes by option name; other options are ignored."""
         known = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
         changes: dict[str, Any] = {
             name: True if isinstance(value, bool) else type(value)(words[name])
@@ -94,13 +93,13 @@ class Mends:
 
     @property
     def anything(self) -> bool:
-        """Whether anything is read otherwise."""
+        """Whether there is a correction."""
         return self != Mends()
 
     def applied(
         self, groundtruth: Trajectory, estimate: Trajectory
     ) -> tuple[Trajectory, Trajectory]:
-        """Return both sides as they are meant; what a mend would make wrong is left out."""
+        """Return both sides with the corrections; columns that they invalidate are removed."""
         if self.swap:
             groundtruth, estimate = estimate, groundtruth
             note = "exchanged with the other side"
@@ -135,7 +134,7 @@ class Mends:
         return tuple(each.strip() for each in self.inverse.split(",") if each.strip())
 
     def _axes(self) -> tuple[Floats, bool]:
-        """Return the signed permutation (3, 3), and whether it is of positions alone."""
+        """Return the signed permutation (3, 3), and whether it applies to positions only."""
         text = self.estimate_axes
         words = [each.strip() for each in text.removeprefix(_POSITIONS).split(",")]
         if sorted(each.removeprefix("-") for each in words) != ["x", "y", "z"]:
@@ -196,7 +195,7 @@ def _inverse(trajectory: Trajectory, side: str, inverted: tuple[str, ...]) -> Tr
 
 
 def _turned(trajectory: Trajectory, axes: Floats, positions_alone: bool) -> Trajectory:
-    """Return the states in other axes: of the world, and of the body if they change hands."""
+    """Return the states in other axes of the world, and of the body if the handedness changes."""
     if (axes == np.eye(3)).all():
         return trajectory
     quaternions = trajectory.quaternions

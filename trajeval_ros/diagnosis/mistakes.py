@@ -1,8 +1,8 @@
-"""Names the mistake behind a bad or suspicious result, or says nothing.
+"""All tests of a recording for mistakes, in their order.
 
-Tests run in an order in which each may rely on those before it: numbers, groundtruth, clocks,
-restarts, conventions, and then scale, axes and bodies. What makes the next ones meaningless ends
-them. Drift is never called a mistake: all tests are of short motions, in which it is small.
+Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
+then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
+reported as a mistake: all tests use short motions, in which it is small.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from trajeval_ros.diagnosis.short_motions import ShortMotions
 _SHORTEST_S, _FEWEST = 8.0, 12
 _MOVING_S, _TURNING_S = 2.0, 0.5
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1
-# After one of these nothing else means anything.
+# These findings invalidate all other tests.
 _FINAL = {"identical", "stands_still", "stamps_rounded"}
 _NO_PEAK, _LONG_S = 0.45, 20.0
 
 
 def diagnose(recording: Recording) -> Diagnosis:
-    """Look for mistakes in a recording.
+    """Search for mistakes in a recording.
 
     Args:
-        recording: Both sides, with one state each at least.
+        recording: Both sides, with at least one state per side.
     """
     examined = [
         standing_still(recording),
@@ -88,7 +88,7 @@ def _motions(recording: Recording) -> list[Examined]:
 
 
 def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:
-    """Return the clocks' offset, as far as other tests need it."""
+    """Return the offset between the clocks that other tests apply, seconds."""
     if match is None:
         return 0.0
     small = match.is_alone and abs(match.offset_s) < SMALL_S and match.peak > USABLE

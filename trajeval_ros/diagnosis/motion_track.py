@@ -1,4 +1,4 @@
-"""Columns of one side of a recording in seconds of one clock, as short motions are taken from."""
+"""Columns of one side of a recording, in seconds of a common clock."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _ENOUGH = 2000  # steps, for a median
 
 
 class Between(NamedTuple):
-    """Poses between those of a track, row by row.
+    """Interpolated poses of a track, row by row.
 
     Attributes:
         positions: (N, 3).
         quaternions: (N, 4); None without orientations.
-        known: (N,) whether there is a pose on both sides, close enough.
+        known: (N,) whether both neighbours exist and are close enough in time.
     """
 
     positions: Floats
@@ -36,10 +36,10 @@ class MotionTrack:
     """Poses over seconds.
 
     Attributes:
-        seconds: (N,) since an epoch that both sides share.
+        seconds: (N,) timestamps since an epoch that both sides share.
         positions: (N, 3), in the unit of the source.
         quaternions: (N, 4), xyzw; None without orientations.
-        velocities: (N, 3); None without any.
+        velocities: (N, 3), units of the source per second; None without velocities.
     """
 
     seconds: Floats
@@ -49,7 +49,7 @@ class MotionTrack:
 
     @classmethod
     def of(cls, trajectory: Trajectory, epoch_ns: int, offset_s: float = 0.0) -> MotionTrack:
-        """Take the columns of a trajectory, `offset_s` added to its stamps."""
+        """Return the columns of a trajectory, `offset_s` added to its timestamps."""
         return cls(
             (trajectory.stamps - epoch_ns) / NANOSECONDS + offset_s,
             trajectory.positions,
@@ -71,7 +71,7 @@ class MotionTrack:
         )
 
     def in_order(self) -> MotionTrack:
-        """Return the poses sorted by time, of equal times the first."""
+        """Return the poses sorted by time, and the first one of equal times."""
         steps = np.diff(self.seconds)
         if (steps > 0.0).all():
             return self
@@ -80,7 +80,7 @@ class MotionTrack:
         return self[order[first]]
 
     def shifted(self, offset_s: float, rate: float = 0.0) -> MotionTrack:
-        """Return the poses with an offset and a rate of the clock taken out, a track in order."""
+        """Return a track in order with an offset (s) and a rate of the clock corrected."""
         if not (offset_s or rate):
             return self
         seconds = self.seconds + offset_s + rate * (self.seconds - self.seconds[0])
@@ -88,12 +88,12 @@ class MotionTrack:
 
     @property
     def span_s(self) -> float:
-        """From the first pose to the last, of a track in order."""
+        """Time from the first to the last pose of a track in order, seconds."""
         return float(self.seconds[-1] - self.seconds[0]) if len(self) else 0.0
 
     @cached_property
     def usual_step_s(self) -> float:
-        """The median step, of a track in order."""
+        """Median time step of a track in order, seconds."""
         if len(self) < 2:
             return 1.0
         some = evenly(len(self) - 1, _ENOUGH)
@@ -106,11 +106,11 @@ class MotionTrack:
 
     @property
     def extent(self) -> float:
-        """Standard deviation of the positions about their mean."""
+        """Standard deviation of the positions about their mean, units of the source."""
         return float(np.linalg.norm(np.std(self.positions, axis=0))) if len(self) else 0.0
 
     def at(self, seconds: Floats, max_gap_s: float = np.inf) -> Between:
-        """Return the poses at some times, of a track in order with two poses at least."""
+        """Return the poses at times (N,), of a track in order with at least two poses."""
         after = np.clip(np.searchsorted(self.seconds, seconds, side="right"), 1, len(self) - 1)
         before = after - 1
         gap = self.seconds[after] - self.seconds[before]

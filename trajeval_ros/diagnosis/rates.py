@@ -1,7 +1,7 @@
-"""Rates of motion over time: how fast a body turns and moves, whatever frame it is told in.
+"""Rates of motion over time, angular speed and speed, which do not depend on the frame.
 
-Neither the gauge nor the body changes how fast a body turns, nor does any order or sign of the
-components of its quaternions. So clocks are found before conventions.
+The angular speed does not depend on the gauge, on the body, or on order and sign of the components
+of quaternions. Therefore clocks are tested before conventions.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from trajeval_ros.geometry.arrays import Booleans, Floats
 _LEAST_CELL_S, _CELLS = 0.05, 4000
 _LEAST_WINDOW_S, _SHORT_WINDOW_S = 0.4, 0.2
 _LEAST_OVERLAP_S, _SHARE_OF_OVERLAP = 8.0, 0.5
-# Of the ratio of unlikeness: what another clock must achieve.
+# Largest ratio of unlikeness of a clock correction that is accepted.
 LEAST_LIKELY = 0.8
-_LOBE_S = 3.0  # to both sides of a peak
-_SEARCH_S = 3.0  # of parts of a run
-_OUTLIERS = 0.02  # largest rates, cut to the largest of the others
+_LOBE_S = 3.0  # on both sides of a peak
+_SEARCH_S = 3.0  # for parts of a run
+_OUTLIERS = 0.02  # fraction of the rates that is limited to the largest of the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class MotionRates:
     """Rates on a grid of cells that both sides share.
 
     Attributes:
-        start: The first cell's place on the common grid.
-        known: (N,) 1 where the rates are known, 0 in holes.
+        start: Index of the first cell on the common grid.
+        known: (N,) 1 where the rates are known, 0 in gaps.
         rates: (K, N) speeds, in units of the source, and angular speeds, rad/s; K is 1 without
             orientations.
     """
@@ -41,7 +41,7 @@ class MotionRates:
 
     @classmethod
     def of(cls, track: MotionTrack, cell_s: float, window_s: float, epoch_s: float) -> MotionRates:
-        """Sample a track in order, by poses half a window before and after each cell."""
+        """Sample a track in order, from poses half a window before and after every cell."""
         half = max(1, round(window_s / cell_s / 2.0))
         count = int(track.span_s / cell_s)
         start = round((float(track.seconds[0]) - epoch_s) / cell_s)
@@ -61,17 +61,17 @@ class MotionRates:
 
 @dataclass(frozen=True, eq=False)
 class ClockMatch:
-    """Where the rates of both sides resemble each other the most.
+    """Offset with the largest correlation of the rates of both sides.
 
     Attributes:
-        offset_s: To be added to the estimate's stamps.
-        peak: Mean correlation of turning and speed there.
-        zero: The same as stamped.
-        second: The highest one elsewhere.
-        overlap_s: The longest time that any offset lets both know their rates.
+        offset_s: Offset to add to the estimate's timestamps, seconds.
+        peak: Mean correlation of angular speed and speed at this offset.
+        zero: Mean correlation without an offset.
+        second: Largest mean correlation outside of the lobe of the peak.
+        overlap_s: Longest common time span with known rates of all offsets, seconds.
         turning: Correlation of the angular speeds at the peak; NaN without orientations.
-        speed: That of the speeds.
-        cell_s: Width of a cell.
+        speed: Correlation of the speeds at the peak.
+        cell_s: Width of a cell, seconds.
         sides: Rates of the estimate and of the groundtruth.
     """
 
@@ -87,16 +87,16 @@ class ClockMatch:
 
     @property
     def is_alone(self) -> bool:
-        """Whether the peak is high, and no other is nearly as high."""
+        """Whether the peak is high and unique."""
         return self.peak > 0.6 and self.second < 0.85 * self.peak
 
 
 def match_clocks(truth: MotionTrack, estimate: MotionTrack) -> ClockMatch | None:
-    """Correlate at all lags that let the two overlap for long; None if none does.
+    """Correlate at all lags with a long common time span; None without such a lag.
 
     Args:
-        truth: In order.
-        estimate: In order.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
     """
     cell_s = max(_LEAST_CELL_S, max(truth.span_s, estimate.span_s) / _CELLS)
     window_s = max(_LEAST_WINDOW_S, 2.0 * truth.usual_step_s, 2.0 * estimate.usual_step_s)
@@ -135,27 +135,51 @@ def match_clocks(truth: MotionTrack, estimate: MotionTrack) -> ClockMatch | None
     )
 
 
-def unlikeness_ratio(truth: MotionTrack, before: MotionTrack, after: MotionTrack) -> float:
-    """Return how much of the difference of two rates other stamps leave: less than 1 if they help.
+def unlikeness_ratio(
+    truth: MotionTrack,
+    estimate: MotionTrack,
+    offset_s: float,
+    rate: float = 0.0,
+    *,
+    known_s: float = 0.0,
+) -> float:
+    """Return the ratio of the differences of two rates with and without a clock's correction.
 
-    Under drift, offsets that are found by chance don't help.
+    It is less than 1 if the correction helps. A random offset, caused by drift, does not help.
 
     Args:
-        truth: In order.
-        before: An estimate, in order.
-        after: The same with other stamps.
+        truth: Groundtruth in order of time.
+        estimate: Estimate in order of time.
+        offset_s: Correction of the estimate's timestamps, seconds.
+        rate: Correction of the rate of its clock, a fraction.
+        known_s: Offset that is applied without the correction, seconds.
 
     Returns:
-        NaN where the two overlap for less than 8 s.
+        NaN if the common time span is shorter than 8 s.
     """
-    return _unlikeness(truth, after) / max(_unlikeness(truth, before), 1e-12)
+    before = _unlikeness(_by_clock_of(estimate, truth, known_s, 0.0), estimate)
+    after = _unlikeness(_by_clock_of(estimate, truth, offset_s, rate), estimate)
+    return after / max(before, 1e-12)
+
+
+def _by_clock_of(
+    estimate: MotionTrack, truth: MotionTrack, offset_s: float, rate: float
+) -> MotionTrack:
+    """Return the groundtruth with timestamps of the estimate's clock.
+
+    The estimate keeps its timestamps, so its poses have the same phases on the grid of cells. At
+    another phase, interpolation averages the noise of two poses, and the correlation increases.
+    """
+    start_s = float(estimate.seconds[0])
+    seconds = start_s + (truth.seconds - start_s - offset_s) / (1.0 + rate)
+    return MotionTrack(seconds, truth.positions, truth.quaternions)
 
 
 def _unlikeness(truth: MotionTrack, estimate: MotionTrack) -> float:
-    """Return 1 - the correlation of turning, or of speed without orientations, as stamped."""
+    """Return 1 - correlation of the angular speeds, or of the speeds without orientations."""
     cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
     window_s = max(_SHORT_WINDOW_S, 2.0 * truth.usual_step_s, 2.0 * estimate.usual_step_s)
-    epoch_s = float(truth.seconds[0])
+    epoch_s = float(estimate.seconds[0])
     ours, true = (MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, truth))
     begin = max(ours.start, true.start)
     end = min(ours.start + len(ours.known), true.start + len(true.known))
@@ -171,12 +195,12 @@ def _unlikeness(truth: MotionTrack, estimate: MotionTrack) -> float:
 
 
 def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Floats, Floats]:
-    """Return the offsets of parts of a run, where they show one, and the parts' middles, seconds.
+    """Return the middles and the offsets of parts of a run with a peak, seconds.
 
     Args:
-        match: Of the whole run.
-        offset_s: Around which to search.
-        parts: How many.
+        match: Match of the whole run.
+        offset_s: Centre of the search range, seconds.
+        parts: Number of parts.
     """
     ours, true = match.sides
     kinds = min(len(ours.rates), len(true.rates))

@@ -1,4 +1,4 @@
-"""Whether the estimate starts again: a step that no motion explains, then a world of its own."""
+"""Test for a restart of the estimator: a jump, and a new world frame after it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _OTHER_UNIT = 0.2  # of the logarithm of the scale
 
 
 def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
-    """Look for jumps after which another alignment fits.
+    """Test for jumps between parts with different alignments.
 
     Args:
-        truth: In order, its clock the estimate's.
-        estimate: In order.
+        truth: Groundtruth in order of time, by the clock of the estimate.
+        estimate: Estimate in order of time.
     """
     moved = estimate.moved
     strange = moved > _STRANGE * median(moved[evenly(len(moved), 2000)])
@@ -38,7 +38,7 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     number = int(np.count_nonzero(strange))
     if not 0 < number <= max(50, 0.02 * len(moved)):
         return Examined(_NAME, {"strange_steps": float(number)})
-    # These steps, and some others to compare with.
+    # These steps, and a sample of all steps for comparison.
     kept = np.zeros(len(estimate), dtype=bool)
     for rows in (np.flatnonzero(strange), evenly(len(moved), 1000)):
         kept[rows] = kept[rows + 1] = True
@@ -60,18 +60,19 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
         _TIMES_TRUE * true_steps,
     )
     spun = turned > max(_SPUN_DEG, 40.0 * median(turned[both]))
-    jumps = np.flatnonzero(both & ((excess > limit) | spun))
+    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
+    at_first = lengths(some.positions[1:] - some.positions[0]) < _HOME * size
+    # A restart also resets the position. Only near the first pose it is a rotation without a jump.
+    jumps = np.flatnonzero(both & ((excess > limit) | (spun & at_first)))
     if not 0 < len(jumps) <= _MOST:
         return Examined(_NAME, {"jumps": float(len(jumps))})
     worst = jumps[int(np.argmax(excess[jumps] / max(extent, 1e-9) + turned[jumps] / 180.0))]
     cut = int(worst) + 1
     if (some.positions[cut - 1] == some.positions[max(cut - 3, 0)]).all():
         return Examined(_NAME, why_not="the jump ends an interval of repeated poses")
-    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
-    from_home = lengths(some.positions[jumps + 1] - some.positions[0])
-    home = jumps[from_home < _HOME * size]
+    home = jumps[at_first[jumps]]
     at_home = worst in home
-    # Many parts explain anything; more than two only where each starts at the first pose.
+    # Many parts fit any error: more than two only if all of them start at the first pose.
     cuts = np.union1d(home + 1, [cut]) if at_home and len(home) > 1 else np.array([cut])
     metres = some.positions * (unit if abs(np.log(max(unit, 1e-12))) > _OTHER_UNIT else 1.0)
     gain = _gain(metres, true.positions, true.known, cuts)
@@ -91,7 +92,7 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
 
 
 def _turned(ours: Floats | None, true: Floats | None, count: int) -> Floats:
-    """Return by how much the angles of the steps differ, deg; zeros without orientations."""
+    """Return the differences of the rotation angles of steps, deg; zeros without orientations."""
     if ours is None or true is None:
         return np.zeros(count)
     angles = [lie.angle(lie.multiply(lie.conjugate(each[:-1]), each[1:])) for each in (ours, true)]
@@ -100,7 +101,7 @@ def _turned(ours: Floats | None, true: Floats | None, count: int) -> Floats:
 
 
 def _gain(ours: Floats, true: Floats, known: Booleans, cuts: Indices) -> float:
-    """Return the share of the squared error that an alignment of each part takes away."""
+    """Return the fraction of the squared error that separate alignments remove."""
     rows = np.flatnonzero(known)
     one = _misfit(ours[rows], true[rows])
     parts = np.split(rows, np.searchsorted(rows, cuts))
@@ -109,7 +110,7 @@ def _gain(ours: Floats, true: Floats, known: Booleans, cuts: Indices) -> float:
 
 
 def _misfit(ours: Floats, true: Floats) -> float:
-    """Return the squared error after a rigid alignment; 0 of what is too short to have one."""
+    """Return the squared error after a rigid alignment; 0 for fewer than five positions."""
     if len(ours) < 5:
         return 0.0
     a, b = ours - ours.mean(axis=0), true - true.mean(axis=0)

@@ -1,4 +1,4 @@
-"""What may be wrong with an alignment's rotation: it is free, or orientations spoil it."""
+"""Warnings about the rotation of an alignment: undetermined, or wrong orientations."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from trajeval_ros.metrics.moments import Moments
 if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
 
-# By how much orientations in the alignment may let the position ATE grow before that is said.
+# Largest factor on the position ATE by orientations in the alignment, without a warning.
 _WORSE = 1.25
 
 
 def about_freedom(evaluation: Evaluation) -> list[str]:
-    """Return the warning of rotation errors that are a turn of the alignment, if they are."""
+    """Return the warning about rotation errors that the alignment causes, if any."""
     freedom, withheld = evaluation.alignment.freedom, evaluation.withheld
     if freedom is None or not _is_turned(evaluation):
         return []
@@ -37,7 +37,7 @@ def about_freedom(evaluation: Evaluation) -> list[str]:
 
 
 def about_poses(evaluation: Evaluation) -> list[str]:
-    """Return the warning of orientations that spoil the alignment of positions, if they do."""
+    """Return the warning about orientations that contradict the positions, if any."""
     alignment, pairs = evaluation.alignment, evaluation.association
     if alignment.by_positions is None:
         return []
@@ -56,7 +56,7 @@ def require_same_body(evaluation: Evaluation, diagnosis: Diagnosis) -> None:
     """Refuse an alignment by the orientations of another body.
 
     Raises:
-        InputError: The groundtruth seems to be of another body.
+        InputError: The groundtruth is probably of another body.
     """
     found = diagnosis.named("body")
     if evaluation.protocol.align_with == "poses" and found is not None:
@@ -68,7 +68,7 @@ def require_same_body(evaluation: Evaluation, diagnosis: Diagnosis) -> None:
 
 
 def _is_turned(evaluation: Evaluation) -> bool:
-    """Return whether there is anything that depends on the alignment's rotation."""
+    """Return whether any error depends on the rotation of the alignment."""
     truth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     oriented = truth.quaternions is not None and estimate.quaternions is not None
     return oriented or (truth.velocities is not None and estimate.velocities is not None)

@@ -1,7 +1,7 @@
-"""Short motions of both sides: in two seconds drift is small, and a mistake isn't.
+"""Short motions of both sides: over two seconds drift is small, and a mistake is not.
 
-They start and end at the estimate's own poses, since a sparse estimate that is interpolated moves
-along chords; the groundtruth is interpolated.
+They start and end at poses of the estimate, because interpolation of a sparse estimate cuts its
+curves. The groundtruth is interpolated.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from trajeval_ros.metrics.statistics import median
 
 _COUNT = 600
 _FEWEST = 12
-# A step of so many times the usual one is a jump; more than so many are the estimate's nature.
+# A jump is longer than this multiple of the median step; more jumps are normal for the estimate.
 _JUMP, _MOST_JUMPS = 30.0, 20
 
 
 @dataclass(frozen=True, eq=False)
 class ShortMotions:
-    """N pairs of poses, some time apart, of both sides.
+    """N short motions of both sides.
 
     Attributes:
-        rows: (N, 2) rows of the estimate at which they start and end.
-        truth: (2, N, 3) positions of the groundtruth there.
+        rows: (N, 2) rows of the estimate at starts and ends.
+        truth: (2, N, 3) positions of the groundtruth at starts and ends.
         estimate: (2, N, 3) positions of the estimate.
-        truth_turned: (2, N, 4) quaternions of the groundtruth; None unless both sides have some.
-        estimate_turned: (2, N, 4) quaternions of the estimate, likewise.
+        truth_turned: (2, N, 4) quaternions of the groundtruth; None unless both sides have them.
+        estimate_turned: (2, N, 4) quaternions of the estimate; None unless both sides have them.
     """
 
     rows: Indices
@@ -44,13 +44,13 @@ class ShortMotions:
     def between(
         cls, truth: MotionTrack, estimate: MotionTrack, apart_s: float, max_gap_s: float
     ) -> ShortMotions:
-        """Take motions evenly from a recording whose clocks agree.
+        """Return evenly sampled motions of a recording with equal clocks.
 
         Args:
-            truth: In order.
-            estimate: In order.
-            apart_s: From the start of a motion to its end, at least.
-            max_gap_s: Longest step of the groundtruth to interpolate across.
+            truth: Groundtruth in order of time.
+            estimate: Estimate in order of time.
+            apart_s: Least duration of a motion, seconds.
+            max_gap_s: Longest step of the groundtruth to interpolate, seconds.
         """
         times = estimate.seconds
         first = int(np.searchsorted(times, truth.seconds[0]))
@@ -85,7 +85,7 @@ class ShortMotions:
 
     @property
     def enough(self) -> bool:
-        """Whether there are so many that they say something."""
+        """Whether there are enough motions for a test."""
         return len(self) >= _FEWEST
 
     @property
@@ -100,8 +100,23 @@ class ShortMotions:
         steps: Floats = self.estimate[1] - self.estimate[0]
         return steps
 
+    @property
+    def thirds(self) -> list[ShortMotions]:
+        """Three parts of the run with about equal distances travelled by the groundtruth."""
+        way = np.cumsum(lengths(bounded(self.true_steps)))
+        part = np.minimum(3.0 * way / max(float(way[-1]), 1e-300), 2.0).astype(np.int64)
+        return [self._only(part == each) for each in range(3)]
+
+    def world(self) -> Floats:
+        """Return the rotation (3, 3) from the estimate's world that fits the motions best."""
+        fitted = moment(bounded(self.true_steps), bounded(self.steps))
+        if self.truth_turned is not None and self.estimate_turned is not None:
+            turns = (turned_in_world(each) for each in (self.truth_turned, self.estimate_turned))
+            fitted = fitted + moment(*(bounded(each) for each in turns))
+        return best_rotations(fitted)[1]
+
     def without_jumps(self, estimate: MotionTrack) -> ShortMotions:
-        """Return those that no jump of the estimate lies in: a restart turns its world."""
+        """Return the motions without a jump of the estimate: a restart rotates its world."""
         moved = estimate.moved
         far = moved > _JUMP * median(moved[evenly(len(moved), 2000)])
         jumps = np.concatenate([[0], np.cumsum(far)])
@@ -131,13 +146,13 @@ def turned_in_body(quaternions: Floats) -> Floats:
 
 
 def bounded(vectors: Floats) -> Floats:
-    """Return vectors (N, 3) so shortened that none counts for much more than a usual one."""
+    """Return vectors (N, 3) with limited lengths, so that outliers have little weight."""
     short: Floats = vectors / bound_of(lengths(vectors))[:, None]
     return short
 
 
 def bound_of(size: Floats) -> Floats:
-    """Return what vectors of a length (N,) are divided by, so that none counts for much."""
+    """Return the divisors (N,) of vectors of given lengths that limit their lengths."""
     usual = median(size[size > 0.0]) if (size > 0.0).any() else 1.0
     return size + 2.0 * usual
 
@@ -154,7 +169,7 @@ def moment(truth: Floats, estimate: Floats) -> Floats:
 
 
 def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
-    """Return the largest trace of W^T H over rotations W, (...), and W (..., 3, 3), for each H."""
+    """Return the largest trace of W^T H over rotations W, (...), and W (..., 3, 3), per H."""
     u, s, vt = np.linalg.svd(moments)
     sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
     flipped = u.copy()

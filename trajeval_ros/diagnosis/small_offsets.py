@@ -1,4 +1,4 @@
-"""Whether clocks are a little apart: on a finer grid than whole offsets are looked for."""
+"""Test for a small offset between the clocks, on a finer grid."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.evaluation import Evaluation
 
 _NAME = "small clock offsets"
-# A correlation's peak is this wide on data whose clocks agree. A lever arm moves that of speeds.
+# Width of the peak of equal clocks. A lever arm moves the peak of speeds.
 _LEAST_S = {"angular rate": 0.010, "speed": 0.150}
 _LONGEST_S = 600.0
 _FEWEST_STATES, _SHORTEST_S = 50, 8.0
-# By the speed alone: the share of the squared error that a late stamp explains, and how late.
+# By the speed: least fraction of the squared error that the offset explains, and least offset.
 _EXPLAINED = 0.5
 _LATE_S = 0.020
 
@@ -30,12 +30,12 @@ _LATE_S = 0.020
 def small_clock_offset(
     evaluation: Evaluation, truth: MotionTrack, estimate: MotionTrack
 ) -> Examined:
-    """Look for a small offset, by rates of motion or by errors along the speed.
+    """Test for a small offset, by rates of motion or by errors along the velocity.
 
     Args:
-        evaluation: Of the two.
-        truth: The groundtruth, in order.
-        estimate: All of the estimate, in order.
+        evaluation: Evaluation of the two sides.
+        truth: Groundtruth in order of time.
+        estimate: All poses of the estimate in order of time.
     """
     pairs = evaluation.association
     rule = pairs.rule
@@ -47,11 +47,11 @@ def small_clock_offset(
     if guess.is_usable:
         apart_s = guess.offset_s
         step_s = median(np.diff(np.sort(pairs.estimate.stamps))) / NANOSECONDS
-        # Nearest stamps are as far apart as the rule allows.
+        # Timestamps of pairs may differ by the limit of the association.
         within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
             return Examined(_NAME, scores)
-        scores["unlikeness"] = unlikeness_ratio(truth, estimate, estimate.shifted(apart_s))
+        scores["unlikeness"] = unlikeness_ratio(truth, estimate, apart_s)
         if not scores["unlikeness"] < LEAST_LIKELY:
             return Examined(_NAME, scores)
         how = f"the {guess.signal}s match best"
@@ -69,18 +69,18 @@ def small_clock_offset(
 
 
 def _guess(pairs: Association) -> OffsetGuess:
-    """Correlate ten minutes from the middle of the run: enough, and no more on long runs."""
+    """Correlate ten minutes from the middle of the run, which limits the cost of long runs."""
     stamps = pairs.estimate.stamps
     middle = (int(stamps.min()) + int(stamps.max())) // 2
     near = np.abs(stamps - middle) <= round(_LONGEST_S / 2.0 * NANOSECONDS)
-    # Pairs of many to one may share a stamp.
+    # Several pairs may share a timestamp.
     if len(np.unique(stamps[near])) < _FEWEST_STATES:
         return OffsetGuess(0.0, 0.0, 0.0, 0.0, "speed", 0.0, "too few states")
     return guess_offset(pairs.groundtruth[near], pairs.estimate[near])
 
 
 def _late(pairs: Association, aligned: Trajectory) -> float | None:
-    """Return by how much the stamps seem late if that explains the error, seconds, else None."""
+    """Return the delay of the timestamps that explains the error, seconds; else None."""
     truth = pairs.groundtruth
     steps = np.diff(truth.stamps) / NANOSECONDS
     usual = median(steps) if len(steps) else 0.0
@@ -91,7 +91,7 @@ def _late(pairs: Association, aligned: Trajectory) -> float | None:
     moved = truth.positions[2:] - truth.positions[:-2]
     velocity = moved[both] / (steps[1:] + steps[:-1])[both, None]
     error = (aligned.positions - truth.positions)[1:-1][both]
-    # What is constant has gone into the alignment.
+    # The alignment contains the constant part.
     velocity = velocity - velocity.mean(axis=0)
     error = error - error.mean(axis=0)
     squared = float(np.square(velocity).sum())

@@ -1,11 +1,10 @@
-"""Whether a groundtruth moves as if the axis that is taken for up were not.
+"""Test whether the motion of the groundtruth contradicts its up axis.
 
-A body that turns about one axis only, as vehicles, drones and people on the whole do, turns about
-gravity: nothing else holds one direction of the world in its place as seen from the body. With
-M = mean R_i, weighted by the distance travelled, |M^T u| is 1 for a direction u of the world that
-the body always sees at one place, and 0 for one that goes all around it. Where it is near 1 for
-the best u, small for the others, and the body moves across u, then u is vertical. On a straight
-line nothing turns, and nothing is said.
+A body that rotates about only one axis, like vehicles, drones and people, rotates about gravity.
+With M = mean R_i, weighted by the distance travelled, |M^T u| is 1 for a direction u of the world
+that is constant in the body's axes, and 0 for a direction that rotates all around. u is vertical
+if the value is near 1 for u, small for the others, and the body moves perpendicular to u. A
+straight line has no rotation and no result.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from trajeval_ros.geometry.thinning import every_nth
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 
-# Of |M^T u|: at least so much for the axis of all turns (18 deg of roll and pitch, rms), at most
-# so much for the others (headings over a good half of a circle).
+# Of |M^T u|: least value for the axis of rotation (18 deg of roll and pitch, rms), and largest
+# value for the others (headings over more than half of a circle).
 _HELD = 0.95
 _TURNED = 0.6
-# Extent along the axis, as a share of the smaller of the two across it: it is no climb.
+# Largest extent along the axis, as a fraction of the smaller one across it: not a climb.
 _FLAT = 0.5
-# Between the axis of all turns and the one that is taken for up.
+# Between the axis of rotation and the up axis.
 _APART_DEG = 45.0
-_NEAR_DEG = 20.0  # of an axis of the frame, which then is the one to name
+_NEAR_DEG = 20.0  # from an axis of the frame, which the message then names
 _FEWEST = 20
 _ENOUGH = 20_000  # states
 
 
 def doubt_of(trajectory: Trajectory) -> str:
-    """Return why the axis that is taken for up can't be; empty if it can, or was given."""
+    """Return why the up axis is wrong; "" if it is possible, or was given."""
     if trajectory.up.is_given or trajectory.quaternions is None:
         return ""
     axis = vertical_of(trajectory.positions, trajectory.quaternions)
@@ -63,14 +62,14 @@ def doubt_of(trajectory: Trajectory) -> str:
 
 
 def vertical_of(positions: Floats, quaternions: Floats) -> Floats | None:
-    """Return the axis (3,) that a body turns about and moves across, of either sign.
+    """Return the axis (3,) of rotation that a body moves perpendicular to, of either sign.
 
     Args:
         positions: (N, 3), metres.
         quaternions: (N, 4), xyzw, unit.
 
     Returns:
-        None where the motion shows none: no turns, turns about several axes, a climb, a line.
+        None without such an axis: no rotation, several axes, a climb, or a line.
     """
     some = every_nth(len(positions), _ENOUGH)
     positions, quaternions = positions[some], quaternions[some]
@@ -90,11 +89,11 @@ def vertical_of(positions: Floats, quaternions: Floats) -> Floats | None:
 
 
 def require_vertical(groundtruth: Trajectory, gauge: Gauge) -> None:
-    """Refuse to align about an axis that can't be up.
+    """Refuse an alignment about an axis that is not vertical.
 
     Raises:
-        InputError: The gauge is yaw or planar, and the groundtruth moves about another axis than
-            the one that is taken for up.
+        InputError: The gauge is yaw or planar, and the groundtruth rotates about another axis
+            than its up axis.
     """
     doubt = doubt_of(groundtruth) if gauge.turns_about_gravity_only else ""
     if doubt:
@@ -102,11 +101,11 @@ def require_vertical(groundtruth: Trajectory, gauge: Gauge) -> None:
 
 
 def without_vertical(evaluation: Evaluation) -> Evaluation:
-    """Return an evaluation without yaw and tilt, and a warning, where they have no meaning.
+    """Return an evaluation without yaw and tilt, with a warning, if the up axis is wrong.
 
-    Those of form `euler` are no angles about gravity, but what the toolbox prints.
+    Angles of form `euler` are the numbers of the toolbox, not angles about gravity.
     """
-    # Such an alignment is refused where there is a doubt.
+    # With a wrong up axis, such an alignment is refused.
     if evaluation.absolute.yaw_deg is None or evaluation.protocol.gauge.turns_about_gravity_only:
         return evaluation
     doubt = doubt_of(evaluation.groundtruth)

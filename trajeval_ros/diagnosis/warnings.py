@@ -1,4 +1,4 @@
-"""Warnings: what a reader of the numbers must know, each with what to do about it."""
+"""Warnings about an evaluation, with instructions."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
-_ENOUGH = 20_000  # states, to recognise something by
-# Of steps in time: their spread that is worth a look, how many are needed, and the share of it
-# that steps in space follow where stamps are honest (1) or of arrivals (0).
+_ENOUGH = 20_000  # states of a sample
+# Of steps in time: least spread, least number, and the slope of steps in space over steps in time,
+# which is 1 for sensor timestamps and 0 for arrival times.
 _JITTER = 0.15
 _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
@@ -52,10 +52,10 @@ def reasons(dropped: Mapping[str, int]) -> str:
 
 
 def completeness_in_words(evaluation: Evaluation) -> str:
-    """Return how many states of sparse groundtruth have an estimate."""
+    """Return the number of states of sparse groundtruth with an estimate, as text."""
     pairs, share = evaluation.association, evaluation.association.groundtruth_coverage
     what = {"gnss": "fixes", "points": "points"}.get(pairs.groundtruth.kind, "groundtruth poses")
-    # Of a live run only pairs are at hand, and how many of the states they are.
+    # A live run stores only pairs and their fraction of the states.
     states = round(len(pairs) / share)
     gap = pairs.coverage.longest_gap
     without = "" if gap is None else f", longest gap {gap}"
@@ -66,9 +66,9 @@ def completeness_in_words(evaluation: Evaluation) -> str:
 
 
 def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the warnings about a finished evaluation, the gravest first.
+    """Return the warnings about a finished evaluation, the most severe one first.
 
-    What was diagnosed comes before all else, in words.
+    Findings of the diagnosis precede all others.
     """
     return (
         *(each.text for each in diagnosis.findings),
@@ -110,7 +110,7 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
 
 
 def _about_first_state(evaluation: Evaluation) -> list[str]:
-    """Recognise an estimator's placeholder: a first pose from which the second one jumps away."""
+    """Detect a placeholder of the estimator: a jump after the first pose."""
     pairs = evaluation.association
     truth, other = pairs.groundtruth[:2].quaternions, pairs.estimate[:2].quaternions
     if len(pairs) < 3 or truth is None or other is None:
@@ -127,9 +127,9 @@ def _about_first_state(evaluation: Evaluation) -> list[str]:
 
 
 def _explains_jumps(diagnosis: Diagnosis) -> bool:
-    """Return whether something graver makes the two move apart."""
+    """Return whether a more severe finding explains jumps."""
     graver = (each for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank)
-    # What is the groundtruth in most of its poses may jump in others.
+    # An estimate with most poses of the groundtruth may jump at the others.
     return any(each.cause != "identical" for each in graver)
 
 
@@ -209,7 +209,7 @@ def _about_relative_errors(evaluation: Evaluation) -> list[str]:
 
 
 def about_frames(groundtruth: str, estimate: str) -> list[str]:
-    """Return the warning of two bodies whose names, where both are known, differ."""
+    """Return the warning about two bodies with different known names, if they differ."""
     if not groundtruth or not estimate or groundtruth == estimate:
         return []
     return [
@@ -220,7 +220,7 @@ def about_frames(groundtruth: str, estimate: str) -> list[str]:
 
 def _about_inputs(evaluation: Evaluation) -> list[str]:
     truth, estimate = evaluation.groundtruth, evaluation.estimate
-    # That an antenna is no body, `fix_hints` says.
+    # `fix_hints` has the warning about antennas.
     is_fix = truth.kind == "gnss"
     warnings = [] if is_fix else about_frames(truth.child_frame, estimate.child_frame)
     paired = evaluation.association.estimate
@@ -238,22 +238,21 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
 
 
 def _stamped_at_arrival(side: Trajectory) -> bool:
-    """Return whether steps in time vary and steps in space don't follow them.
+    """Return whether steps in time vary, and steps in space do not depend on them.
 
-    A body that moves smoothly goes twice as far in twice the time. Where it goes as far whatever
-    the stamps say, they are not when it was there.
+    A body with smooth motion moves twice as far in twice the time. If the distance does not depend
+    on the timestamps, they are not the times of the poses.
     """
     some = slice(_ENOUGH)
     step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
     distance = np.linalg.norm(moved, axis=1)
     usual_s = median(step_s) if len(step_s) else 0.0
-    # Between neighbours on both sides, none of them a lost message; a body that is hardly moving
-    # shows its noise.
+    # Steps with neighbours on both sides and without lost messages. A body at rest moves by noise.
     whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
     nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
     smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
     counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
-    # Sparse keyframes are taken when the body has moved so far.
+    # The distance between sparse keyframes is constant.
     if not side.stamped or usual_s > _SPARSE_S or np.count_nonzero(counts) < _FEWEST_STEPS:
         return False
     longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0

@@ -1,0 +1,86 @@
+"""What a diagnosis costs, next to the evaluation and to the whole command."""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.diagnosis_runs import Pair, simulated
+from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation
+from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import Protocol
+
+_TIMES = 7
+
+
+def cost() -> None:
+    """Print the CPU time of evaluations, of their diagnoses, and of the command."""
+    print("\n| poses | ATE | with relative errors | diagnosis | command |\n|---|---|---|---|---|")
+    for count, duration_s in ((10_000, 600.0), (100_000, 600.0), (1_000_000, 6000.0)):
+        pair = _dense(simulated(1, "drone", "walk", duration_s), count)
+        whole = dataclasses.replace(pair.protocol, lengths=Protocol().lengths)
+        evaluation = evaluate(pair.truth, pair.estimate, pair.protocol)
+        steps = (
+            lambda: evaluate(pair.truth, pair.estimate, pair.protocol),  # noqa: B023
+            lambda: evaluate(pair.truth, pair.estimate, whole),  # noqa: B023
+            lambda: diagnose_evaluation(evaluation, pair.truth, pair.estimate),  # noqa: B023
+        )
+        taken = [_least_ms(each) for each in steps]
+        cells = [f"{each:.1f} ms" for each in (*taken, _command_ms(pair))]
+        print(f"| {count} | {' | '.join(cells)} |", flush=True)
+
+
+def _least_ms(step: Callable[[], object]) -> float:
+    taken = []
+    for _ in range(_TIMES):
+        begin = time.process_time()
+        step()
+        taken.append(time.process_time() - begin)
+    return 1e3 * min(taken)
+
+
+def _command_ms(pair: Pair) -> float:
+    """Return the CPU time of `trajeval evaluate` from its start to its end."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [str(Path(folder) / name) for name in ("groundtruth.txt", "estimate.txt")]
+        for path, side in zip(paths, (pair.truth, pair.estimate), strict=True):
+            _write(side, path)
+        words = ["evaluate", "-g", paths[0], "-e", paths[1], "--gauge", "yaw", "--quiet"]
+        before = _children_ms()
+        command = [sys.executable, "-m", "trajeval_ros", *words]
+        subprocess.run(command, check=True, capture_output=True)
+        return _children_ms() - before
+
+
+def _children_ms() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return 1e3 * (used.ru_utime + used.ru_stime)
+
+
+def _write(side: Trajectory, path: str) -> None:
+    assert side.quaternions is not None
+    columns = [side.stamps / 1e9, side.positions, side.quaternions]
+    np.savetxt(path, np.column_stack(columns), fmt="%.9f")
+
+
+def _dense(pair: Pair, count: int) -> Pair:
+    """Return a pair with more poses: `count` of the estimate, twice as many of the groundtruth."""
+    sides = {}
+    for side, number in (("estimate", count), ("truth", 2 * count)):
+        one = getattr(pair, side)
+        track = MotionTrack.of(one, int(one.stamps[0]))
+        seconds = np.linspace(0.0, track.span_s, number)
+        between = track.at(seconds)
+        stamps = int(one.stamps[0]) + np.rint(1e9 * seconds).astype(np.int64)
+        sides[side] = type(one).from_columns(stamps, between.positions, between.quaternions)
+    return dataclasses.replace(pair, **sides)

@@ -1,0 +1,90 @@
+"""More mistakes, of which some only a part of the recordings can show."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from benchmarks.diagnosis_mistakes import (
+    CAMERA,
+    NED,
+    Mistake,
+    change,
+    in_axes,
+    shifted,
+    transposed,
+    w_first,
+)
+from benchmarks.diagnosis_runs import Pair
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.evaluation import evaluate
+
+
+def _still(pair: Pair) -> Pair:
+    return change(pair, "estimate", positions=0.0 * pair.estimate.positions)
+
+
+def _names_swapped(pair: Pair) -> Pair:
+    pair = change(pair, "truth", source="run/vio_odometry.txt")
+    return change(pair, "estimate", source="run/groundtruth.txt")
+
+
+def _positions_converted(pair: Pair) -> Pair:
+    """Take positions to other axes, and forget the rotations."""
+    return change(pair, "estimate", positions=pair.estimate.positions[:, [1, 2, 0]])
+
+
+def _w_first_and_transposed(pair: Pair) -> Pair:
+    return w_first("estimate")(transposed(pair))
+
+
+def _heights_of_ellipsoid(pair: Pair) -> Pair:
+    """Give both sides one frame, but for 47 m of height, and align nothing."""
+    up = pair.truth.up.matrix[2]
+    evaluation = evaluate(pair.truth, pair.estimate, pair.protocol)
+    estimate = evaluation.alignment.similarity.trajectory(pair.estimate)
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + 47.0 * up)
+    return dataclasses.replace(pair, estimate=estimate, gauge=Gauge.NONE)
+
+
+def _covariances(pair: Pair, *, exchanged: bool, unit: float) -> Pair:
+    """Give covariances of about the errors' size, where there are rotation errors."""
+    ate = evaluate(pair.truth, pair.estimate, pair.protocol).ate
+    position, rotation = ate["position_m"], ate["rotation_deg"]
+    if position is None or rotation is None:
+        return pair
+    sigmas = np.repeat([position.median, unit * np.radians(rotation.median)], 3) / np.sqrt(3.0)
+    sigmas = np.roll(sigmas, 3) if exchanged else sigmas
+    covariances = np.tile(np.diag(sigmas**2), (len(pair.estimate), 1, 1))
+    return change(pair, "estimate", covariances=covariances)
+
+
+def _tilted(pair: Pair) -> Pair:
+    turn = lie.to_matrix(lie.from_rotation_vector(np.radians([25.0, 0.0, 0.0])))
+    return in_axes(turn, "estimate")(pair)
+
+
+FURTHER: dict[str, Mistake] = {
+    "stands still": Mistake(_still, ("stands_still",)),
+    "sides swapped": Mistake(_names_swapped, ("swapped",)),
+    "groundtruth in camera axes": Mistake(
+        in_axes(CAMERA, "truth"), ("up_axis", "truth_up_axis"), "yaw"
+    ),
+    "groundtruth in NED": Mistake(
+        in_axes(NED, "truth"), ("up_axis", "up_axis_or_mirrored"), "yaw"
+    ),
+    "world tilted by 25 deg": Mistake(_tilted, ("tilted",), "yaw"),
+    "positions in other axes": Mistake(_positions_converted, ("axes_mixed",)),
+    "wxyz and transposed": Mistake(_w_first_and_transposed, ("wxyz_transposed",)),
+    "clock +0.2 s": Mistake(shifted(0.2), ("small_clock_offset",)),
+    "heights of the ellipsoid": Mistake(_heights_of_ellipsoid, ("frames_apart",)),
+    "covariances, rotation first": Mistake(
+        lambda pair: _covariances(pair, exchanged=True, unit=1.0), ("covariance_order",)
+    ),
+    "covariances in square degrees": Mistake(
+        lambda pair: _covariances(pair, exchanged=False, unit=180.0 / np.pi),
+        ("covariance_degrees",),
+    ),
+}
