@@ -149,10 +149,10 @@ fuzz-bytes: $(ATHERIS)/.installed ## Feed the readers of bags with damaged bytes
 	$(ATHERIS)/bin/python tests/fuzz_bags.py $(ATHERIS)/corpus -max_total_time=$(FUZZ_S) \
 		-max_len=8192 -artifact_prefix=$(ATHERIS)/
 
-ROOM ?= metrics
+SUBPACKAGE ?= metrics
 
-mutate: $(MUTATE)/.installed ## Change lines of a room at random, and list what no test notices; ROOM=batch.
-	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/mutants.py $(ROOM)
+mutate: $(MUTATE)/.installed ## Change lines of a subpackage at random, and list what no test notices; SUBPACKAGE=batch.
+	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/mutants.py $(SUBPACKAGE)
 
 audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of known vulnerabilities.
 	@status=0; for each in constraints.txt constraints-ros.txt; do \

@@ -5,10 +5,10 @@ set -euo pipefail
 source_folder=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 output=$TRAJEVAL_OUTPUT
 
-# A path must be no option, and no second line of the outputs.
+# A path must not be an option, or a second line of the outputs.
 for path in "$TRAJEVAL_CONFIG" "$TRAJEVAL_BASELINE" "$output"; do
     if [[ $path == -* || $path == *$'\n'* ]]; then
-        echo "the path ${path@Q} begins with a dash or has two lines" >&2
+        echo "the path ${path@Q} starts with a dash or has two lines" >&2
         exit 2
     fi
 done
@@ -17,7 +17,7 @@ lines() { # lines TEXT: print its lines that are not blank
     grep -v '^[[:space:]]*$' <<<"$1" || true
 }
 
-# In an environment of its own: the job's Python may have other versions of what this needs.
+# In a separate environment: the job's Python may have other versions of the dependencies.
 version=$(cksum <<<"$source_folder $TRAJEVAL_PYTHON" | cut -d ' ' -f 1)
 environment=$RUNNER_TEMP/trajeval-$version
 if [ ! -x "$environment/bin/trajeval" ]; then
@@ -37,7 +37,7 @@ while IFS= read -r option; do
     arguments+=("$option")
 done < <(lines "$TRAJEVAL_OPTIONS")
 
-# A summary of an older comparison would pass for one of this.
+# The summary of an earlier comparison must not be shown for this one.
 rm -f -- "$output/gates.md" "$output/tables.md"
 status=0
 "$environment/bin/trajeval" compare "${arguments[@]}" || status=$?
@@ -50,7 +50,7 @@ status=0
         fi
     done
     if [ "$status" -gt 1 ]; then
-        echo "\`trajeval compare\` ended with status $status; the job's log says why."
+        echo "\`trajeval compare\` ended with status $status; see the job's log."
     fi
 } | head -c 1000000 >>"$GITHUB_STEP_SUMMARY" # of which GitHub shows 1 MiB
 

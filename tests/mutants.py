@@ -4,7 +4,7 @@ cosmic-ray's operators change one place at a time in a copy of the checkout: an 
 comparison, a number, a loop. Then the fast tests of the file are run until one fails. A change
 that survives is a place that no law holds, or one that means the same.
 
-    python tests/mutants.py ROOM [--count 50] [--seed 0]
+    python tests/mutants.py SUBPACKAGE [--count 50] [--seed 0]
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE_S = 300.0
 
-# Of each room, which files are tested by which tests, the quickest first.
-ROOMS = {
+# Of each subpackage, which files are tested by which tests, the quickest first.
+SUBPACKAGES = {
     "metrics": {
         "association bracket nearest_association evo_association coverage no_match "
         "frame_association": ("association kitti_protocol online_revised"),
@@ -155,7 +155,7 @@ def _run(tests: list[str]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("room", choices=ROOMS)
+    parser.add_argument("subpackage", choices=SUBPACKAGES)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
@@ -169,10 +169,10 @@ def main() -> int:
         os.chdir(copy)
         compileall.compile_dir(copy / "trajeval_ros", quiet=1)
         tests_of = {
-            copy / "trajeval_ros" / asked.room / f"{name}.py": [
+            copy / "trajeval_ros" / asked.subpackage / f"{name}.py": [
                 f"tests/test_{test}.py" for test in tests.split()
             ]
-            for names, tests in ROOMS[asked.room].items()
+            for names, tests in SUBPACKAGES[asked.subpackage].items()
             for name in names.split()
         }
         every = list(dict.fromkeys(test for tests in tests_of.values() for test in tests))
@@ -194,7 +194,7 @@ def main() -> int:
                 lines = (each.splitlines() for each in (before, after))
                 changed = list(difflib.unified_diff(*lines, name, name, n=0, lineterm=""))[2:]
                 print(*changed, sep="\n", flush=True)
-    print(f"{survivors} of {asked.count} changes of {asked.room} survived")
+    print(f"{survivors} of {asked.count} changes of {asked.subpackage} survived")
     return 0
 
 

@@ -165,5 +165,5 @@ def test_an_input_is_never_a_command(name: str, job: Job) -> None:
 def test_a_path_is_no_option_and_no_output(name: str, path: str, job: Job) -> None:
     done = job.run(**{"config": "runs.yaml", name: path})
     assert done.returncode == 2
-    assert "begins with a dash or has two lines" in done.stderr
+    assert "starts with a dash or has two lines" in done.stderr
     assert not job.temporary.exists() or not list(job.temporary.iterdir())

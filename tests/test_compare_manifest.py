@@ -151,7 +151,7 @@ ONE = "vio,hall,0,t.txt,e.txt"
          ", line 4: estimate is empty; fill it in or remove the row"),
         ([",".join(HEADER), "vio,,0,t.txt,e.txt"], ", line 2: sequence is empty"),
         ([",".join(HEADER), ONE, ONE],
-         ", line 3: the run vio hall 0 is listed twice; remove one, or give each trial its name"),
+         ", line 3: the run vio hall 0 is listed twice; remove one, or name every trial in"),
         ([",".join(HEADER), "vio,hall,0,t.txt"],
          ", line 2: 4 values for 5 columns; give one value per column"),
         ([",".join(HEADER), 'vio,hall,0,"t.txt'], " is not valid CSV: unexpected end of data"),

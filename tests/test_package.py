@@ -18,9 +18,9 @@ import trajeval_ros
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "trajeval_ros"
 
-# A file imports only from floors below its own, or from its own folder. Folders of one floor know
+# A file imports only from lower layers, or from its own folder. Folders of one layer know
 # nothing of each other.
-FLOORS = {
+LAYERS = {
     "exceptions": 0,
     "formatting": 0,
     "linear_algebra_threads": 0,
@@ -45,8 +45,8 @@ FLOORS = {
 }
 MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}
 
-# Packages that only some rooms may open.
-ROOMS = {
+# Packages that only some subpackages may import.
+IMPORTED_ONLY_IN = {
     "rclpy": {"ros"},
     "rerun": {"viewer"},
     "matplotlib": {"report"},
@@ -89,7 +89,7 @@ def sources() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def room_of(path: Path) -> str:
+def subpackage_of(path: Path) -> str:
     """Return the module or folder, right under the package, that a file belongs to."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
@@ -105,7 +105,7 @@ def imported_names(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def rooms_used_by(path: Path) -> set[str]:
+def subpackages_used_by(path: Path) -> set[str]:
     """Return the modules and folders of this package that a file imports."""
     names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
     split = [name.split(".") for name in names if name.startswith(f"{PACKAGE.name}.")]
@@ -113,14 +113,14 @@ def rooms_used_by(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_come_from_floors_below(path: Path) -> None:
-    room = room_of(path)
-    if room == "__init__":
+def test_imports_come_from_layers_below(path: Path) -> None:
+    subpackage = subpackage_of(path)
+    if subpackage == "__init__":
         return
-    assert room in FLOORS, f"give {room} a floor in {Path(__file__).name}"
-    others = rooms_used_by(path) - {room}
-    assert others <= FLOORS.keys(), "import from where a name is defined"
-    assert not {used for used in others if FLOORS[used] >= FLOORS[room]}
+    assert subpackage in LAYERS, f"give {subpackage} a layer in {Path(__file__).name}"
+    others = subpackages_used_by(path) - {subpackage}
+    assert others <= LAYERS.keys(), "import from where a name is defined"
+    assert not {used for used in others if LAYERS[used] >= LAYERS[subpackage]}
 
 
 def test_modules_at_the_top_are_few() -> None:
@@ -145,11 +145,11 @@ def test_no_two_public_classes_have_one_name() -> None:
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_outside_packages_are_imported_in_their_rooms_only(path: Path) -> None:
-    room = room_of(path)
+def test_outside_packages_are_imported_in_their_subpackages_only(path: Path) -> None:
+    subpackage = subpackage_of(path)
     names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
-    outside = {name.split(".")[0] for name in names} & ROOMS.keys()
-    assert not {package for package in outside if room not in ROOMS[package]}
+    outside = {name.split(".")[0] for name in names} & IMPORTED_ONLY_IN.keys()
+    assert not {package for package in outside if subpackage not in IMPORTED_ONLY_IN[package]}
 
 
 @pytest.mark.parametrize("writer", [r'"---"', r"csv\.writer\(", r"begin{+tabular", r"\bTable\("])

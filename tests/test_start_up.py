@@ -190,9 +190,9 @@ def test_a_verb_imports_none_of_the_others(name: str) -> None:
 @pytest.mark.parametrize("name", ["evaluate", "finish", "info", "trajectory", "view"])
 def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: str) -> None:
     _, loaded = _loaded(MAIN.format(arguments=[name, "--nope"]))
-    rooms = {".".join(each.split(".")[:2]) for each in loaded}
-    unwanted = {f"trajeval_ros.{room}" for room in ("ros", "batch", "visual_inertial", "viewer")}
-    assert not rooms & unwanted
+    subpackages = {".".join(each.split(".")[:2]) for each in loaded}
+    unwanted = {f"trajeval_ros.{name}" for name in ("ros", "batch", "visual_inertial", "viewer")}
+    assert not subpackages & unwanted
     assert not loaded & {"scipy", "matplotlib", "jinja2", "pyarrow", "rerun"}
 
 

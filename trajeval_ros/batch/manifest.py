@@ -64,8 +64,8 @@ def runs_in_manifest(target: str, hosts: Collection[str]) -> tuple[PlannedRun, .
         trials = groups[run.algorithm, run.sequence]
         if run.trial in trials:
             raise InputError(
-                f"{where}: the run {run.name} is listed twice; remove one, or name the trials "
-                f"in the column {_TRIAL}"
+                f"{where}: the run {run.name} is listed twice; remove one, or name every trial in "
+                f"the column {_TRIAL}"
             )
         trials[run.trial] = run
     if not groups:

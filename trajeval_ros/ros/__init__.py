@@ -1,1 +1,1 @@
-"""What needs a ROS 2 environment: the only room that imports `rclpy` and message packages."""
+"""The part that needs ROS 2: the only subpackage that imports `rclpy` and message packages."""

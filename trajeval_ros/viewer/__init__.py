@@ -1,1 +1,1 @@
-"""What is shown in Rerun: the only room that imports `rerun`."""
+"""What is shown in Rerun: the only subpackage that imports `rerun`."""
