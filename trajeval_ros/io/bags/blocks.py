@@ -96,7 +96,7 @@ class Block:
         if len(self) and (self.connections == self.connections[0]).all():
             yield int(self.connections[0]), self
             return
-        for connection in np.unique(self.connections).tolist():
+        for connection in sorted(set(self.connections.tolist())):  # unique imports numpy.ma
             yield connection, self[self.connections == connection]
 
     def compact(self) -> Block:

@@ -104,7 +104,7 @@ class RemoteFile:
         """Nothing is open."""
 
 
-class Window:
+class ByteWindow:
     """A part of a source that is in memory, moved on as a walk through it goes."""
 
     def __init__(self, source: ByteSource, size: int) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.io.bags.blocks import block_of
 from trajeval_ros.io.bags.byte_buffers import Buffer
-from trajeval_ros.io.bags.cdr import Columns, StringColumn
+from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
 TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.bags.byte_source import ByteSource, Window
+from trajeval_ros.io.bags.byte_source import ByteSource, ByteWindow
 from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
@@ -63,7 +63,7 @@ class _Walk:
     def __init__(self, source: ByteSource, found: Scan) -> None:
         self._source = source
         self._found = found
-        self._window = Window(source, _WINDOW)
+        self._window = ByteWindow(source, _WINDOW)
         self._growing = MessageIndexBuilder()
         self.opened: list[Chunk] = []  # chunks that no summary lists
 

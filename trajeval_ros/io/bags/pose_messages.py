@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"

@@ -13,7 +13,8 @@ from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS
 from trajeval_ros.io.bags.bag import Advance, Bag
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
     Fields,

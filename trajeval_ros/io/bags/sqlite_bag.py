@@ -105,9 +105,10 @@ class SqliteReader:
             count = _FEW
             while some := rows.fetchmany(count):
                 keys, topics, log_times, payloads = zip(*some, strict=True)
-                yield selections, block_of(topics, log_times, payloads)
+                block = block_of(topics, log_times, payloads)
+                yield selections, block
                 reached = window.place(log_times[-1], keys[-1])
-                size = sum(map(len, payloads)) // len(payloads)
+                size = len(block.buffer) // len(block)
                 count = min(ROWS, 1 + _FETCHED // max(size, 1))
         except sqlite3.DatabaseError as error:
             said = f"{self._name} is damaged: {error}"

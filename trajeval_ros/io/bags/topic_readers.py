@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.growing_columns import GrowingPoses
