@@ -1,11 +1,8 @@
 """Serialised messages to columns: CDR of both endiannesses, plain XCDR2, and ROS 1.
 
-All messages of a batch are walked together, field by field. Where a field begins is a column, one
-offset for each message: strings and sequences move what follows them, by another distance in each
-message, and the arithmetic is the same for all. So messages of equal size and different layout
-need no thought, and only the bytes of wanted fields are touched.
-
-Bytes are never trusted. A message that ends before its fields do, or long after them, is left out.
+`cdr_steps` plans the steps from a type's definition. `cdr_batch` applies them to all messages of a
+batch at once. The bytes are untrusted: a message that is shorter or longer than its fields is left
+out.
 """
 
 from __future__ import annotations
@@ -21,14 +18,14 @@ from trajeval_ros.io.bags.cdr_columns import Columns, joined
 from trajeval_ros.io.bags.cdr_steps import steps_of
 from trajeval_ros.io.bags.message_definitions import Fields
 
-# How CDR says that it is encoded: byte order, and the largest alignment (DDS-XTYPES 1.3, 7.6.3.1).
+# Byte order and largest alignment by encapsulation of CDR (DDS-XTYPES 1.3, 7.6.3.1).
 _ENCAPSULATIONS = {0x0000: (">", 8), 0x0001: ("<", 8), 0x0006: (">", 4), 0x0007: ("<", 4)}
 _ENCAPSULATION, _ENCAPSULATION_SIZE = np.dtype(">u2"), 4
 _PADDING = 3  # bytes; writers may fill up to a multiple of four
 
 
 class CdrPlan:
-    """How the wanted fields of one type are found in serialised messages."""
+    """How the requested fields of one type are decoded from serialised messages."""
 
     def __init__(
         self, fields: Fields, wanted: Collection[str] | None = None, *, is_ros1: bool = False
@@ -37,13 +34,13 @@ class CdrPlan:
 
         Args:
             fields: Of the type.
-            wanted: Paths of fields, such as `header.frame_id`. Of a nested message that is made
-                of one kind of numbers, such as `pose.position`, its path gives one column (N, k).
-                None means every field on its own.
+            wanted: Paths of fields, such as `header.frame_id`. The path of a nested message with
+                numbers of one type, such as `pose.position`, gives one column (N, k). None means
+                one column per field.
             is_ros1: Whether messages are serialised as by ROS 1.
 
         Raises:
-            UnplannedError: There is no such field, or it is no column.
+            UnplannedError: A field does not exist, or is not one column.
         """
         self._is_ros1 = is_ros1
         names = None if wanted is None else frozenset(wanted)
@@ -61,8 +58,8 @@ class CdrPlan:
 
         Args:
             buffer: (B,) bytes.
-            begins: (N,) int64, where each message begins.
-            sizes: (N,) int64, bytes; all of them lie within the buffer.
+            begins: (N,) int64, offsets of the messages.
+            sizes: (N,) int64, bytes. All messages end within the buffer.
         """
         everything = np.arange(len(begins))
         if self._is_ros1:

@@ -24,17 +24,16 @@ _LENGTHS = {order: np.dtype(f"{order}u4") for order in "<>"}
 
 
 class MessageBatch:
-    """Messages, or elements of sequences, that are walked together.
+    """Messages, or elements of sequences, that are decoded together.
 
     Attributes:
-        rows: (N,) what each is from: the number of a payload, or one of `ids` of the enclosing
-            batch.
-        ids: (N,) their own numbers, from 0 for the first of those at the beginning.
-        origins: (N,) where in the buffer the payload's first field lies; alignment counts from it.
-        rooms: (N,) bytes of the payload from there to its end.
-        least_room: At most the least of them.
-        most_room: At least the largest of them.
-        at: Where the next field is looked for, from the origin.
+        rows: (N,) the payload's number, or an id of the enclosing batch for elements.
+        ids: (N,) numbers of the messages in this batch, counted before any is left out.
+        origins: (N,) offsets of the first fields in the buffer. Alignment counts from there.
+        rooms: (N,) bytes from the origin to the end of the payload.
+        least_room: Lower bound of `rooms`.
+        most_room: Upper bound of `rooms`.
+        at: Position of the next field, counted from the origin.
     """
 
     def __init__(
@@ -63,14 +62,14 @@ class MessageBatch:
         self._sequences: dict[str, list[MessageBatch]] = {}
 
     def columns(self, steps: tuple[Step, ...], padding: int) -> Columns:
-        """Walk, and return the columns of the messages that end where they should."""
+        """Decode, and return the columns of the messages that have the expected size."""
         self.walk(steps)
         if not (isinstance(self.at, int) and self.at + padding >= self.most_room):
             self._keep(self.at + padding >= self.rooms)
         return self._gathered()
 
     def walk(self, steps: tuple[Step, ...]) -> None:
-        """Find where the fields are; messages that end before are left out."""
+        """Find the positions of the fields. Messages that are too short are left out."""
         for step in steps:
             if isinstance(step, FixedFields):
                 self._align(step.alignment)
@@ -89,14 +88,14 @@ class MessageBatch:
             self.at = (self.at + (alignment - 1)) & -alignment
 
     def _require(self, size: Offsets) -> None:
-        """Leave out the messages that don't have as many bytes left."""
+        """Leave out the messages with fewer than `size` bytes left."""
         end = self.at + size
         if isinstance(end, int) and end <= self.least_room:
             return
         self._keep(end <= self.rooms)
 
     def _keep(self, good: Booleans) -> None:
-        """Leave out the messages that aren't good, and what was found in them."""
+        """Leave out the other messages, and the fields found in them."""
         if good.all():
             return
         self.rows, self.ids, self.origins = self.rows[good], self.ids[good], self.origins[good]
@@ -108,9 +107,9 @@ class MessageBatch:
         }
 
     def _count(self, smallest: int) -> Offsets:
-        """Read how long the string or the sequence is that comes next.
+        """Read the length of the string or sequence at the current position.
 
-        Messages without room for as many, of `smallest` bytes each, are left out.
+        Messages with less room than `smallest` bytes per element are left out.
         """
         self._align(4)
         self._require(4)
@@ -158,7 +157,7 @@ class MessageBatch:
             self._unequal_elements(step, counts)
 
     def _equal_elements(self, step: Elements, counts: Indices) -> None:
-        """Walk elements that all have the same size."""
+        """Decode elements of equal size."""
         run, stride = step.steps[0], step.stride
         assert isinstance(run, FixedFields)
         assert stride is not None
@@ -178,12 +177,12 @@ class MessageBatch:
         self.at = ends
 
     def _unequal_elements(self, step: Elements, counts: Indices) -> None:
-        """Walk elements whose strings make them as long as they like.
+        """Decode elements of different sizes, because they contain strings.
 
-        Where the next element begins is known at the end of the one before. But mostly elements
-        resemble each other: so several are looked for at the distance that the last one had,
-        twice as many each time that they were all found. An element that ends where the next one
-        was looked for proves that one's place, so that nothing rests on the guess.
+        The position of an element is the end of the previous one. Most elements have the same
+        size. Therefore several elements are tried at the distance of the last one, twice as many
+        after every complete success. A tried position is accepted only if the previous element
+        ends there.
         """
         left = counts.copy()
         at = np.array(np.broadcast_to(self.at, counts.shape))
@@ -197,7 +196,7 @@ class MessageBatch:
             places = at[open_][owners] + numbers * strides[open_][owners]
             batch = self._elements_at(open_[owners], places)
             batch.walk(step.steps)
-            ends = np.full(len(places), -1)  # of those that are no elements
+            ends = np.full(len(places), -1)  # -1: not an element
             ends[batch.ids] = batch.at
             proven = ends == places + strides[open_][owners]
             found = np.minimum.reduceat(np.where(proven, len(places), numbers), firsts) + 1
@@ -216,7 +215,7 @@ class MessageBatch:
         self._keep(good)
 
     def _elements_at(self, owners: Indices, places: Indices) -> MessageBatch:
-        """Return a batch of elements of the messages `owners` (M,), that begin at `places`."""
+        """Return a batch of elements (M,) of the messages `owners`, that start at `places`."""
         return MessageBatch(
             self.buffer,
             self.order,
@@ -228,7 +227,7 @@ class MessageBatch:
         )
 
     def _gathered(self) -> Columns:
-        """Return the columns of all that is left."""
+        """Return the columns of the remaining messages."""
         numbers = {}
         for span, places in self._numbers:
             cells = gather(self.buffer, places, span.types[self.order])
@@ -247,7 +246,7 @@ class MessageBatch:
 
 
 def _usable(column: Numbers) -> Numbers:
-    """Return the column in the machine's byte order; any byte but zero is true."""
+    """Return the column in the machine's byte order. Nonzero bytes of booleans are true."""
     if column.dtype == np.bool_:
         return np.asarray(column.view(np.uint8) != 0)
     return column if column.dtype.isnative else column.astype(column.dtype.newbyteorder("="))
@@ -258,6 +257,6 @@ def _those(offsets: Offsets, good: Booleans) -> Offsets:
 
 
 def _repeated(counts: Indices) -> tuple[Indices, Indices]:
-    """Return, for each of `counts` things, its owner and its number among the owner's things."""
+    """Return the owner of every element, and its number among the owner's elements."""
     owners = np.repeat(np.arange(len(counts)), counts)
     return owners, np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]

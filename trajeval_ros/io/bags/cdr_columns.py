@@ -17,7 +17,7 @@ Numbers = NDArray[Any]
 
 @dataclass(frozen=True)
 class StringColumn:
-    """A column of strings: `names[codes[row]]` is the one of a row."""
+    """A column of strings: `names[codes[row]]` is the string of a row."""
 
     names: tuple[str, ...]
     codes: Indices
@@ -28,12 +28,12 @@ class Columns:
     """Fields by column.
 
     Attributes:
-        rows: (N,) int64, increasing: which payload each row is from; of a sequence's elements,
-            which row of the enclosing columns.
+        rows: (N,) int64, increasing: the number of the payload, or for elements of a sequence the
+            row of the enclosing columns.
         numbers: (N,) or (N, k) by field.
         texts: Strings by field.
-        sequences: Columns by field; they have a row for each element, in order. A sequence of
-            numbers or strings has one column, with the empty name.
+        sequences: Columns by field, with one row per element, in order. A sequence of numbers or
+            strings has one column, with the empty name.
     """
 
     rows: Indices
@@ -43,11 +43,11 @@ class Columns:
 
 
 def joined(parts: Sequence[Columns], *, in_order: bool = False) -> Columns:
-    """Return the columns of several parts one after the other.
+    """Return the concatenated columns of several parts.
 
     Args:
         parts: At least one, all of the same fields.
-        in_order: Whether to sort the rows by payload; rows of the same payload stay as they are.
+        in_order: Whether to sort the rows by payload. The sort is stable.
     """
     first = parts[0]
     if len(parts) == 1:

@@ -1,4 +1,4 @@
-"""Strings of many messages: their different texts, and which one each message has."""
+"""Strings of many messages, as a list of different texts and one code per message."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.io.bags.byte_buffers import Buffer, are_same, bytes_type, gather
 
-Offsets = int | Indices  # an int as long as it is the same for all: that saves most of the work
+Offsets = int | Indices  # an int if all messages have the same: most of the time is saved
 
 
 def texts_at(
     buffer: Buffer, places: Indices, lengths: Offsets, is_terminated: bool
 ) -> tuple[tuple[str, ...], Offsets]:
-    """Return strings at the places (N,): names, and which one each is; -1 is no string."""
+    """Return the strings at the places (N,) as names and codes; -1 is an invalid string."""
     names: dict[str, int] = {}
     if isinstance(lengths, int):
         code = _texts_of_length(buffer, places, lengths, is_terminated, names)
@@ -28,7 +28,7 @@ def texts_at(
 def _texts_of_length(
     buffer: Buffer, places: Indices, length: int, is_terminated: bool, names: dict[str, int]
 ) -> Offsets:
-    """Return the codes of strings of one length; new ones are added to the names."""
+    """Return the codes of strings of one length. New strings are added to the names."""
     if not len(places):
         return np.zeros(0, dtype=np.int64)
     if not length:
@@ -37,14 +37,14 @@ def _texts_of_length(
     if are_same(cells):
         return _code(cells[0].tobytes(), is_terminated, names)
     contents, which = np.unique(cells.view(f"S{length}"), return_inverse=True)
-    # As strings of numpy they lost their zeros at the end, the terminator among them.
+    # numpy removes zeros at the end of strings, the terminator included.
     whole = [content.ljust(length, b"\0") for content in contents.tolist()]
     codes = np.array([_code(each, is_terminated, names) for each in whole], dtype=np.int64)
     return np.asarray(codes[which])
 
 
 def _code(content: bytes, is_terminated: bool, names: dict[str, int]) -> int:
-    """Return the code of a string, -1 if it is none."""
+    """Return the code of a string, -1 if it is invalid."""
     if is_terminated:
         if content[-1]:
             return -1
