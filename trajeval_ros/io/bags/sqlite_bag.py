@@ -6,6 +6,7 @@ import sqlite3
 import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,7 +197,7 @@ class SqliteReader:
             for key, name, kind, serialization, qos in rows
         ]
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """The largest id of a message, which is at least their number; 0 if it can't be read."""
         try:
