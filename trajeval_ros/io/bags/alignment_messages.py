@@ -1,4 +1,4 @@
-"""An alignment and what it aligns as messages: live by the node, and in a recording of errors."""
+"""Messages of an alignment and of the aligned paths, for the node and for recordings of errors."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Bags as containers: rosbag2 (sqlite3 and MCAP, directory or bare file) and ROS 1.
 
-The containers are read by the low-level readers of `rosbags`. A bag is untrusted input: a topic's
-type definition is parsed only when that topic is wanted, so that one odd topic doesn't lose the
-bag, and whatever a damaged file raises becomes one sentence.
+A bag is untrusted input. The type definition of a topic is parsed only if the topic is requested,
+so that one invalid definition does not make the bag unreadable. Every exception of a damaged file
+becomes one sentence.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Bag:
     Attributes:
         path: The file or directory.
         topics: Its topics by name; a name with several types is one topic per type.
-        notes: What had to be worked around.
-        damage: What of it can't be read, one sentence each. `messages` adds what it finds.
+        notes: Problems that were worked around.
+        damage: Unreadable parts, one sentence per part. `messages` adds to it.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Bag:
 
         Args:
             path: A file, or the directory of a rosbag2.
-            advance: Called with the messages done and all messages, now and then.
+            advance: Called repeatedly with the number of messages read and the number of all.
             strict: Whether to verify all that is read, and to refuse what is damaged.
 
         Raises:
@@ -96,8 +96,8 @@ class Bag:
     def blocks(self, readings: Sequence[Reading]) -> Iterator[tuple[Reading, Key, Block]]:
         """Yield all messages of some topics in blocks of one connection, in one pass over the bag.
 
-        What is missing of the messages that the bag counts is told in each reading, when all
-        blocks were taken.
+        After the last block, every reading lists its damage, such as a number of messages that
+        differs from the declared one.
         """
         done = 0
         total = sum(each.topic.declared or 0 for each in readings)
@@ -133,7 +133,7 @@ class Bag:
             reading.damage += self._missing([reading.topic], reading.count)
 
     def findings(self, readings: Sequence[Reading]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the notes and the damage of readings, those of opening the bag included.
+        """Return the notes and the damage of readings, and of opening the bag.
 
         Raises:
             InputError: There is damage, and the bag is read strictly.
@@ -199,7 +199,7 @@ class Bag:
             yield wanted[connection], log_time, payload
 
     def _missing(self, topics: Sequence[Topic], done: int) -> list[str]:
-        """Return what is missing of what the bag counts, given the number of messages read."""
+        """Return one sentence if fewer or more messages were read than the bag declares."""
         counts = [topic.declared for topic in topics]
         total = sum(each or 0 for each in counts)
         if done == total or None in counts:
@@ -277,8 +277,8 @@ def _log_time(message: tuple[Topic, int, bytes]) -> int:
 def _one_sentence(path: Path) -> Iterator[None]:
     """Turn whatever reading a damaged bag raises into one sentence.
 
-    The readers and what they stand on raise a dozen kinds of exceptions for bad input, from their
-    own to bare TypeError, so that every kind is caught here, and only here.
+    The readers and their libraries raise many types of exceptions for invalid input, including
+    TypeError. All of them are caught here, and only here.
     """
     try:
         yield
@@ -292,6 +292,6 @@ def _one_sentence(path: Path) -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what an exception says, on one line."""
+    """Return the message of an exception as one line."""
     said = " ".join(str(error).split()).rstrip(".")
     return said[:300] if " " in said else f"it is damaged ({type(error).__name__} {said[:100]})"

@@ -21,13 +21,13 @@ def holds_bag(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class BagFolder:
-    """What a directory holds, and what it should hold.
+    """The contents of a bag's directory, compared with its metadata.
 
     Attributes:
         files: Of the bag, in order.
         metadata: None where there is none that can be read.
-        notes: What had to be worked around.
-        damage: What is missing, one sentence each.
+        notes: Problems that were worked around.
+        damage: Missing files, one sentence per file.
     """
 
     files: tuple[Path, ...]
@@ -75,12 +75,12 @@ class BagFolder:
 
 
 def _plain(name: str) -> str:
-    """Return a file's name without compression: a player leaves a decompressed copy beside it."""
+    """Return a file's name without compression. Players leave a decompressed copy next to it."""
     return name.removesuffix(_COMPRESSED)
 
 
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
-    """Return each file once: as it is listed, else as it was recorded."""
+    """Return the files without duplicates: as listed, otherwise as recorded."""
     by_plain = {
         _plain(each.name): each for each in sorted(files, key=lambda each: each.name in listed)
     }
@@ -88,7 +88,7 @@ def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
 
 
 def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return notes and damage: what the metadata names and the folder doesn't hold."""
+    """Return notes and damage: files that the metadata lists and the folder does not have."""
     there = {_plain(each.name) for each in folder.iterdir()}
     missing = [each.written for each in metadata.files if _plain(each.name) not in there]
     outside = [each.written for each in metadata.files if each.leads_out]
@@ -103,5 +103,5 @@ def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[st
 
 
 def _split(name: str) -> list[str]:
-    """Return a name in parts that sort as people count: `bag_2` before `bag_10`."""
+    """Return a name in parts that sort by number: `bag_2` before `bag_10`."""
     return re.split(r"(\d+)", name)

@@ -1,4 +1,4 @@
-"""Messages in blocks: many in one buffer, so that no reader holds a Python object for each."""
+"""Messages in blocks: one buffer for many messages, without a Python object per message."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Block:
     """Messages of some connections.
 
     Attributes:
-        earliest: No message of this block, or of a later one, was logged before; ns.
-        connections: (N,) their ids.
+        earliest: Lower bound of the log times in this block and in all later ones, ns.
+        connections: (N,) ids of the connections.
         log_times: (N,) int64, ns.
-        buffer: (B,) the bytes that they lie in.
-        begins: (N,) where each begins.
-        sizes: (N,) bytes.
+        buffer: (B,) bytes that contain the messages.
+        begins: (N,) offsets of the messages in the buffer.
+        sizes: (N,) sizes of the messages, bytes.
     """
 
     earliest: int
@@ -67,11 +67,11 @@ class Block:
         return self[wanted]
 
     def decompressed(self) -> Iterator[Block]:
-        """Yield the messages as they were before a recorder compressed each on its own.
+        """Yield the messages, decompressed if the recorder compressed them one by one.
 
-        No serialisation begins as zstd does, so that no metadata has to say it. What can't be
-        decompressed becomes empty, which is no message of any type. Little data may become much,
-        hence several blocks.
+        The first bytes of zstd occur in no serialisation, so that no metadata is needed. Data that
+        can't be decompressed become an empty message, which no decoder accepts. The result is
+        several blocks of bounded size.
         """
         long = np.flatnonzero(self.sizes >= len(_ZSTD))
         maybe = long[self.buffer[self.begins[long]] == _ZSTD[0]]
@@ -92,15 +92,15 @@ class Block:
                 payloads, begin, size = [], row + 1, 0
 
     def by_connection(self) -> Iterator[tuple[int, Block]]:
-        """Yield the messages of each connection."""
+        """Yield the messages by connection."""
         if len(self) and (self.connections == self.connections[0]).all():
             yield int(self.connections[0]), self
             return
-        for connection in np.unique(self.connections).tolist():
+        for connection in sorted(set(self.connections.tolist())):  # unique imports numpy.ma
             yield connection, self[self.connections == connection]
 
     def compact(self) -> Block:
-        """Return the same messages in a buffer of their own if most of this one isn't theirs."""
+        """Return the same messages in a smaller buffer if they are less than half of this one."""
         if 2 * int(self.sizes.sum()) >= len(self.buffer):
             return self
         size = int(self.sizes[0]) if len(self) else 0
@@ -160,8 +160,8 @@ def merged(
     """Yield the same messages in fewer blocks, without the bytes between them.
 
     Args:
-        blocks: Each with those whose it is; only blocks of the same owners are merged. What an
-            owner gets keeps its order.
+        blocks: Blocks with their owners. Only blocks of the same owners are merged. The order of
+            an owner's messages does not change.
     """
     waiting: dict[tuple[Owner, ...], _Waiting] = {}
     for several, block in blocks:
@@ -178,7 +178,7 @@ def merged(
 
 
 class _Waiting:
-    """Blocks that are not yet worth decoding, with their messages and bytes."""
+    """Blocks that are too small to be decoded yet, with the numbers of messages and bytes."""
 
     def __init__(self) -> None:
         self.blocks: list[Block] = []

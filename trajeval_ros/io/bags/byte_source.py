@@ -13,12 +13,12 @@ GAP = 1 << 16  # bytes between requested ranges that cost less than another read
 
 
 class ByteSource(Protocol):
-    """What can be read at any place.
+    """A source of bytes that can be read at any offset.
 
     Attributes:
-        name: What to call it in a sentence.
+        name: Its name in messages.
         size: Bytes.
-        is_far: Whether an answer takes so long that several should be on their way.
+        is_far: Whether several requests should be sent at once, because answers take long.
     """
 
     name: str
@@ -26,13 +26,13 @@ class ByteSource(Protocol):
     is_far: bool
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return the bytes from an offset on, fewer where the end is near."""
+        """Return `size` bytes from an offset on, fewer at the end."""
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
         """Return the bytes of several ranges (offset, size)."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the source."""
 
 
 class LocalFile:
@@ -47,7 +47,7 @@ class LocalFile:
         self.size = os.fstat(self._file.fileno()).st_size
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return the bytes from an offset on, fewer where the end is near."""
+        """Return `size` bytes from an offset on, fewer at the end."""
         size = max(0, min(size, self.size - offset))
         pieces = []
         while size > 0 and (piece := os.pread(self._file.fileno(), size, offset)):
@@ -66,7 +66,7 @@ class LocalFile:
 
 
 class RemoteFile:
-    """An object in a store that fsspec knows, such as S3."""
+    """An object in a store that fsspec supports, such as S3."""
 
     is_far = True
 
@@ -82,7 +82,7 @@ class RemoteFile:
         self._fetched = current_counter()  # reads may come from other threads
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return the bytes from an offset on, fewer where the end is near."""
+        """Return `size` bytes from an offset on, fewer at the end."""
         end = min(offset + size, self.size)
         if end <= offset:
             return b""
@@ -104,21 +104,21 @@ class RemoteFile:
         """Nothing is open."""
 
 
-class Window:
-    """A part of a source that is in memory, moved on as a walk through it goes."""
+class ByteWindow:
+    """A part of a source in memory, for reading small ranges one after the other."""
 
     def __init__(self, source: ByteSource, size: int) -> None:
         """Start without bytes.
 
         Args:
-            source: What is walked through.
+            source: The source.
             size: Bytes that are read at once.
         """
         self._source, self._size = source, size
         self._begin, self._data = 0, b""
 
     def at(self, offset: int, size: int, end: int) -> bytes:
-        """Return bytes of the source, fewer where the part that is walked through ends."""
+        """Return `size` bytes of the source from an offset on, none after `end`."""
         place = offset - self._begin
         if not 0 <= place <= len(self._data) - size:
             room = min(max(size, self._size), end - offset)

@@ -1,7 +1,7 @@
-"""The steps of a walk through serialised messages, made from a type's definition.
+"""The steps of decoding a message, planned from a type's definition.
 
-Numbers that follow each other keep their distances wherever they begin, as long as none of them is
-aligned coarser than the first: they are one step, however many there are.
+Consecutive numbers have constant distances if none of them has a larger alignment than the first.
+All of them are one step.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from trajeval_ros.io.bags.message_definitions import TEXT, Fields, Kind, Repeated, UnplannedError
 
-_CLOSE = 64  # bytes between columns that are fetched at once
+_CLOSE = 64  # bytes between columns that are copied at once
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class Column:
 
 @dataclass(frozen=True)
 class FixedFields:
-    """Numbers one after the other, at fixed distances from the first.
+    """Consecutive numbers at fixed distances from the first.
 
     Attributes:
-        alignment: Of the first; nothing in it is aligned coarser.
+        alignment: Of the first number, which is the largest one.
         size: Bytes.
-        spans: The wanted columns; those close to each other are fetched at once.
+        spans: The requested columns. Columns close to each other are copied at once.
     """
 
     alignment: int
@@ -51,7 +51,7 @@ class FixedFields:
 
 @dataclass(frozen=True)
 class Span:
-    """Columns of a run that are fetched at once.
+    """Columns of a run that are copied at once.
 
     Attributes:
         offset: From the beginning of the run.
@@ -66,14 +66,14 @@ class Span:
 
 @dataclass(frozen=True)
 class String:
-    """A string; without path it isn't wanted."""
+    """A string. Without path it is skipped."""
 
     path: str | None
 
 
 @dataclass(frozen=True)
 class Elements:
-    """Several of a kind; without path they aren't wanted."""
+    """Several values of one type. Without path they are skipped."""
 
     path: str | None
     steps: tuple[Step, ...]
@@ -83,7 +83,7 @@ class Elements:
 
     @property
     def stride(self) -> int | None:
-        """The distance between elements that are all of one size; None if they may not be."""
+        """The distance between elements of equal size; None if sizes can differ."""
         if len(self.steps) == 1 and isinstance(run := self.steps[0], FixedFields):
             return -(-run.size // run.alignment) * run.alignment
         return None
@@ -108,7 +108,7 @@ class _Leaves:
 
 @functools.lru_cache(maxsize=256)
 def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple[Step, ...]:
-    """Return the steps of a walk through the fields."""
+    """Return the steps that decode the fields."""
     steps: list[Step] = []
     run: _Leaves | None = None
     for path, kind in _leaves(fields, ""):
@@ -116,7 +116,7 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
         inner = kind.kind if isinstance(kind, Repeated) and count is not None else kind
         if isinstance(inner, str) and inner != TEXT:
             alignment = min(np.dtype(inner).itemsize, limit)
-            # A run keeps its distances wherever it begins if nothing in it is aligned coarser.
+            # The distances in a run are constant if the first alignment is the largest.
             if run is None or alignment > run.alignment:
                 steps += _finished(run, wanted)
                 run = _Leaves(alignment)
@@ -140,7 +140,7 @@ def steps_of(fields: Fields, wanted: frozenset[str] | None, limit: int) -> tuple
 
 
 def _leaves(fields: Fields, prefix: str) -> list[tuple[str, Kind]]:
-    """Return the paths and kinds of all fields, those of nested messages one by one."""
+    """Return the paths and kinds of all fields, with the fields of nested messages."""
     leaves: list[tuple[str, Kind]] = []
     for name, kind in fields:
         if isinstance(kind, tuple):
@@ -225,7 +225,7 @@ def _span(columns: list[Column]) -> Span:
 
 
 def _found(step: Step, wanted: frozenset[str]) -> set[str]:
-    """Return the wanted paths that a step gives."""
+    """Return the requested paths that a step decodes."""
     if isinstance(step, FixedFields):
         return {path for span in step.spans for path in span.columns}
     if step.path is None:

@@ -1,4 +1,4 @@
-"""Decompression that trusts nobody: bounded, and with what could be had of damaged data."""
+"""Decompression of untrusted data: with a limit, and with the readable part of damaged data."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from pathlib import Path
 from trajeval_ros.exceptions import InputError
 
 _PIECE = 1 << 20  # bytes
-LARGEST_CHUNK = 1 << 26  # bytes that a chunk may become, however well it is compressed
-_LARGEST_WINDOW = 1 << 27  # bytes, which is what `zstd --long` makes
-_LARGEST_FILE = 1 << 30  # bytes that a file may become, however well it is compressed
-LARGEST_RATIO = 500  # to which anything large may grow
+LARGEST_CHUNK = 1 << 26  # bytes that every chunk may have after decompression
+_LARGEST_WINDOW = 1 << 27  # bytes, as `zstd --long` writes
+_LARGEST_FILE = 1 << 30  # bytes that every file may have after decompression
+LARGEST_RATIO = 500  # accepted for larger data
 
 
 def most_of(size: int, floor: int) -> int:
-    """Return the bytes that compressed data may become, given theirs; never less than a floor."""
+    """Return the largest accepted size of decompressed data, at least `floor`, bytes."""
     return max(floor, LARGEST_RATIO * size)
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
-    """Return what can be decompressed, `limit` bytes at most; whoever asks checks that it's all.
+    """Return the readable part of compressed data, at most `limit` bytes. Callers check the size.
 
     Args:
         kind: `zstd`, `lz4`, `bz2` or nothing.
-        data: Compressed, perhaps cut off.
+        data: Compressed data, which can be truncated.
         limit: Bytes.
 
     Raises:
@@ -91,8 +91,8 @@ def decompress_file(path: Path, folder: Path) -> Path:
     """Return the decompressed copy of a file of zstd, made in a folder.
 
     Raises:
-        InputError: It is damaged from its beginning, there is no room for it, or it becomes larger
-            than any recording would.
+        InputError: Nothing of it can be decompressed, the disk is full, or the compression ratio
+            is larger than that of any recording.
     """
     import zstandard
 

@@ -1,4 +1,4 @@
-"""The files that bags are made of, opened by what they begin with."""
+"""The files of a bag, opened by their first bytes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trajeval_ros.io.bags.selection import TopicSelection
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-_HEAD = 16  # bytes that tell what a file is
+_HEAD = 16  # bytes that identify the format
 _SQLITE, _ROS1, _ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
 
 
@@ -24,8 +24,8 @@ class Container(Protocol):
     """An open file of a bag.
 
     Attributes:
-        connections: Topics, by connection, with the number of messages that they should have.
-        damage: What opening it found that can't be read, one sentence each.
+        connections: Topics by connection, with the declared number of messages.
+        damage: Unreadable parts that were found at opening, one sentence per part.
     """
 
     connections: list[Connection]
@@ -45,15 +45,14 @@ class Container(Protocol):
     ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages of some connections, of all selections in one pass over the file.
 
-        Each block comes with the selections that it is for: of its messages, each gets those of
-        its own connections. What can't be read is told in each selection when all blocks were
-        taken.
+        A block is yielded with the selections that have messages in it. After the last block,
+        every selection lists its damage.
 
         Args:
-            selections: Those wanted.
+            selections: The requested connections.
             begin: The first log time wanted, ns.
-            end: The first log time that isn't wanted any more, ns.
-            in_order: Whether blocks must come in order of their earliest log times.
+            end: The first log time after the requested ones, ns.
+            in_order: Whether blocks must be in order of their earliest log times.
         """
 
     def close(self) -> None:

@@ -14,10 +14,9 @@ if TYPE_CHECKING:
 
 
 def definition_text(message_type: str) -> str | None:
-    """Return the definition of a type and of all types in it; None if one isn't known.
+    """Return the definition of a type and of all types in it; None if one is unknown.
 
-    The packages that are installed define their types themselves. Others of ROS are known by
-    rosbags.
+    Installed packages have the definitions of their types. rosbags has those of other ROS types.
 
     Args:
         message_type: Such as `nav_msgs/msg/Odometry`.

@@ -1,6 +1,7 @@
-"""Poses as CDR messages, all of a trajectory at once.
+"""Poses as CDR messages, for all states of a trajectory at once.
 
-The names of frames don't change, so that all messages have one layout: a row of bytes each.
+The names of frames are constant. Therefore all messages have one layout, and a message is one row
+of bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _ENCAPSULATION = np.array([0, 1, 0, 0], dtype=np.uint8)  # little-endian CDR
 
 
 class _MessageLayout:
-    """Where the fields of a message are; alignment counts from behind the encapsulation."""
+    """The positions of a message's fields. Alignment counts from the end of the encapsulation."""
 
     def __init__(self) -> None:
         self._end = 4
@@ -111,7 +112,7 @@ def encode_fixes(stamps: Stamps, fixes: Fixes, frame: str) -> Messages:
 
 
 def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
-    """Return tf2_msgs/TFMessage (N, size) with one transform each, of poses (N, 7).
+    """Return tf2_msgs/TFMessage (N, size) with one transform per message, of poses (N, 7).
 
     Args:
         stamps: (N,).
@@ -160,7 +161,7 @@ def _transforms(
 
 
 def encode_imu(stamps: Stamps, rates: Floats, accelerations: Floats, frame: str) -> Messages:
-    """Return sensor_msgs/Imu (N, size) without orientations, which their covariance says.
+    """Return sensor_msgs/Imu (N, size) without orientations: their covariance starts with -1.
 
     Args:
         stamps: (N,).

@@ -1,7 +1,7 @@
 """Poses, transforms and GNSS fixes by Foxglove's own schemas, in JSON and protobuf.
 
-Neither has fields at a place that could be known before, so that messages are parsed one by one,
-and then become columns as those of ROS do.
+The fields have no fixed positions in either encoding. Therefore messages are parsed one by one and
+then converted to the same columns as messages of ROS.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.io.bags.blocks import block_of
 from trajeval_ros.io.bags.byte_buffers import Buffer
-from trajeval_ros.io.bags.cdr import Columns, StringColumn
+from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
 TRANSFORM_TYPES = ("foxglove.FrameTransform", "foxglove.FrameTransforms")
@@ -51,7 +51,7 @@ _Row = tuple[tuple[int, ...], tuple[str, ...], tuple[float, ...]]
 
 
 def is_decodable(encoding: str) -> bool:
-    """Return whether what it takes to decode an encoding is installed."""
+    """Return whether the packages that decode an encoding are installed."""
     return encoding == "json" or (
         encoding == "protobuf" and find_spec("foxglove_schemas_protobuf") is not None
     )
@@ -77,7 +77,7 @@ class FoxglovePlan:
         return self.decode_at(block.buffer, block.begins, block.sizes)
 
     def decode_at(self, buffer: Buffer, begins: Indices, sizes: Indices) -> Columns:
-        """Return the columns of messages that lie in a buffer; see `Plan.decode_at`."""
+        """Return the columns of messages in a buffer; see `CdrPlan.decode_at`."""
         whole = memoryview(buffer.data)
         good: list[int] = []
         found: list[list[_Row]] = []
@@ -95,7 +95,7 @@ class FoxglovePlan:
         return Columns(rows, {}, {}, {"transforms": elements})
 
     def _rows(self, message: Any) -> list[_Row]:
-        """Return what a message holds.
+        """Return the rows of a message.
 
         Raises:
             AttributeError: A field is missing.
@@ -161,7 +161,7 @@ class FoxglovePlan:
 def _texts(column: list[str]) -> StringColumn:
     codes: dict[str, int] = {}
     rows = [codes.setdefault(name, len(codes)) for name in column]
-    # JSON may hold halves of characters, which nobody could print.
+    # JSON can contain lone surrogates, which can't be printed.
     names = tuple(name.encode("utf-8", "replace").decode() for name in codes)
     return StringColumn(names, np.array(rows, dtype=np.int64))
 

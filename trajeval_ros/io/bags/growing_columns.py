@@ -1,4 +1,4 @@
-"""Poses of a topic while they are read, in columns that grow where they are."""
+"""Poses of a topic while they are read, in columns that grow in place."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class GrowingPoses:
 
 
 class _Column:
-    """Rows that are added to. Small arrays put together in the end would take twice the memory."""
+    """Rows that grow in place. Concatenating small arrays at the end takes twice the memory."""
 
     def __init__(self, like: NDArray[Any], expected: int) -> None:
         shape = like.shape[1:]
@@ -95,5 +95,5 @@ class _Column:
         return self._rows
 
     def _resize(self, count: int) -> None:
-        # In place: of large arrays only the page table changes. Nobody else has a view of them.
+        # Large arrays are not copied, only the page table changes. No other view exists.
         self._rows.resize((count, *self._rows.shape[1:]), refcheck=False)

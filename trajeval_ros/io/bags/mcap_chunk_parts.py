@@ -21,8 +21,8 @@ from trajeval_ros.io.bags.mcap_records import (
     head_of,
 )
 
-_TAIL = 4096  # bytes read for the last message of a run, whose length isn't known before
-_WORTHWHILE = 0.5  # of a chunk; what needs more is read whole, and verified
+_TAIL = 4096  # bytes read for the last message of a run, whose length is unknown
+_WORTHWHILE = 0.5  # of a chunk; above, the whole chunk is read and verified
 
 
 def index_range(chunk: Chunk, wanted: Collection[int]) -> tuple[int, int]:
@@ -33,10 +33,10 @@ def index_range(chunk: Chunk, wanted: Collection[int]) -> tuple[int, int]:
 
 
 def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
-    """Return the wanted messages by a chunk's message index; their sizes are unknown, -1.
+    """Return the requested messages of a chunk's message index, with unknown sizes (-1).
 
     Raises:
-        DamagedError: An index isn't where it should be.
+        DamagedError: An index is not at its declared position.
     """
     places = {channel: at for channel, at in chunk.indexes.items() if channel in wanted}
     begin, room = index_range(chunk, wanted)
@@ -71,16 +71,16 @@ def index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> Messa
 def measured(
     data: bytes | memoryview, messages: MessageIndex, limit: int, shift: int = 0
 ) -> MessageIndex:
-    """Return messages with their sizes, which the records in memory say.
+    """Return messages with the sizes of their records.
 
     Args:
         data: Bytes of a chunk.
         messages: By its index, in order of their offsets.
-        limit: Where the chunk ends.
-        shift: Where in the chunk the data begin.
+        limit: Size of the chunk.
+        shift: Position of the data in the chunk.
 
     Raises:
-        DamagedError: A record isn't a message of that channel and time, or overlaps the next.
+        DamagedError: A record has another type, channel or time, or overlaps the next one.
     """
     if not len(messages):
         return messages
@@ -106,7 +106,7 @@ def measured(
 
 
 def runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | None:
-    """Return the byte ranges (begin, end) of a chunk worth reading; None means all of it."""
+    """Return the byte ranges (begin, end) of a chunk to read; None means the whole chunk."""
     if chunk.compression or chunk.is_cut or not len(messages):
         return None
     first, last = int(messages.offsets[0]), int(messages.offsets[-1])
@@ -128,7 +128,7 @@ def partial(
     """Return wanted messages of an uncompressed chunk without reading all of it.
 
     Raises:
-        DamagedError: A record isn't what the index says.
+        DamagedError: A record differs from the index.
     """
     base = chunk.data_offset
     pieces = source.read_all([(base + begin, end - begin) for begin, end in runs])

@@ -31,12 +31,12 @@ Range = tuple[int, int]  # offset and size, bytes
 
 @dataclass(frozen=True)
 class Share:
-    """What selections get of one piece of a file.
+    """Messages of some selections from one piece of a file.
 
     Attributes:
-        selections: Whose it is.
-        block: Their messages, or why they can't be read.
-        is_partial: Whether the chunk had not to be read whole for them, and was not verified.
+        selections: The selections.
+        block: Their messages, or the reason why they can't be read.
+        is_partial: Whether the chunk was read in part, without verification.
     """
 
     selections: Sequence[TopicSelection]
@@ -47,10 +47,10 @@ class Share:
 def read_chunk(
     source: ByteSource, chunk: Chunk, selections: Sequence[TopicSelection], *, strict: bool
 ) -> list[Share]:
-    """Return what each selection gets of a chunk.
+    """Return the messages of all selections in a chunk.
 
-    Each gets what it would get alone: whether a chunk is read in part, and what is lost where it
-    is damaged, is decided for each selection by itself.
+    The result of a selection does not depend on the others. Whether the chunk is read in part, and
+    which messages are lost by damage, is determined per selection.
 
     Args:
         source: The file.
@@ -79,11 +79,11 @@ class _Reading:
         self._walked: tuple[MessageIndex, bool] | None = None
 
     def together(self, selections: Sequence[TopicSelection]) -> Share | None:
-        """Return what all selections get, looked up and measured as one.
+        """Return the messages of all selections, looked up in one pass.
 
         Returns:
-            None if each must be looked at by itself: not all of them read the chunk in part, or
-            not all of them whole, or something is wrong. What is in memory then stays there.
+            None if the selections must be read one by one, because only some of them need the
+            whole chunk, or because of damage. The bytes in memory are then used again.
         """
         if not self._is_indexed:
             return None
@@ -110,7 +110,7 @@ class _Reading:
         return Share(selections, block, is_partial)
 
     def shares_of(self, selection: TopicSelection) -> Iterator[Share]:
-        """Yield what a selection gets."""
+        """Yield the messages of one selection."""
         chunk, indexed = self._chunk, None
         if self._is_indexed and not selection.connections.isdisjoint(chunk.indexes):
             try:
@@ -119,7 +119,7 @@ class _Reading:
                     yield Share([selection], partial(self._source, chunk, indexed, runs), True)
                     return
             except DamagedError:
-                indexed = None  # the chunk itself may be well
+                indexed = None  # the chunk itself can be intact
         try:
             data = self._data()
         except DamagedError as error:
@@ -153,9 +153,9 @@ class _Reading:
 
 
 class _HeldBytes:
-    """A source of which some ranges are in memory already."""
+    """A source with some ranges in memory."""
 
-    is_far = False  # what is held comes at once
+    is_far = False  # bytes in memory have no latency
 
     def __init__(self, source: ByteSource) -> None:
         self.name, self.size = source.name, source.size

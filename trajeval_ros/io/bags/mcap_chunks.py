@@ -37,7 +37,7 @@ RECORD_HEAD = HEAD + MESSAGE_HEAD
 
 @dataclass
 class Chunk:
-    """Where a chunk lies, and what is known of it without reading it.
+    """The position of a chunk, and its properties in the index.
 
     Attributes:
         offset: Of its record in the file.
@@ -46,10 +46,10 @@ class Chunk:
         last: Log time of its last one.
         compression: `zstd`, `lz4` or nothing.
         size: Bytes of its records, decompressed.
-        indexes: Where in the file the message index of a channel lies, by channel.
-        index_end: Where those end.
-        channels: Those that it has messages of, as far as they are known; None if they aren't.
-        is_cut: Whether the file ends within.
+        indexes: Offset in the file of the message index, by channel.
+        index_end: Offset of the end of these indexes.
+        channels: Channels with messages in the chunk; None if unknown.
+        is_cut: Whether the file ends within the chunk.
     """
 
     offset: int
@@ -69,15 +69,15 @@ class Chunk:
         return self.offset + HEAD + _TIMES.size + 4 + len(self.compression.encode()) + 8
 
     def may_hold(self, channels: Collection[int]) -> bool:
-        """Return whether it has messages of any of the channels, as far as is known."""
+        """Return whether it can have messages of any of the channels."""
         return self.channels is None or not self.channels.isdisjoint(channels)
 
 
 def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = False) -> Chunk:
-    """Return what the record of a chunk says at its beginning.
+    """Return the chunk that the header of its record describes.
 
     Raises:
-        DamagedError: It is none.
+        DamagedError: The header is damaged.
     """
     head = source.read(offset, HEAD + _TIMES.size + 4 + 64)
     try:
@@ -93,7 +93,7 @@ def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = Fal
 
 
 def require_size(chunk: Chunk) -> None:
-    """Raise DamagedError if a chunk is, or becomes, larger than any that a recorder writes."""
+    """Raise DamagedError if a chunk is larger than the chunks of any recorder."""
     if chunk.length > LARGEST or chunk.size > LARGEST:
         raise DamagedError("a chunk has an invalid size")
     if chunk.compression and chunk.size > most_of(chunk.length, LARGEST_CHUNK):
@@ -101,7 +101,7 @@ def require_size(chunk: Chunk) -> None:
 
 
 def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
-    """Raise InputError if the chunks that may be opened become more than any recording does."""
+    """Raise InputError if the decompressed chunks are larger than any recording."""
     total = 0
     for chunk in chunks:
         with contextlib.suppress(DamagedError):
@@ -115,10 +115,10 @@ def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
 
 
 def whole(source: ByteSource, chunk: Chunk) -> bytes | memoryview:
-    """Return the records of a chunk; of one that is cut off, as many as there are.
+    """Return the records of a chunk; of a truncated one, its first part.
 
     Raises:
-        DamagedError: It can't be decompressed, or isn't what its checksum is of.
+        DamagedError: It can't be decompressed, or its checksum differs.
     """
     require_size(chunk)
     record = memoryview(source.read(chunk.offset, chunk.length))
@@ -148,11 +148,11 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes | memoryview:
 def walked(
     data: bytes | memoryview, registry: Registry | None = None
 ) -> tuple[MessageIndex, bool]:
-    """Return the messages in a chunk's records, and whether these lead to its end.
+    """Return the messages in a chunk's records, and whether all records are complete.
 
     Args:
         data: The records.
-        registry: To which schemas and channels are added.
+        registry: Schemas and channels are added to it.
     """
     found, end = MessageIndexBuilder(), 0
     for opcode, offset, length in records(data):

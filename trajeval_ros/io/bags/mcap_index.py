@@ -1,8 +1,8 @@
-"""MCAP files read by their index: only what holds wanted messages is fetched.
+"""MCAP files, read by their index: only bytes with requested messages are read.
 
-The summary at the end of a file says where its chunks are, a chunk's message index where in it the
-messages of a channel lie. Where the chunk isn't compressed, only those bytes are read. A file
-without summary or footer is walked through from its beginning.
+The summary at the end of a file has the positions of its chunks. The message index of a chunk has
+the positions of a channel's messages. If a chunk is not compressed, only these bytes are read. A
+file without summary or footer is scanned from its start.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from trajeval_ros.io.bags.selection import TopicSelection, all_connections
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-# Bytes. glibc gives memory back to the kernel that is larger than what was freed once, and to have
-# each page of the next chunk mapped again costs as much as decompressing it.
+# Bytes. glibc returns freed memory to the kernel above a threshold: the largest size freed so far.
+# Mapping the pages of every chunk again takes as long as its decompression.
 _KEPT = 16 << 20
 _DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
 _IN_FLIGHT = 1 << 28  # bytes of the chunks that are in memory at once, unless one has more
@@ -96,7 +96,7 @@ class McapReader:
         return min(first for first, _ in times), max(last for _, last in times)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._source.close()
 
     def blocks(
@@ -143,14 +143,13 @@ class McapReader:
             for share in shares:
                 if isinstance(share.block, str):
                     for selection in share.selections:
-                        # If an index says that it has none of them, their count tells whether
-                        # that's true.
+                        # If an index lists none of the messages, the declared count shows losses.
                         if not isinstance(place, Chunk) or place.may_hold(selection.connections):
                             lost[selection][share.block] += 1
                     continue
                 if share.is_partial:
                     partial.update(share.selections)
-                # For all of them if it is for all that are in the chunk: so blocks are merged.
+                # All selections, if it is for all in the chunk: such blocks can be merged.
                 owners = selections if len(share.selections) == len(own) else share.selections
                 if len(block := share.block.within(begin, end)):
                     yield owners, block
@@ -169,7 +168,7 @@ class McapReader:
                 )
 
     def _load(self, piece: Piece) -> list[Share]:
-        """Return what selections get of a chunk, or of messages outside of chunks."""
+        """Return the messages of the selections in a chunk or outside of chunks."""
         _, place, selections = piece
         if isinstance(place, Chunk):
             return read_chunk(self._source, place, selections, strict=self._strict)
@@ -179,7 +178,7 @@ class McapReader:
             return [Share(selections, str(error))]
 
     def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
-        """Yield the wanted messages outside of chunks, in runs that make a block each."""
+        """Yield the requested messages outside of chunks, in runs of one block."""
         loose = of_channels(self._messages, wanted)
         loose = loose[np.argsort(loose.log_times, kind="stable")]
         groups = np.cumsum(loose.sizes) // BYTES + np.arange(len(loose)) // ROWS
@@ -215,7 +214,7 @@ class McapReader:
         )
 
     def _verify_data(self) -> None:
-        """Hold the bytes of a file with messages outside of chunks against their checksum."""
+        """Verify the checksum of a file with messages outside of chunks."""
         checksum, offset = 0, 0
         end, expected = data_end(self._source)
         while expected and offset < end:
@@ -234,7 +233,7 @@ def _room_of(piece: Piece) -> int:
 def _prefetched(
     load: Callable[[S], T], pieces: Iterable[S], room_of: Callable[[S], int], threads: int
 ) -> Iterator[T]:
-    """Yield what is loaded, in order, while the next are loaded by other threads."""
+    """Yield the loaded pieces in order, while threads load the next ones."""
     waiting: deque[tuple[int, Future[T]]] = deque()
     in_flight = 0
     with ThreadPoolExecutor(threads) as pool:

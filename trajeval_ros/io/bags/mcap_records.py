@@ -1,4 +1,4 @@
-"""Records of MCAP: framing by hand, since damaged files need it; contents by the mcap package."""
+"""Records of MCAP. Our code reads their framing, for damaged files; mcap parses their contents."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _MESSAGE = struct.Struct("<HIQ")
 
 
 class NoIndexError(DamagedError):
-    """A file has no index, as it may.
+    """A file has no index, which the format allows.
 
     Attributes:
-        counts: Number of messages by channel, as far as its statistics count them.
+        counts: Number of messages by channel, from its statistics.
     """
 
     def __init__(self, counts: Mapping[int, int] | None = None) -> None:
-        """Keep what is known without an index."""
+        """Create the error."""
         super().__init__("it has no index")
         self.counts = counts or {}
 
 
 @dataclass
 class MessageIndex:
-    """Where messages lie: in a chunk, or in a file.
+    """Positions of messages in a chunk or in a file.
 
     Attributes:
         channels: (N,) ids.
@@ -71,18 +71,18 @@ class MessageIndex:
 
 
 class MessageIndexBuilder:
-    """`MessageIndex` while they are found, one by one."""
+    """Collects messages one by one into a `MessageIndex`."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[int, int, int, int]] = []
 
     def add(self, record: bytes | memoryview, place: int, offset: int, length: int) -> None:
-        """Add the message whose record's content begins at a place of `record`."""
+        """Add the message whose content starts at a place of `record`."""
         channel, _, log_time = _MESSAGE.unpack_from(record, place)
         self.rows.append((channel, log_time, offset, length - MESSAGE_HEAD))
 
     def done(self) -> MessageIndex:
-        """Return what was found."""
+        """Return the messages."""
         columns = np.array(self.rows, dtype=np.uint64).reshape(-1, 4).astype(np.int64).T
         return MessageIndex(*columns)
 
@@ -95,10 +95,10 @@ class Registry:
     channels: dict[int, Channel] = field(default_factory=dict)
 
     def add(self, opcode: int, content: bytes | memoryview) -> None:
-        """Add what a record of a schema or channel says; the first of an id holds.
+        """Add a schema or channel from its record. The first record of an id is used.
 
         Raises:
-            DamagedError: The record is none.
+            DamagedError: The record is damaged.
         """
         from mcap.data_stream import ReadDataStream
         from mcap.records import Channel, Schema
@@ -111,11 +111,11 @@ class Registry:
             elif opcode == CHANNEL:
                 channel = Channel.read(stream)
                 self.channels.setdefault(channel.id, channel)
-        except Exception as error:  # of half a dozen kinds, by what is damaged
+        except Exception as error:  # of many types, depending on the damage
             raise DamagedError("a schema or channel is damaged") from error
 
     def connections(self, counts: dict[int, int], owner: object) -> list[Connection]:
-        """Return the channels as connections, with the messages that each is said to have."""
+        """Return the channels as connections, with their declared numbers of messages."""
         return [
             _connection(channel, self.schemas.get(channel.schema_id), counts, owner)
             for channel in self.channels.values()

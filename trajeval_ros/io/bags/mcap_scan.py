@@ -1,8 +1,8 @@
-"""A walk through the records of an MCAP file: all of them, or those that no index tells of.
+"""A scan of the records of an MCAP file: of all, or of those outside of the indexed chunks.
 
-Only the heads of records are read, and what stands beside them; payloads are passed over. A chunk
-that no summary lists is opened to see what it holds: the message indexes behind it may be missing,
-as when a recorder was killed between them.
+Only the headers of records are read. Payloads are skipped. A chunk that is not in the summary is
+opened to list its messages. Its message indexes can be incomplete, for example if the recorder was
+killed while it wrote them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.bags.byte_source import ByteSource, Window
+from trajeval_ros.io.bags.byte_source import ByteSource, ByteWindow
 from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, walked, whole
 from trajeval_ros.io.bags.mcap_records import (
@@ -33,20 +33,20 @@ from trajeval_ros.io.bags.mcap_records import (
 )
 
 _WINDOW = 1 << 16  # bytes
-_NEAR = HEAD + MESSAGE_HEAD  # bytes of a record that are looked at
+_NEAR = HEAD + MESSAGE_HEAD  # bytes read of a record
 
 
 @dataclass
 class Scan:
-    """What a walk found.
+    """The result of a scan.
 
     Attributes:
         registry: Schemas and channels.
-        chunks: All chunks; the last may be cut off.
-        messages: Those outside of chunks; offsets are of the file.
-        counts: Number of messages by channel, those in chunks included.
-        end: Where the walk ended.
-        damage: What can't be followed, or read of what was found.
+        chunks: All chunks. The last one can be truncated.
+        messages: Messages outside of chunks, with offsets in the file.
+        counts: Number of messages by channel, in chunks and outside.
+        end: Offset where the scan ended.
+        damage: Damage found by the scan, one sentence per place.
     """
 
     registry: Registry = field(default_factory=Registry)
@@ -58,17 +58,17 @@ class Scan:
 
 
 class _Walk:
-    """A walk while it goes on."""
+    """A scan in progress."""
 
     def __init__(self, source: ByteSource, found: Scan) -> None:
         self._source = source
         self._found = found
-        self._window = Window(source, _WINDOW)
+        self._window = ByteWindow(source, _WINDOW)
         self._growing = MessageIndexBuilder()
-        self.opened: list[Chunk] = []  # chunks that no summary lists
+        self.opened: list[Chunk] = []  # chunks that are not in the summary
 
     def through(self, begin: int, end: int) -> None:
-        """Walk through a part of the file, as far as its records can be followed."""
+        """Scan a part of the file up to the first invalid record."""
         found = self._found
         found.end = begin
         while found.end < end:
@@ -93,7 +93,7 @@ class _Walk:
             found.damage.append("it is truncated")
 
     def _add(self, opcode: int, head: bytes, size: int, *, is_cut: bool) -> None:
-        """Add what a record says; one of a kind that isn't known is passed over."""
+        """Add the contents of a record. Records of unknown type are skipped."""
         offset = self._found.end
         if opcode == CHUNK:
             self.opened.append(chunk_at(self._source, offset, size, is_cut=is_cut))
@@ -108,7 +108,7 @@ class _Walk:
             self._found.registry.add(opcode, record[HEAD:])
 
     def done(self) -> None:
-        """Open the chunks that were found, and count all messages."""
+        """Open the chunks without an index, and count all messages."""
         found = self._found
         require_budget(self._source, [*found.chunks, *self.opened])
         found.messages = self._growing.done()
@@ -117,7 +117,7 @@ class _Walk:
             try:
                 messages, is_whole = walked(whole(self._source, chunk), found.registry)
             except DamagedError:
-                continue  # is told when it is read
+                continue  # reported when it is read
             if is_whole or chunk.is_cut:
                 chunk.channels = frozenset(messages.channels.tolist())
             counts.update(messages.channels.tolist())
@@ -134,10 +134,10 @@ class _Walk:
 
 
 def scan(source: ByteSource) -> Scan:
-    """Walk through a file, as far as its records can be followed.
+    """Scan a file up to the first invalid record.
 
     Raises:
-        InputError: It would become far larger than any recording does.
+        InputError: Its chunks are compressed more than those of any recording.
     """
     found = Scan()
     walk = _Walk(source, found)
@@ -147,15 +147,15 @@ def scan(source: ByteSource) -> Scan:
 
 
 def add_unlisted(source: ByteSource, found: Scan, end: int) -> None:
-    """Add what is beside the chunks that a summary lists: messages, and other chunks.
+    """Add messages and chunks that the summary does not list.
 
     Args:
         source: The file.
-        found: What its summary says.
-        end: Where its data end.
+        found: The contents of its summary.
+        end: Offset of the end of its data.
 
     Raises:
-        InputError: It would become far larger than any recording does.
+        InputError: Its chunks are compressed more than those of any recording.
     """
     walk = _Walk(source, found)
     begin = len(MAGIC)

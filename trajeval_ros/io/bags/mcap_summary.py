@@ -1,4 +1,4 @@
-"""The summary at the end of an MCAP file, and the checksum of what is before it."""
+"""The summary at the end of an MCAP file, and the checksum of the data before it."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ END_SIZE = FOOTER_SIZE + len(MAGIC)
 
 
 def read_summary(source: ByteSource) -> tuple[Scan, tuple[int, int] | None]:
-    """Return what the summary says of a file, and the first and last log time.
+    """Return the contents of the summary, and the first and last log time.
 
     Raises:
-        DamagedError: It has none that says where all messages are.
-        InputError: It is no MCAP at all.
+        DamagedError: The file has no valid summary with the positions of all messages.
+        InputError: The file is not MCAP.
     """
     if source.read(0, len(MAGIC)) != MAGIC:
         raise InputError(f"{source.name} is not MCAP")
@@ -76,7 +76,7 @@ def _parsed(data: bytes, size: int) -> tuple[Scan, tuple[int, int] | None]:
                 found.chunks.append(
                     _chunk_of(ChunkIndex.read(ReadDataStream(io.BytesIO(content))))
                 )
-        except Exception as error:  # of half a dozen kinds, by what is damaged
+        except Exception as error:  # of many types, depending on the damage
             raise DamagedError("the summary is damaged") from error
     if any(chunk.offset + chunk.length > size for chunk in found.chunks):
         raise DamagedError("the summary lists missing chunks")
@@ -117,7 +117,7 @@ def _chunk_of(index: Any) -> Chunk:
 
 
 def data_end(source: ByteSource) -> tuple[int, int]:
-    """Return where the data end, and their checksum, 0 if there is none."""
+    """Return the end of the data and their checksum; 0 without checksum."""
     tail = source.read(max(0, source.size - END_SIZE), END_SIZE)
     start = int.from_bytes(tail[HEAD : HEAD + 8], "little")
     end = (start or source.size - END_SIZE) - HEAD - 4

@@ -1,7 +1,6 @@
-"""What the fields of a message are: the standard types, and those that a bag defines itself.
+"""The fields of messages: of standard types, and of types that a bag defines.
 
-The usual types are written down here, so that live messages are decoded without any library that
-would have to be imported first.
+The standard types are listed here, so that live messages are decoded without importing a library.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ TEXT = "text"
 
 @dataclass(frozen=True)
 class Repeated:
-    """Several of a kind: as many as `count` says, or as the message says if it is None."""
+    """Several values of one kind: `count` values, or None for a count in the message."""
 
     kind: Kind
     count: int | None = None
 
 
-# A number (numpy's name of it, such as "f8"), `TEXT`, the fields of a message, or several of one.
+# A numpy type such as "f8", `TEXT`, the fields of a message, or a repeated kind.
 Kind = Union[str, "Fields", Repeated]  # evaluated at run time
 Fields = tuple[tuple[str, Kind], ...]
 
 
 class UnplannedError(Exception):
-    """A type has fields that can't be decoded by column, or lacks one that is wanted."""
+    """A type has fields that can't be decoded by column, or lacks a requested field."""
 
 
 _XYZ: Fields = (("x", "f8"), ("y", "f8"), ("z", "f8"))
@@ -110,7 +109,7 @@ def full_name(message_type: str) -> str:
 
 
 def ros1_fields(fields: Fields) -> Fields:
-    """Return standard fields as ROS 1 has them: its headers count, and times have no sign."""
+    """Return standard fields as in ROS 1: headers have `seq`, and times are unsigned."""
     return tuple((name, _ros1_kind(kind)) for name, kind in fields)
 
 
@@ -123,10 +122,10 @@ def _ros1_kind(kind: Kind) -> Kind:
 
 
 def fields_of(types: Typesdict, message_type: str) -> Fields:
-    """Return the fields of a type, by types that rosbags has parsed.
+    """Return the fields of a type that rosbags has parsed.
 
     Raises:
-        UnplannedError: A field is of a kind that can't be decoded by column, or of no known type.
+        UnplannedError: A field can't be decoded by column, or its type is unknown.
     """
     if message_type not in types:
         if message_type in _TIMES:
@@ -138,7 +137,7 @@ def fields_of(types: Typesdict, message_type: str) -> Fields:
 
 
 def recorded_fields(connection: Connection) -> Fields | None:
-    """Return the fields of a connection's type by its own definition, None if that is no help."""
+    """Return the fields of a connection's type by its own definition; None if that is invalid."""
     definition = connection.msgdef
     return _recorded_fields(definition.format.name, definition.data, connection.msgtype)
 
@@ -149,15 +148,15 @@ def _recorded_fields(language: str, text: str, message_type: str) -> Fields | No
         return STANDARD[message_type]
     try:
         return fields_of(types_in(language, text, message_type), message_type)
-    except Exception:  # rosbags raises half a dozen kinds for a definition that is none
+    except Exception:  # rosbags raises many types for an invalid definition
         return None
 
 
 def is_standard(text: str, message_type: str) -> bool:
     """Return whether a definition in the language MSG has the standard fields of a type.
 
-    Most do, and to compare costs a hundredth of what it costs to parse. What isn't understood,
-    such as constants, is not standard.
+    Most have. The comparison takes a hundredth of the time of parsing. Definitions with other
+    elements, such as constants, are not standard.
     """
     if message_type not in STANDARD:
         return False
@@ -170,7 +169,7 @@ def is_standard(text: str, message_type: str) -> bool:
 
 
 def _has_fields(sections: dict[str, str], name: str, fields: Fields) -> bool:
-    """Return whether a message of several definitions has certain fields, and no others."""
+    """Return whether a message of several definitions has exactly the given fields."""
     if name not in sections:
         return name in _TIMES and fields == _STAMP
     lines = [line.partition("#")[0].split() for line in sections[name].splitlines()]
@@ -197,7 +196,7 @@ def _has_fields(sections: dict[str, str], name: str, fields: Fields) -> bool:
 
 
 def types_in(language: str, text: str, message_type: str) -> Any:
-    """Return the types that a recorded definition holds, in the language `MSG` or `IDL`."""
+    """Return the types of a recorded definition, in the language `MSG` or `IDL`."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     if language == "MSG":

@@ -1,4 +1,4 @@
-"""metadata.yaml of a rosbag2: what its directory should hold."""
+"""metadata.yaml of a rosbag2: the files and messages of its directory."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FilePath:
-    """A file of a bag, as its metadata.yaml writes it.
+    """A file of a bag, as written in its metadata.yaml.
 
-    Up to version 3 the path begins with the folder's name, which may have changed since. Any
-    recorder's may be of another machine, or of another system.
+    Up to version 3 the path starts with the former name of the folder. Paths can be of another
+    machine or operating system.
 
     Attributes:
         written: The path.
@@ -29,12 +29,12 @@ class FilePath:
 
     @property
     def name(self) -> str:
-        """The file's name: all that tells where it is in the folder."""
+        """The file's name in the folder."""
         return self._parts[-1]
 
     @property
     def leads_out(self) -> bool:
-        """Whether the path would leave the bag's folder."""
+        """Whether the path is outside of the bag's folder."""
         return ".." in self._parts or not self._parts[0] or self._parts[0].endswith(":")
 
     @property
@@ -44,7 +44,7 @@ class FilePath:
 
 @dataclass(frozen=True)
 class Metadata:
-    """What a metadata.yaml says, of versions 1 (Foxy) to 9 (Rolling).
+    """The contents of a metadata.yaml, of versions 1 (Foxy) to 9 (Rolling).
 
     Attributes:
         files: Of the bag.
@@ -56,10 +56,10 @@ class Metadata:
 
 
 def read_metadata(path: Path) -> Metadata:
-    """Return what a metadata.yaml says.
+    """Return the contents of a metadata.yaml.
 
     Raises:
-        InputError: It is none; the message says why.
+        InputError: The file is invalid.
     """
     found = read_mapping(path, "information about a bag", is_generated=True)
     try:
@@ -84,12 +84,12 @@ def read_metadata(path: Path) -> Metadata:
 
 
 def qos_of(profiles: Any) -> list[Qos]:
-    """Return the quality of service that was offered, nothing where it can't be understood."""
+    """Return the offered quality of service, an empty list if it is invalid."""
     if not profiles:
         return []
     from rosbags.rosbag2.metadata import parse_qos
 
     try:
         return parse_qos(profiles)
-    except Exception:  # what a damaged profile raises is up to chance
+    except Exception:  # of many types, depending on the damage
         return []

@@ -1,4 +1,4 @@
-"""When recorded messages are due again: bag time as a function of a monotonic clock."""
+"""The times at which recorded messages are played: bag time by a monotonic clock."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from typing import Generic, TypeVar
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 TICK_S = 0.01
-_SHORTEST_SLEEP_S = 0.001  # what is due within is sent at once: a wake-up costs as much as sending
+_SHORTEST_SLEEP_S = (
+    0.001  # messages due sooner are sent at once: a wake-up takes as long as sending
+)
 
 ChannelT = TypeVar("ChannelT", bound=Hashable)
 
 
 @dataclass
 class PlaybackResult(Generic[ChannelT]):
-    """What was played.
+    """Result of a playback.
 
     Attributes:
         counts: Number of messages by channel.
@@ -27,7 +29,7 @@ class PlaybackResult(Generic[ChannelT]):
         waited_s: How long sending waited for subscribers, seconds.
         reached_ns: Bag time of the end.
         took_s: How long it took, seconds.
-        is_complete: Whether it came to the end, not stopped before.
+        is_complete: Whether all messages were played.
     """
 
     counts: Counter[ChannelT] = field(default_factory=Counter)
@@ -47,22 +49,23 @@ def play(
     tick: Callable[[int], None],
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> PlaybackResult[ChannelT]:
-    """Publish messages when they are due; what is late is published at once, never left out.
+    """Publish messages when they are due. Late messages are published at once, none is skipped.
 
-    While sending waits for subscribers, bag time stands still. Otherwise all that became due
-    meanwhile would be sent at once to those that are behind already.
+    Bag time stops while sending waits for subscribers. Otherwise slow subscribers receive all
+    messages of that time at once.
 
     Args:
         messages: Bag time in ns, channel and payload, in order of time.
         begin_ns: Bag time of the beginning.
         rate: Seconds of bag time per second.
         publish: Sends a message; returns how long it waited for subscribers, seconds.
-        tick: Told the bag time every `TICK_S`; it never goes back, nor past a message unsent.
-        is_stopped: Asked at least every `TICK_S` while waiting.
+        tick: Called with the bag time every `TICK_S`. It never decreases, and never passes a
+            message that is not sent.
+        is_stopped: Called at least every `TICK_S` while waiting.
     """
     played: PlaybackResult[ChannelT] = PlaybackResult(reached_ns=begin_ns)
     stream = iter(messages)
-    opening = list(itertools.islice(stream, 1))  # opening the bag must not make its message late
+    opening = list(itertools.islice(stream, 1))  # the time to open the bag is not counted
     began = next_tick = time.monotonic()
     for time_ns, channel, payload in itertools.chain(opening, stream):
         due = began + (time_ns - begin_ns) / NANOSECONDS / rate

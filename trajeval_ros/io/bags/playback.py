@@ -1,4 +1,4 @@
-"""What of a bag is played again: which topics, under which names, from when to when."""
+"""The part of a bag that is played: topics, their names, and the time window."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajeval_ros.io.bags.recorded_topic import Topic
 from trajeval_ros.io.bags.ros1_to_cdr import Convert, converter, is_ros1, ros2_type
 
 CLOCK_TOPIC = "/clock"
-_SHORTEST = 4  # bytes: CDR begins with as many that say how the others are encoded
+_SHORTEST = 4  # bytes of the encapsulation of CDR
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class Channel:
         topic: As it was recorded.
         name: As ROS 2 allows it.
         type: As ROS 2 calls it.
-        is_latched: Whether subscribers that come late get what was published before.
-        convert: Makes CDR of what was recorded; None if it is CDR.
+        is_latched: Whether late subscribers get earlier messages.
+        convert: Converts recorded messages to CDR; None if they are CDR.
     """
 
     topic: Topic
@@ -40,11 +40,11 @@ class Playback:
     """The messages of an open bag that are to be played, in order of their log times.
 
     Attributes:
-        channels: What is played.
-        notes: What isn't played as it was recorded, and why.
+        channels: The channels that are played.
+        notes: Differences from the recording, with reasons.
         begin_ns: The log time at which it begins.
         end_ns: The last log time.
-        damaged: Number of messages passed over so far.
+        damaged: Number of messages skipped so far.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class Playback:
         end_s: float | None = None,
         with_clock: bool = True,
     ) -> None:
-        """Choose what is played.
+        """Choose the channels and the time window.
 
         Args:
             bag: An open bag.
             is_known: Whether messages of a type can be published on this machine.
-            topics: Names of those wanted; none means all.
+            topics: Names of the requested topics; empty means all.
             start_s: Where to begin, seconds from the bag's beginning.
             end_s: Where to end, seconds from the bag's beginning; None means its end.
-            with_clock: Whether the clock is published, so that a recorded one must not be.
+            with_clock: Whether the clock is published instead of a recorded one.
 
         Raises:
             InputError: There is no such topic, one can't be published, or nothing can.
@@ -85,7 +85,7 @@ class Playback:
         return (self.end_ns - self.begin_ns) / NANOSECONDS
 
     def messages(self) -> Iterator[tuple[int, Channel, bytes]]:
-        """Yield log time in ns, channel and CDR of each message.
+        """Yield log time in ns, channel and CDR of all messages.
 
         Raises:
             InputError: The bag is damaged.
@@ -97,7 +97,7 @@ class Playback:
             channel = channels[topic.name, topic.type]
             try:
                 cdr = channel.convert(payload) if channel.convert else bytes(payload)
-            except Exception:  # of half a dozen kinds: what a damaged payload raises is chance
+            except Exception:  # of many types, depending on the damage
                 cdr = b""
             if len(cdr) <= _SHORTEST:
                 self.damaged += 1
@@ -107,7 +107,7 @@ class Playback:
     def _choose(
         self, names: Sequence[str], is_known: Callable[[str], bool], *, with_clock: bool
     ) -> list[Channel]:
-        """Return what is played; what isn't is noted, or an error if it was asked for."""
+        """Return the playable channels. Others are noted, and an error if they were requested."""
         path = self._bag.path
         wanted = {"/" + name.lstrip("/") for name in names}
         found = [topic for name in sorted(wanted) for topic in self._bag.find(name)]
@@ -159,11 +159,11 @@ class Playback:
 
 
 def allowed_name(name: str, taken: Collection[str] = ()) -> str:
-    """Return a topic's name with what ROS 2 doesn't allow replaced by underscores.
+    """Return a topic's name with underscores for characters that ROS 2 does not allow.
 
     Args:
         name: As it was recorded.
-        taken: Names that others have.
+        taken: Names of other topics.
     """
     tokens = [re.sub(r"\W+", "_", token, flags=re.ASCII) for token in name.split("/") if token]
     tokens = [f"_{token}" if token[0].isdigit() else token for token in tokens]
@@ -175,7 +175,7 @@ def allowed_name(name: str, taken: Collection[str] = ()) -> str:
 
 
 def _is_latched(topic: Topic) -> bool:
-    """Return whether the topic was recorded as one that subscribers may join late."""
+    """Return whether the recorded publishers were latched."""
     from rosbags.interfaces import ConnectionExtRosbag1, QosDurability
 
     if topic.name.endswith("/tf_static"):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.message_definitions import Fields
 from trajeval_ros.io.bags.pose_messages import PoseColumns
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns, StringColumn
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
@@ -32,8 +33,8 @@ class PoseColumns:
         covariances: (N, 6, 6), position first, or None.
         fix_quality: (N, 11) of fixes: status, type of covariance, and the covariance about east,
             north and up, m^2, row by row; else None.
-        frames: (frame, child frame) as they follow each other, and the first row of each.
-        rows: (N,) int64, which message each pose is from.
+        frames: First row, frame and child frame at every change of the frames.
+        rows: (N,) int64, number of the message of a pose.
         undecodable: Number of messages that can't be decoded.
     """
 
@@ -55,7 +56,7 @@ class TransformColumns:
     Attributes:
         stamps: (N,) int64, nanoseconds, of the headers.
         numbers: (N, 7): translation in metres, quaternion xyzw.
-        rows: (N,) int64, which message each is from.
+        rows: (N,) int64, number of the message of a transform.
     """
 
     stamps: NDArray[np.int64]
@@ -65,7 +66,7 @@ class TransformColumns:
 
 @dataclass(frozen=True)
 class _Paths:
-    """Where a type keeps what a pose is made of; "" or () is nowhere."""
+    """Paths of the fields of a pose in a type; "" or () without such a field."""
 
     position: str | tuple[str, ...]
     quaternion: str = ""
@@ -118,8 +119,8 @@ def decode_poses(
     """Return the poses of messages of ROS 2, by the standard definition of their type.
 
     Args:
-        payloads: The messages in CDR. Nothing is assumed of their bytes: what isn't a message of
-            that type is left out and counted.
+        payloads: The messages in untrusted CDR. Messages that can't be decoded are left out and
+            counted.
         message_type: One of `POSE_TYPES` but `nav_msgs/msg/Path`.
         covariance: Whether to decode the covariances.
     """
@@ -157,8 +158,8 @@ def plan_of(
     """Return how the poses or transforms of a type are decoded.
 
     Args:
-        fields: Of the type, as a bag defines it. Where that is None, or lacks what poses are made
-            of, the standard definition is as good.
+        fields: Of the type, as a bag defines it. The standard definition is used if this is None
+            or lacks a field of a pose.
         message_type: One of `POSE_TYPES` or `TRANSFORM_TYPES`.
         covariance: Whether to decode covariances.
         is_ros1: Whether messages are serialised as by ROS 1.
@@ -175,7 +176,7 @@ def plan_of(
 
 
 def _wanted(message_type: str, *, covariance: bool) -> list[str]:
-    """Return the fields of a type that poses or transforms are made of."""
+    """Return the requested fields of a type of poses or transforms."""
     if message_type == PATH_TYPE:
         return [f"poses.{path}" for path in _OF_A_PATH.wanted(covariance=False)]
     if message_type in TRANSFORM_TYPES:
@@ -184,12 +185,12 @@ def _wanted(message_type: str, *, covariance: bool) -> list[str]:
 
 
 def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
-    """Return decoded columns as poses; of paths, those of all of them.
+    """Return decoded columns as poses; for paths, the poses of all of them.
 
     Args:
         columns: As decoded by `plan_of`.
         message_type: One of `POSE_TYPES`.
-        undecodable: Number of messages that weren't.
+        undecodable: Number of messages that can't be decoded.
     """
     # Foxglove's types have the fields of their counterparts.
     counterpart = _PATHS[FIX_TYPE] if "latitude" in columns.numbers else _OF_A_PATH
@@ -220,7 +221,7 @@ def _stamps_of(columns: Columns) -> NDArray[np.int64]:
 
 
 def _joined(numbers: Mapping[str, NDArray[Any]], paths: str | tuple[str, ...]) -> Floats:
-    """Return the numbers of one field, or those of several beside each other."""
+    """Return the numbers of one field, or of several fields side by side."""
     if isinstance(paths, str):
         return _floats(numbers[paths])
     return _floats(np.column_stack([numbers[path] for path in paths]))
@@ -231,7 +232,7 @@ def _floats(column: NDArray[Any]) -> Floats:
 
 
 def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
-    """Return (frame, child frame) as they follow each other, and the first row of each."""
+    """Return first row, frame and child frame at every change of the frames."""
     names = [name.lstrip("/") for name in frames.names]
     child_names = [name.lstrip("/") for name in children.names] if children else [""]
     if not len(frames.codes):
@@ -293,13 +294,13 @@ def encode_path(
         stamps: (N,) nanoseconds.
         positions: (N, 3), metres.
         quaternions: (N, 4), xyzw.
-        frame: Of the path and of each of its poses.
+        frame: Of the path and of all its poses.
     """
     name = frame.encode() + b"\0"
     header = np.dtype([("stamp", "<i4", 2), ("length", "<u4"), ("name", f"S{len(name)}")])
     count = len(stamps)
-    # Alignment counts from behind the encapsulation. A pose ends at a multiple of eight bytes, so
-    # that all but the first, which begins where it must, have their numbers at the same distance.
+    # Alignment counts from the end of the encapsulation. A pose ends at a multiple of eight bytes.
+    # Therefore all poses after the first one have the same layout.
     first = _aligned(header.itemsize, 4) + 4
     numbers = _aligned(first + header.itemsize, 8)
     stride = _aligned(header.itemsize, 8) + _POSE_SIZE

@@ -13,7 +13,8 @@ from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS
 from trajeval_ros.io.bags.bag import Advance, Bag
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
     Fields,
@@ -35,10 +36,11 @@ _FIELDS = {
 
 
 def decode_rates(payloads: Sequence[bytes | memoryview], message_type: str) -> InertialReadings:
-    """Return what messages of ROS 2 hold, by the standard definition of their type.
+    """Return the readings of ROS 2 messages, by the standard definition of their type.
 
     Args:
-        payloads: In CDR; what is no such message, or isn't finite, is left out and counted.
+        payloads: In CDR. Messages that can't be decoded or are not finite are left out and
+            counted.
         message_type: `sensor_msgs/msg/Imu` or `nav_msgs/msg/Odometry`.
     """
     columns = _plan(message_type).decode(payloads)
@@ -51,10 +53,10 @@ def read_rates(path: Path, name: str, advance: Advance | None = None) -> Inertia
     Args:
         path: A bag.
         name: Of a topic with IMU messages, or with odometry.
-        advance: Called with the messages done and all messages, now and then.
+        advance: Called repeatedly with the number of messages read and the number of all.
 
     Raises:
-        InputError: There is no such topic, it holds something else, or nothing that can be used.
+        InputError: The topic does not exist, has another type, or has no usable message.
     """
     with Bag(path, advance) as bag:
         topic = _topic(bag, name)
@@ -107,7 +109,7 @@ def _plan(message_type: str) -> CdrPlan:
 
 
 def _plan_of(fields: Fields | None, message_type: str, *, is_ros1: bool) -> CdrPlan:
-    """Return how a type is decoded, by its own definition where that will do."""
+    """Return how a type is decoded, by its own definition if that is usable."""
     wanted = [*_STAMP, _FRAME, *_FIELDS[message_type]]
     if fields is not None:
         try:
@@ -119,7 +121,7 @@ def _plan_of(fields: Fields | None, message_type: str, *, is_ros1: bool) -> CdrP
 
 
 def _readings(columns: Columns, message_type: str, count: int) -> InertialReadings:
-    """Return decoded columns, but for what isn't finite."""
+    """Return decoded columns without rows that are not finite."""
     good = _usable(columns, message_type)
     vectors = [np.asarray(columns.numbers[each], float) for each in _FIELDS[message_type]]
     names = columns.texts[_FRAME].names

@@ -1,4 +1,4 @@
-"""Topics of a bag, and what is found wrong in reading them."""
+"""Topics of a bag, and the damage found while reading them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Topic:
     Attributes:
         name: With a slash before it.
         type: Of its messages.
-        declared: The number of messages that the bag says it has, None if it says nothing.
-        connections: Where it is recorded.
+        declared: The number of messages according to the bag, None if unknown.
+        connections: Its connections in the files of the bag.
     """
 
     name: str
@@ -34,14 +34,14 @@ class Topic:
 
     @property
     def count(self) -> int:
-        """The number of its messages; counted if the bag doesn't say it."""
+        """The number of its messages, counted if the bag does not declare it."""
         if self.declared is not None:
             return self.declared
         return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
 
     @property
     def expected(self) -> int:
-        """About as many messages as it has, or more, to reserve memory: nothing is counted."""
+        """An estimate of the number of messages for reserving memory, without counting them."""
         if self.declared is not None:
             return self.declared
         return sum(each.owner.rows for each in self.connections)  # type: ignore[attr-defined]
@@ -65,7 +65,7 @@ class Topic:
 
     @property
     def lacks_protobuf(self) -> bool:
-        """Whether it could be read if what decodes protobuf were installed."""
+        """Whether only the decoder of protobuf is missing."""
         return (
             self.type in foxglove.TYPES
             and not self._is_readable
@@ -86,13 +86,13 @@ class Topic:
 
 @dataclass(eq=False)
 class Reading:
-    """A topic that is read, and what was found wrong in doing so.
+    """A topic that is read, and the damage found.
 
     Attributes:
-        topic: Which one.
+        topic: The topic.
         count: Number of messages read so far.
-        damage: What of it can't be read, one sentence each; known when all is read.
-        notes: What else to know about how it was read.
+        damage: Unreadable parts, one sentence per part; complete after the last message.
+        notes: Other information on the reading.
     """
 
     topic: Topic
@@ -102,5 +102,5 @@ class Reading:
 
 
 def encoding_of(connection: Connection) -> str:
-    """Return how the messages of a connection are serialised: `cdr`, `ros1` or else."""
+    """Return the serialisation of a connection's messages, such as `cdr` or `ros1`."""
     return getattr(connection.ext, "serialization_format", "ros1")

@@ -19,7 +19,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.io.bags.blocks import LARGEST, Block
-from trajeval_ros.io.bags.byte_source import GAP, ByteSource, Window
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
 from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.message_definitions import full_name
@@ -30,8 +30,8 @@ from trajeval_ros.io.bags.ros1_records import (
     CONNECTION,
     ENTRY_SIZE,
     INDEX,
+    BagRecord,
     ChunkIndex,
-    Record,
     fields_at,
     find_messages,
     record_at,
@@ -58,7 +58,7 @@ class _Chunk:
         first: Log time of the first one, ns.
     """
 
-    record: Record
+    record: BagRecord
     compression: str
     size: int
     index: ChunkIndex
@@ -89,7 +89,7 @@ class Ros1Reader:
         self.span: tuple[int, int] | None = None
         self._source = source
         self._chunks: list[_Chunk] = []
-        self._window = Window(source, _HEADS)
+        self._window = ByteWindow(source, _HEADS)
         if source.read(0, len(_MAGIC)) != _MAGIC:
             raise DamagedError("its version is not 2.0")
         head = record_at(self._read, len(_MAGIC), BAG_HEADER)
@@ -180,7 +180,7 @@ class Ros1Reader:
     def _read(self, offset: int, size: int) -> bytes:
         return self._window.at(offset, size, self._source.size)
 
-    def _records(self, offset: int, kind: int, count: int) -> tuple[list[Record], int]:
+    def _records(self, offset: int, kind: int, count: int) -> tuple[list[BagRecord], int]:
         """Return records of one kind in a row, and where they end."""
         records = []
         for _ in range(count):
@@ -188,7 +188,7 @@ class Ros1Reader:
             offset = records[-1].end
         return records, offset
 
-    def _list_chunks(self, infos: Sequence[Record]) -> Counter[int]:
+    def _list_chunks(self, infos: Sequence[BagRecord]) -> Counter[int]:
         """List the chunks with a valid index; return the declared messages by connection."""
         counts: Counter[int] = Counter()
         places = [each.number("chunk_pos", 8) for each in infos]
@@ -242,7 +242,7 @@ class Ros1Reader:
             raise DamagedError("an index points outside its chunk")
         return _Chunk(record, compression, size, index, int(index.log_times.min()))
 
-    def _connection(self, record: Record, counts: Counter[int]) -> Connection:
+    def _connection(self, record: BagRecord, counts: Counter[int]) -> Connection:
         from rosbags.interfaces import (
             Connection,
             ConnectionExtRosbag1,

@@ -26,7 +26,7 @@ Read = Callable[[int, int], bytes]  # the bytes from an offset on, fewer at the 
 
 
 @dataclass(frozen=True)
-class Record:
+class BagRecord:
     """A record of a bag, or the fields in the data of one.
 
     Attributes:
@@ -71,7 +71,7 @@ class Record:
         return (both & 0xFFFFFFFF) * NANOSECONDS + (both >> 32)
 
 
-def record_at(read: Read, offset: int, kind: int | None = None) -> Record:
+def record_at(read: Read, offset: int, kind: int | None = None) -> BagRecord:
     """Return the record at an offset.
 
     Args:
@@ -87,13 +87,13 @@ def record_at(read: Read, offset: int, kind: int | None = None) -> Record:
         raise DamagedError("a record has an invalid size")
     content = read(offset + 4, length + 4)
     header, size = content[:length], _number(content[length:])
-    record = Record(header, _places(header), offset + length + 8, size)
+    record = BagRecord(header, _places(header), offset + length + 8, size)
     if kind is not None and record.number("op", 1) != kind:
         raise DamagedError("a record is misplaced")
     return record
 
 
-def fields_at(read: Read, record: Record) -> Record:
+def fields_at(read: Read, record: BagRecord) -> BagRecord:
     """Return the fields in the data of a connection's record.
 
     Raises:
@@ -104,7 +104,7 @@ def fields_at(read: Read, record: Record) -> Record:
     data = read(record.begin, record.size)
     if len(data) != record.size:
         raise DamagedError("a record is truncated")
-    return Record(data, _places(data), record.begin, record.size)
+    return BagRecord(data, _places(data), record.begin, record.size)
 
 
 def _places(header: bytes) -> dict[str, slice]:
@@ -205,7 +205,7 @@ def find_messages(
     return begins, sizes, valid
 
 
-def _message_at(read: Read, offset: int) -> Record:
+def _message_at(read: Read, offset: int) -> BagRecord:
     """Return the record of a message; a connection's first message comes after its record.
 
     Raises:
@@ -223,7 +223,7 @@ def _message_at(read: Read, offset: int) -> Record:
 
 
 def _alike(
-    data: bytes | memoryview, model: Record, offsets: Indices, index: ChunkIndex
+    data: bytes | memoryview, model: BagRecord, offsets: Indices, index: ChunkIndex
 ) -> tuple[Indices, Indices, Booleans]:
     """Return as `find_messages` those whose record has the layout of a model."""
     header = np.frombuffer(_SIZE.pack(len(model.header)) + model.header, dtype=np.uint8)

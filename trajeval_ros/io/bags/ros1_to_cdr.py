@@ -1,4 +1,4 @@
-"""Messages of ROS 1 as ROS 2 serialises them."""
+"""Messages of ROS 1, converted to the serialisation of ROS 2."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 Convert = Callable[[bytes], bytes]
 
 _RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
-_HEADER = "std_msgs/msg/Header"  # ROS 2's lacks `seq`, which is what makes a message another one
+_HEADER = "std_msgs/msg/Header"  # without `seq` in ROS 2
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
 def ros2_type(message_type: str) -> str:
-    """Return what ROS 2 calls a type of ROS 1."""
+    """Return the name in ROS 2 of a type of ROS 1."""
     return _RENAMED.get(message_type, message_type)
 
 
@@ -29,10 +29,10 @@ def is_ros1(topic: Topic) -> bool:
 
 
 def converter(topic: Topic) -> Convert | None:
-    """Return what makes CDR of a serialised message of ROS 1.
+    """Return a function that converts serialised messages of ROS 1 to CDR.
 
     Returns:
-        None if the type has other fields in ROS 2, so that its bytes would be misread there.
+        None if the type has other fields in ROS 2.
     """
     from rosbags.typesys import Stores, get_typestore
 
@@ -46,7 +46,7 @@ def converter(topic: Topic) -> Convert | None:
         store.register({key: value for key, value in recorded.items() if key not in kept})
         store.register({key: ros2.fielddefs[key] for key in kept if key not in store.fielddefs})
         store.get_msgdef(name)
-    except Exception:  # rosbags raises half a dozen kinds; the usual definition is as good
+    except Exception:  # rosbags raises many types; the standard definition is used instead
         store, name = ros2, ros2_type(name)
         if name not in ros2.fielddefs:
             return None
@@ -58,7 +58,7 @@ def converter(topic: Topic) -> Convert | None:
 
 
 def _layout(store: Typestore, message_type: str) -> list[Any]:
-    """Return the types of all fields, those of nested messages spelled out, without the names."""
+    """Return the types of all fields without names, with the types in nested messages."""
     return [_spelled_out(store, kind) for _, kind in store.fielddefs[message_type][1]]
 
 

@@ -12,15 +12,15 @@ from trajeval_ros.geometry.arrays import Booleans, Indices
 
 @dataclass(eq=False)
 class TopicSelection:
-    """Some connections of a file, and what was found wrong while they were read.
+    """Some connections of a file, and the damage found while reading them.
 
-    Several selections can be read in one pass. `damage` and `notes` of each are the same as if it
-    were read alone: a result must not depend on what else was asked for.
+    Several selections can be read in one pass. The messages, `damage` and `notes` of a selection
+    do not depend on the others.
 
     Attributes:
         connections: Their ids.
-        damage: What can't be read, one sentence each.
-        notes: What else to know about how it was read.
+        damage: Unreadable parts, one sentence per part.
+        notes: Other information on the reading.
     """
 
     connections: frozenset[int]
@@ -35,6 +35,6 @@ def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
 
 def are_of(ids: Indices, wanted: Collection[int]) -> Booleans:
     """Return which of the ids (N,) are of some connections."""
-    if len(wanted) == 1:  # a tenth of the time that isin takes
+    if len(wanted) == 1:  # takes a tenth of the time of isin
         return np.asarray(ids == next(iter(wanted)))
     return np.isin(ids, list(wanted))

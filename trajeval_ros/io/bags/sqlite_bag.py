@@ -6,6 +6,7 @@ import sqlite3
 import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 Place = tuple[int, int]  # of a message in the order of reading: log time or 0, id
 
 _UNKNOWN = -1  # counting reads the whole file
-_FETCHED = 1 << 18  # bytes at once, which stay in a core's cache
+_FETCHED = 1 << 18  # bytes at once, which fit in a core's cache
 _LOG_MAGICS = (0x377F0682, 0x377F0683)
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
 _SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
-_FEW = 16  # rows, as long as nobody knows how large they are
+_FEW = 16  # rows at first, until their size is known
 
 
 class SqliteReader:
@@ -36,11 +37,11 @@ class SqliteReader:
     """
 
     def __init__(self, path: Path, name: str) -> None:
-        """Open the file, and the write-ahead log beside it if there is one.
+        """Open the file, and the write-ahead log next to it if there is one.
 
         Args:
             path: The file.
-            name: What to call it in a sentence.
+            name: Its name in messages.
 
         Raises:
             InputError: It is damaged, or its log can't be read.
@@ -52,7 +53,7 @@ class SqliteReader:
         has_log = log.exists() and log.stat().st_size > 0
         if not has_log:
             refuse_truncated(path, name)
-        # Without a log nobody writes, and sqlite needn't look for locks, which need rights.
+        # Without a log nothing is written, and sqlite needs no locks, which require permissions.
         mode = "mode=ro" if has_log else "immutable=1"
         uri = f"{path.resolve().as_uri()}?{mode}"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
@@ -98,28 +99,29 @@ class SqliteReader:
     def _blocks(
         self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
     ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
-        """Yield the messages that come after a place; None means all."""
+        """Yield the messages after a place; None means all."""
         query, values = window.query(all_connections(selections))
         try:
             rows = self._database.execute(*window.after(query, values, reached))
             count = _FEW
             while some := rows.fetchmany(count):
                 keys, topics, log_times, payloads = zip(*some, strict=True)
-                yield selections, block_of(topics, log_times, payloads)
+                block = block_of(topics, log_times, payloads)
+                yield selections, block
                 reached = window.place(log_times[-1], keys[-1])
-                size = sum(map(len, payloads)) // len(payloads)
+                size = len(block.buffer) // len(block)
                 count = min(ROWS, 1 + _FETCHED // max(size, 1))
         except sqlite3.DatabaseError as error:
             said = f"{self._name} is damaged: {error}"
         else:
             return
-        if len(selections) > 1:  # the damage may be of one of them alone
+        if len(selections) > 1:  # the damage can be of one of them only
             for selection in selections:
                 yield from self._blocks([selection], window, reached)
             return
         (selection,) = selections
         selection.damage.append(said)
-        # What leads to a damaged page leads there again: the rest is asked for one by one.
+        # The same query reaches the damaged page again. The other rows are read one by one.
         left = [
             window.place(log_time, key)
             for log_time, key in self._one_by_one(query, values, selection)
@@ -135,9 +137,9 @@ class SqliteReader:
     def _one_by_one(
         self, query: str, values: tuple[Any, ...], selection: TopicSelection
     ) -> Iterator[tuple[int, int]]:
-        """Yield log time and id of each message that can be had, whatever damage is around it."""
+        """Yield log time and id of all readable messages in a damaged file."""
         last = self.rows
-        # A row has several bytes, so that larger ids than these are leaps, or damage as well.
+        # A row has several bytes. Therefore larger ids are gaps or damage.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
             selection.damage.append(f"{self._name}: ids beyond {most} ignored")
@@ -152,7 +154,7 @@ class SqliteReader:
             return []
 
     def _list_connections(self) -> list[Connection]:
-        """Return the topics, each with the definition of its type if the file has it."""
+        """Return the topics, with the definitions of their types if the file has them."""
         from rosbags.interfaces import (
             Connection,
             ConnectionExtRosbag2,
@@ -195,9 +197,9 @@ class SqliteReader:
             for key, name, kind, serialization, qos in rows
         ]
 
-    @property
+    @cached_property
     def rows(self) -> int:
-        """The largest id of a message: there are as many or fewer; 0 if it can't be read."""
+        """The largest id of a message, which is at least their number; 0 if it can't be read."""
         try:
             ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
         except sqlite3.DatabaseError:
@@ -205,7 +207,7 @@ class SqliteReader:
         return last or 0
 
     def count(self, topic: int) -> int:
-        """Return the number of messages of a topic; 0 if damaged pages are in the way."""
+        """Return the number of messages of a topic; 0 if a page is damaged."""
         if self._counts is None:
             query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
             try:
@@ -221,11 +223,11 @@ class SqliteReader:
 
 @dataclass(frozen=True)
 class _Window:
-    """Which rows of the wanted topics are read, and in what order.
+    """The rows of the requested topics that are read, and their order.
 
     Attributes:
-        begin: The first log time wanted, ns; None means all.
-        end: The first log time that isn't wanted any more, ns; None means all.
+        begin: The first requested log time, ns; None means all.
+        end: The first log time after the requested ones, ns; None means all.
         in_order: Whether they are read in order of their log times.
     """
 
@@ -234,7 +236,7 @@ class _Window:
     in_order: bool
 
     def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
-        """Return the query of the wanted messages, and its values."""
+        """Return the query of the requested messages, and its values."""
         query = (
             "SELECT id, topic_id, CAST(ifnull(timestamp, 0) AS INTEGER), "
             "ifnull(CAST(data AS BLOB), x'') FROM messages "
@@ -250,12 +252,12 @@ class _Window:
     def after(
         self, query: str, values: tuple[Any, ...], place: Place | None
     ) -> tuple[str, tuple[Any, ...]]:
-        """Return the query of the messages behind a place, in order, and its values."""
+        """Return the query of the messages after a place, in order, and its values."""
         if place is not None and self.in_order:
             query, values = f"{query} AND (timestamp, id) > (?, ?)", (*values, *place)
         elif place is not None:
             query, values = f"{query} AND id > ?", (*values, place[1])
-        # The order of time leads from page to page; whoever sorts anyway reads them as they lie.
+        # The order of time reads pages in random order. Other callers read rows as stored.
         return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
 
     def place(self, log_time: int, key: int) -> Place:
@@ -264,15 +266,15 @@ class _Window:
 
 
 def _text(column: str) -> str:
-    """Return a column as text: sqlite lets any row hold anything, such as the text as a blob."""
+    """Return a column as text: every row of sqlite can have any type, such as a blob."""
     return f"ifnull(CAST({column} AS TEXT), '')"
 
 
 def _lost_of(log: Path) -> str:
-    """Return what of an open database's log sqlite didn't use, which it never tells itself.
+    """Return a sentence on pages of the log that sqlite did not use, which it does not report.
 
-    Both are of sqlite's file format, 4.1 and 4.4: the log is a header and frames of one page each,
-    the index beside it says how many frames hold what was committed.
+    See sqlite's file format, 4.1 and 4.4. The log is a header and frames of one page. The index
+    next to it has the number of committed frames.
     """
     with log.open("rb") as file:
         header = file.read(_LOG_HEADER)
@@ -283,11 +285,11 @@ def _lost_of(log: Path) -> str:
         count = 0
         while _LOG_HEADER + (count + 1) * frame <= size:
             file.seek(_LOG_HEADER + count * frame + 8)
-            if file.read(8) != header[16:24]:  # a frame of an older log, written over by this one
+            if file.read(8) != header[16:24]:  # a frame of an older log
                 break
             count += 1
     index, used = log.with_name(f"{log.name.removesuffix('-wal')}-shm"), 0
-    if index.exists():  # unless the database says that it has no log
+    if index.exists():  # it does not, if the database is not in the mode WAL
         with index.open("rb") as file:
             used = int.from_bytes(file.read(20)[16:], sys.byteorder)
     return f"{count - used} of its {count} pages could not be used" if used < count else ""
@@ -296,13 +298,13 @@ def _lost_of(log: Path) -> str:
 def refuse_truncated(path: Path, name: str) -> None:
     """Raise InputError if sqlite's header counts more pages than the file has.
 
-    What sqlite makes of missing pages depends on which they are: often fewer messages, silently.
+    With missing pages, sqlite often returns fewer messages without an error.
     """
     with path.open("rb") as file:
         header = file.read(100).ljust(100, b"\0")
     page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
     page_size = 65536 if page_size == 1 else page_size
-    is_valid = header[24:28] == header[92:96]  # older versions of sqlite don't keep the count
+    is_valid = header[24:28] == header[92:96]  # older versions of sqlite do not update the count
     size = path.stat().st_size
     if is_valid and size < pages * page_size:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Readers of one topic each, fed with blocks of messages; many are fed in one pass over a bag."""
+"""Readers of one topic. One pass over a bag gives blocks of messages to many readers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
-from trajeval_ros.io.bags.cdr import CdrPlan, Columns
+from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.growing_columns import GrowingPoses
@@ -38,7 +39,7 @@ class PoseReader:
     """Reads the poses of a topic; of one with paths, those of the last path.
 
     Attributes:
-        reading: The topic, and what was found wrong while it was read.
+        reading: The topic, and the damage found while it is read.
     """
 
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
@@ -65,9 +66,9 @@ class TransformReader:
     """Reads the edges of the TF tree that a topic has.
 
     Attributes:
-        reading: The topic, and what was found wrong while it was read.
+        reading: The topic, and the damage found while it is read.
         undecodable: Number of messages that can't be decoded.
-        lone: Number of transforms of all edges whose stamps stand alone.
+        lone: Number of transforms of all edges with an isolated timestamp.
     """
 
     def __init__(self, topic: Topic) -> None:
@@ -106,14 +107,14 @@ class TransformReader:
 
 
 def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> None:
-    """Feed all readers in one pass over a bag."""
+    """Give all messages to their readers in one pass over a bag."""
     fed = {each.reading: each for each in readers}
     for reading, key, block in bag.blocks(list(fed)):
         fed[reading].add(key, block)
 
 
 def tree_topics(bag: Bag, name: str) -> list[Topic]:
-    """Return the topics that the TF tree of a topic is made of.
+    """Return the topics of the TF tree that a topic belongs to.
 
     Args:
         bag: An open bag.
@@ -125,7 +126,7 @@ def tree_topics(bag: Bag, name: str) -> list[Topic]:
 
 
 def tree_of(readers: Iterable[TransformReader]) -> dict[EdgeKey, Edge]:
-    """Return the edges of several topics; what moves is no static frame."""
+    """Return the edges of several topics. A moving edge replaces a static one."""
     edges: dict[EdgeKey, Edge] = {}
     for reader in readers:
         for key, edge in reader.edges.items():
@@ -135,7 +136,7 @@ def tree_of(readers: Iterable[TransformReader]) -> dict[EdgeKey, Edge]:
 
 
 class _Decoders:
-    """How the messages of a topic are decoded, by connection: definitions may differ."""
+    """The decoders of a topic by connection, because definitions can differ."""
 
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
         self.topic = topic
@@ -199,7 +200,7 @@ class _LastPath:
         self._last: tuple[int, Key, Block] | None = None
 
     def add(self, key: Key, block: Block) -> None:
-        """Look whether one of the messages is later than those before."""
+        """Store the latest message."""
         row = len(block) - 1 - int(block.log_times[::-1].argmax())
         log_time = int(block.log_times[row])
         if self._last is None or log_time >= self._last[0]:

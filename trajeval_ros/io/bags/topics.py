@@ -57,12 +57,12 @@ def read_bag(
 
     Args:
         path: A bag.
-        sources: Those wanted.
-        advance: Called with the messages done and all messages, now and then.
-        strict: Whether to verify all that is read, and to refuse what is damaged.
+        sources: The requested trajectories.
+        advance: Called repeatedly with the number of messages read and the number of all.
+        strict: Whether to verify all data that are read, and to refuse damage.
 
     Returns:
-        A trajectory for each source; the same object for equal sources.
+        One trajectory per source; the same object for equal sources.
 
     Raises:
         InputError: The bag, a topic or its poses can't be used.
@@ -76,10 +76,10 @@ def read_bag(
 
 
 class _Plan:
-    """What is read of a bag for several sources: a topic that several of them need once.
+    """The readers for several sources. A topic of several sources is read once.
 
     Attributes:
-        readers: Of all topics.
+        readers: Readers of all topics.
     """
 
     def __init__(self, bag: Bag) -> None:
@@ -92,7 +92,7 @@ class _Plan:
         return [*self._poses.values(), *self._transforms.values()]
 
     def add(self, source: BagSource) -> Callable[[], Trajectory]:
-        """Return what makes the trajectory of a source, once all readers were fed.
+        """Return a function that makes the trajectory of a source after the reading.
 
         Raises:
             InputError: There is no such topic, or it holds no poses.
@@ -119,7 +119,7 @@ class _Plan:
 
 
 def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> HandEye:
-    """Return T_B_M as the static transforms of a bag have it.
+    """Return T_B_M from the static transforms of a bag.
 
     Args:
         path: Of the bag.
@@ -139,9 +139,9 @@ def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> Han
 
 
 def _choose(bag: Bag, name: str) -> Topic:
-    """Return the topic to read, or raise InputError with those that could be read."""
+    """Return the topic to read, or raise InputError with the readable topics."""
     posed = [topic for topic in bag.topics if topic.holds_poses]
-    # Fixes are meant where they are named, or alone.
+    # A topic of fixes is chosen only by its name, or if it is the only one.
     candidates = [topic for topic in posed if not topic.holds_fixes] or posed
     transforms = [topic for topic in bag.topics if topic.holds_transforms]
     listed = ", ".join([topic.name for topic in posed])
@@ -167,7 +167,7 @@ def _choose(bag: Bag, name: str) -> Topic:
     if not listed:
         for topic in bag.topics:
             if topic.lacks_protobuf:
-                bag.find(topic.name)  # says what to install
+                bag.find(topic.name)  # raises with the package to install
         types = ", ".join(sorted({topic.type for topic in bag.topics}))
         raise InputError(f"{bag.path} has no topic with poses, only {types}")
     raise InputError(
@@ -179,9 +179,9 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
     """Return the trajectory of a topic that was read.
 
     Args:
-        bag: It is of.
-        reader: Of the topic, fed with all messages.
-        notes: What else to know about it.
+        bag: The bag.
+        reader: Of the topic, after the last message.
+        notes: Notes to start with.
 
     Raises:
         InputError: None of its messages can be used, or the bag is damaged and read strictly.
@@ -247,7 +247,7 @@ def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> 
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
-    """Return the states whose stamps can be trusted, in order of arrival."""
+    """Return the states without isolated timestamps, in order of arrival."""
     rows, trust = trusted_states(trajectory.stamps)
     if not trust.lone:
         return trajectory
@@ -259,7 +259,7 @@ def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
 
 
 def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[str, ...]:
-    """Refuse fixes of several receivers, whose antennas come and go; note a renamed one.
+    """Refuse fixes of several receivers, which have different antennas; note one renaming.
 
     Raises:
         InputError: They alternate.
@@ -301,7 +301,7 @@ def _transform_trajectory(
 
 
 def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
-    """Return the trajectory, or raise InputError if none of its poses was left."""
+    """Return the trajectory, or raise InputError if it has no poses."""
     if not len(trajectory):
         why = ", ".join(f"{number} {reason}" for reason, number in trajectory.dropped.items())
         raise InputError(f"{where}: no valid pose in {counted(count, 'message')} ({why})")
@@ -309,7 +309,7 @@ def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
 
 
 def _world_velocities(body: Floats, quaternions: Floats) -> Floats | None:
-    """Return the velocities (N, 3) in the frame, or None if they were never filled in."""
+    """Return the velocities (N, 3) in the frame, or None if all are zero or not finite."""
     if not body.any() or not np.isfinite(body).any():
         return None
     lengths = np.linalg.norm(quaternions, axis=1)

@@ -44,10 +44,10 @@ class Edge:
         Args:
             stamps: (N,) int64, nanoseconds.
             numbers: (N, 7): translation, quaternion xyzw.
-            is_static: Whether they came by `/tf_static`; then the last one holds.
+            is_static: Whether they are from `/tf_static`; then the last one is used.
 
-        Transforms that aren't poses or have no time are left out, of several with the same stamp
-        all but the last.
+        Transforms that are not poses or have no time are left out. Of several transforms with
+        the same stamp, the last one is used.
         """
         finite, turned = judge_poses(numbers[:, :3], numbers[:, 3:])
         usable = finite & turned & (is_static | times(stamps))
@@ -63,14 +63,14 @@ class Edge:
         )
 
     def joined(self, later: Edge) -> Edge:
-        """Return this edge with transforms that arrived later; they win where stamps are equal."""
+        """Return this edge with later transforms, which replace those with equal stamps."""
         stamps = np.concatenate([self.stamps, later.stamps])
         translations = np.concatenate([self.translations, later.translations])
         quaternions = np.concatenate([self.quaternions, later.quaternions])
         return Edge(stamps, translations, quaternions, self.is_static)[_last_of_each(stamps)]
 
     def since(self, stamp: int) -> Edge:
-        """Return what is needed from a stamp on, the transform before it included."""
+        """Return the transforms from a stamp on, and the one before it."""
         return self[max(int(self.stamps.searchsorted(stamp, side="right")) - 1, 0) :]
 
     def within(self, begin: int, end: int) -> Stamps:
@@ -98,14 +98,14 @@ def compose_transforms(
 ) -> tuple[Stamps, Floats, Floats]:
     """Return the pose of `child` in `parent` over time: stamps, positions and quaternions xyzw.
 
-    The stamps are those of the leading edge between the two frames, as far as all edges reach; the
-    other edges are interpolated there, and never extrapolated.
+    The stamps are those of the leading edge between the two frames, within the common time span of
+    all edges. The other edges are interpolated there, and never extrapolated.
 
     Args:
         edges: Edges by (parent, child).
         parent: A frame, without leading slash.
-        child: Another one; the edges between them may point either way.
-        where: What to call the source in an error.
+        child: Another one. The edges between them can have either direction.
+        where: Name of the source in messages.
 
     Raises:
         InputError: A frame is unknown, they aren't connected, or the edges don't overlap in time.
@@ -132,10 +132,10 @@ def fixed_transform(
     """Return the pose of `child` in `parent`, which never changes: position (3,), xyzw (4,).
 
     Args:
-        edges: Edges by (parent, child), of which those that move are passed over.
+        edges: Edges by (parent, child). Moving edges are not used.
         parent: A frame, without leading slash.
-        child: Another one; the edges between them may point either way.
-        where: What to call the source in an error.
+        child: Another one. The edges between them can have either direction.
+        where: Name of the source in messages.
 
     Raises:
         InputError: A frame is unknown, or they aren't connected.
@@ -146,9 +146,9 @@ def fixed_transform(
 
 
 def common_span(edges: Mapping[EdgeKey, Edge], way: Way) -> tuple[int, int] | None:
-    """Return the first and the last stamp that all moving edges reach; None if none moves.
+    """Return the first and last stamp common to all moving edges; None if none moves.
 
-    The first is after the last if they were never known at the same time.
+    The first is after the last if the edges have no common time span.
     """
     moving = [edges[key].stamps for key, _ in way if not edges[key].is_static]
     if not moving:
@@ -159,8 +159,8 @@ def common_span(edges: Mapping[EdgeKey, Edge], way: Way) -> tuple[int, int] | No
 def leading_edge(edges: Mapping[EdgeKey, Edge], way: Way, span: tuple[int, int]) -> EdgeKey:
     """Return the moving edge whose stamps the poses have.
 
-    It is the most frequent one in the first `LEADS_BY_S` of the span, so that it can be known
-    while the robot moves, and is the same afterwards.
+    It is the most frequent one in the first `LEADS_BY_S` of the span. Thus it is the same in live
+    and recorded evaluations.
     """
     begin, end = span
     end = min(end, begin + round(LEADS_BY_S * NANOSECONDS))
@@ -189,7 +189,7 @@ def find_way(keys: Iterable[EdgeKey], parent: str, child: str, where: str) -> Wa
         keys: The edges that there are.
         parent: A frame, without leading slash.
         child: Another one.
-        where: What to call the source in an error.
+        where: Name of the source in messages.
 
     Raises:
         InputError: A frame is unknown, or they aren't connected.
@@ -223,6 +223,6 @@ def find_way(keys: Iterable[EdgeKey], parent: str, child: str, where: str) -> Wa
 
 
 def _last_of_each(stamps: Stamps) -> NDArray[np.intp]:
-    """Return the last row of each stamp, in order of the stamps."""
+    """Return the last row of every different stamp, in order of the stamps."""
     _, from_the_end = np.unique(stamps[::-1], return_index=True)
     return len(stamps) - 1 - from_the_end

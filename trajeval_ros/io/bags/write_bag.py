@@ -40,9 +40,9 @@ def write_bag(
     transforms: Sequence[Trajectory] = (),
     inertial: Mapping[str, InertialReadings] | None = None,
 ) -> None:
-    """Write a bag directory; it appears under its name when it is complete.
+    """Write a bag directory, which gets its name when it is complete.
 
-    Equal trajectories give equal bytes: log times are the stamps, and messages lie in their order.
+    Equal trajectories give equal bytes: messages are in order of their log times, the stamps.
 
     Args:
         path: The directory, which must not exist yet; its parent must.
@@ -86,7 +86,7 @@ def write_mcap(
     topics: Mapping[str, tuple[Trajectory, str]],
     transforms: Sequence[Trajectory] = (),
 ) -> None:
-    """Write an MCAP file alone, whole or not at all; what it holds is as in `write_bag`.
+    """Write one MCAP file with the contents of `write_bag`, completely or not at all.
 
     Raises:
         InputError: As `write_bag`.
@@ -127,7 +127,7 @@ def _write(path: Path, messages: Sequence[_Serialised], storage: Storage) -> Non
 def _serialised(
     topics: Mapping[str, tuple[Trajectory, str]], transforms: Sequence[Trajectory]
 ) -> list[_Serialised]:
-    """Return topic, type, times and messages of each trajectory."""
+    """Return topic, type, times and messages of all trajectories."""
     found: list[_Serialised] = []
     for topic, (unordered, message_type) in topics.items():
         trajectory = unordered.in_order()
@@ -181,7 +181,7 @@ def _poses(trajectory: Trajectory) -> Floats:
 
 
 def _body_velocities(trajectory: Trajectory) -> Floats:
-    """Return the velocities (N, 3) in the body, as Odometry wants them; zeros if unknown."""
+    """Return the velocities (N, 3) in the body, as in Odometry; zeros if unknown."""
     if trajectory.velocities is None:
         return np.zeros((len(trajectory), 3))
     if trajectory.rotations is None:

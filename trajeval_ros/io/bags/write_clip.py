@@ -1,4 +1,4 @@
-"""A clip: messages as they were received, in an MCAP file, and a JSON file that says why."""
+"""A clip: received messages in an MCAP file, and a JSON file with the reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trajeval_ros.io.writing import refused_by_disk
 
 SCHEMA = "trajeval-clip/1"
 MESSAGES, ABOUT = "clip.mcap", "clip.json"
-# As rosbag2 writes what publishers offered, so that a player latches what was latched.
+# In rosbag2's format of offered profiles, so that a player latches the same topics.
 _LATCHED = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
 
 
@@ -30,9 +30,9 @@ class ClipTopic(NamedTuple):
     Attributes:
         name: Of the topic.
         type: Of its messages.
-        times: When each was received, nanoseconds since 1970.
-        payloads: Each message, serialised.
-        is_latched: Whether subscribers that come late get it.
+        times: Times of reception, nanoseconds since 1970.
+        payloads: The serialised messages.
+        is_latched: Whether late subscribers get it.
     """
 
     name: str
@@ -43,7 +43,7 @@ class ClipTopic(NamedTuple):
 
 
 def require_clip_libraries() -> None:
-    """Refuse at once what could not be written later, as where a node has ROS's packages alone.
+    """Raise at the start if clips can't be written, for example with ROS's packages only.
 
     Raises:
         InputError: A library is missing.
@@ -57,16 +57,16 @@ def require_clip_libraries() -> None:
 
 
 def write_clip(path: Path, topics: Sequence[ClipTopic], about: Mapping[str, Any]) -> None:
-    """Write a folder with `clip.mcap` and `clip.json`, whole or not at all.
+    """Write a folder with `clip.mcap` and `clip.json`, completely or not at all.
 
     Args:
         path: The folder; its parent exists.
-        topics: What is written. A topic whose type nobody defines is left out, and named in the
+        topics: The topics. A topic without a definition of its type is left out and named in the
             JSON file.
-        about: What stands in the JSON file beside the topics.
+        about: Contents of the JSON file in addition to the topics.
 
     Raises:
-        InputError: The disk takes no more.
+        InputError: The disk is full.
     """
     texts = {each: definition_text(each) for each in {topic.type for topic in topics}}
     known = [each for each in topics if texts[each.type] is not None]
@@ -103,7 +103,7 @@ def write_clip(path: Path, topics: Sequence[ClipTopic], about: Mapping[str, Any]
 def _write_messages(
     path: Path, topics: Sequence[ClipTopic], texts: Mapping[str, str | None]
 ) -> None:
-    """Write all messages, merged by the times when they were received."""
+    """Write all messages, merged by time of reception."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
