@@ -13,6 +13,7 @@ from visual_inertial_scenes import frobenius
 from trajeval_ros.consistency import joint_covariance
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.judgement import Aligned, judge_joint, judge_marginals
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.visual_inertial.flight import Flight, Odometry, fly
@@ -52,6 +53,11 @@ def _condition(odometry: Odometry) -> float:
     return float(values[-1] / values[4])  # position and yaw are open
 
 
+def _noise(sigmas: Floats, count: int) -> Floats:
+    """Return the covariances (N, 6, 6) of independent errors."""
+    return np.tile(np.diag(sigmas**2), (count, 1, 1))
+
+
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("alignment", ALIGNMENTS)
 def test_bands_of_a_long_run_are_those_of_the_dense_covariance(
@@ -62,8 +68,8 @@ def test_bands_of_a_long_run_are_those_of_the_dense_covariance(
     estimate = odometry.estimate[::2]  # not all of its poses have groundtruth
     truth = flight.groundtruth[np.searchsorted(flight.groundtruth.stamps, estimate.stamps)]
     similarity = alignment_of(*alignment, truth, estimate)
-    variances = np.repeat([0.002, np.radians(0.1)], 3) ** 2 if noisy else None
-    aligned = Aligned(truth, estimate, similarity, *alignment, variances)
+    noise = _noise(np.repeat([0.002, np.radians(0.1)], 3), len(truth)) if noisy else None
+    aligned = Aligned(truth, estimate, similarity, *alignment, noise)
     dense = judge_joint(aligned, _joint(odometry), "run")
     monkeypatch.setattr(joint_covariance, "MOST_DENSE", 120)
     assert not _joint(odometry).is_dense
@@ -95,8 +101,8 @@ def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
             truth = _measured(truth, sigmas, seed)
         for gauge, states in ALIGNMENTS:
             similarity = alignment_of(gauge, states, truth, estimate)
-            variances = sigmas**2 if noisy else None
-            aligned = Aligned(truth, estimate, similarity, gauge, states, variances)
+            noise = _noise(sigmas, len(truth)) if noisy else None
+            aligned = Aligned(truth, estimate, similarity, gauge, states, noise)
             judged = judge_joint(aligned, _joint(odometry), "run")
             assert judged.per_pose is not None
             means.append(judged.per_pose.mean)

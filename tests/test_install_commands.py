@@ -29,7 +29,7 @@ def test_the_system_s_python_is_told_to_install_for_the_user(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys, "prefix", sys.base_prefix)
-    monkeypatch.setattr(module.sysconfig, "get_path", lambda _: str(tmp_path))
+    monkeypatch.setattr("sysconfig.get_path", lambda _: str(tmp_path))
     assert "--user" not in install_command("pandas")
     (tmp_path / "EXTERNALLY-MANAGED").touch()
     assert install_command("pandas").endswith("--user --break-system-packages pandas")
