@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from test_calibration_recovery import RECORDINGS
 
 from trajeval_ros.calibration.calibrate import calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -19,7 +20,8 @@ from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.pipeline.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import evaluate, run
+from trajeval_ros.pipeline.request import Request
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=())
 CLOCKS, BODIES, ARRIVAL = (
@@ -110,6 +112,20 @@ def test_another_body_is_noticed(name: str) -> None:
     (hint,) = hints(evaluate(truth, estimate, protocol))
     assert BODIES in hint
     assert "rotation of 109 deg" in hint
+
+
+@pytest.mark.parametrize(("duration_s", "causes"), [(20.0, ["body", "lever_arm"]), (40.0, [])])
+def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: list[str]) -> None:
+    fault = Fault(0.0, 0.0, (0.6, -1.0, 1.5), (0.3, 0.0, 0.3))
+    truth, estimate = fly(1, duration_s, fault=fault)
+    request = Request(protocol=YAW, calibration=CalibrationRequest(hand_eye=True))
+    findings = run(truth, [estimate], request).runs[0].diagnosis.findings
+    assert [each.cause for each in findings] == causes
+    for each in findings:
+        assert "--hand-eye auto could not determine it" in each.text
+        assert not each.mend
+    before = run(truth, [estimate], Request(protocol=YAW)).runs[0].diagnosis.findings
+    assert all(each.mend == {"hand_eye": "auto"} for each in before)
 
 
 @pytest.mark.parametrize(("deg", "hinted"), [(4.0, False), (7.0, True)])

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from trajeval_ros.diagnosis.causes import CAUSES, Cause
 from trajeval_ros.diagnosis.evidence import Examined, Seen
+
+_MEASURE = (
+    "--hand-eye auto could not determine it; measure the transformation and give it with "
+    "--hand-eye FILE"
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,19 @@ class Diagnosis:
     def suggested(self) -> Finding | None:
         """The most severe finding; None without findings."""
         return self.findings[0] if self.findings else None
+
+    def after_hand_eye_calibration(self) -> Diagnosis:
+        """Return the diagnosis of a calibrated run, without the advice to calibrate it.
+
+        A finding about the body remains if the calibration was too uncertain to be applied.
+        """
+        findings = (
+            dataclasses.replace(each, advice=_MEASURE, mend={})
+            if "hand_eye" in each.mend
+            else each
+            for each in self.findings
+        )
+        return dataclasses.replace(self, findings=tuple(findings))
 
     def of_conventions(self) -> Finding | None:
         """Return the finding about a convention; None without one."""

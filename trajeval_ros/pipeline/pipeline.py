@@ -243,6 +243,8 @@ def evaluate_one(
     else:
         evaluation = measuring.evaluate(groundtruth, used, protocol)
     diagnosis = diagnose_evaluation(evaluation, *read, paired=pairs is not None)
+    if request.calibration.hand_eye:
+        diagnosis = diagnosis.after_hand_eye_calibration()
     evaluation = with_warnings(evaluation, diagnosis)
 
     consistency = likelihood = integrity = None
