@@ -1,1 +1,1 @@
-"""Everything that touches files: trajectories in, results out."""
+"""Reading of trajectories and settings, writing of results: all access to files."""

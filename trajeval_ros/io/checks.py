@@ -1,4 +1,4 @@
-"""What every reader checks before it calls its columns a trajectory."""
+"""Checks of timestamps and quaternions, shared by all readers of trajectories."""
 
 from __future__ import annotations
 
@@ -12,23 +12,27 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
-_UNIT_TOLERANCE = 0.01  # of a quaternion's length; files with few decimals stay within
-_EPOCH = 10**17  # ns: stamps above are times since 1970, among which a zero is no time
-_MOST_NAMES = 12  # in one sentence
+_UNIT_TOLERANCE = 0.01  # of a quaternion's length; rounded decimals deviate less
+_EPOCH = 10**17  # ns; larger timestamps count from 1970, where zero means "not set"
+_MOST_NAMES = 12  # listed in a message
 
 
 def nearest(wanted: str, names: Collection[str]) -> str:
-    """Return the names that exist, those that resemble the wanted one first."""
+    """Return up to `_MOST_NAMES` existing names as text, the most similar to `wanted` first."""
     near = difflib.get_close_matches(wanted, sorted(names), n=_MOST_NAMES, cutoff=0.0)
     more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
     return ", ".join(near) + more if near else "none"
 
 
 def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:
-    """Return which of the stamps (N,) are times, as `times` does.
+    """Return the mask (N,) of valid timestamps, as `times` does.
+
+    Args:
+        stamps: (N,), nanoseconds.
+        where: File or topic, for messages.
 
     Raises:
-        InputError: All are zero, or all are the same.
+        InputError: All timestamps are zero, or all are equal.
     """
     if len(stamps) and not stamps.any():
         raise InputError(f"{where}: all timestamps are zero; record the time of every measurement")
@@ -41,7 +45,10 @@ def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:
 
 
 def times(stamps: NDArray[np.int64]) -> Booleans:
-    """Return which of the stamps (N,) are times: a zero among times since 1970 is none."""
+    """Return the mask (N,) of valid timestamps, given in nanoseconds (N,).
+
+    If the median timestamp counts from 1970, a zero is not valid.
+    """
     if len(stamps) and np.median(stamps) > _EPOCH:
         return np.asarray(stamps != 0)
     return np.ones(len(stamps), dtype=bool)
@@ -50,7 +57,11 @@ def times(stamps: NDArray[np.int64]) -> Booleans:
 def judge_rotations(
     quaternions: Floats | None,
 ) -> tuple[Floats | None, tuple[str, ...]]:
-    """Return the quaternions (N, 4), xyzw, if they say anything, and what to tell about them."""
+    """Return the quaternions (N, 4), xyzw, and notes about them.
+
+    The quaternions are None if the input is None or if all are the identity. They are returned
+    as given: the note reports quaternions that are not of unit length.
+    """
     if quaternions is None:
         return None, ("no rotations: rotation metrics withheld",)
     if len(quaternions) > 1 and not quaternions[:, :3].any():

@@ -1,4 +1,4 @@
-"""What a source holds: for people who have a file and wonder what to evaluate in it."""
+"""Contents of a source: its trajectories, their key figures, and the TF tree of a bag."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 
-LONG_GAP_S = 0.5  # over which association doesn't interpolate
+LONG_GAP_S = 0.5  # association does not interpolate over longer gaps
 _TRUTH = re.compile(
     r"(^|[^a-z])(gt|truth|ground_?truth|vicon|mocap|optitrack|qualisys|leica|rtk|reference)"
     r"([^a-z]|$)"
@@ -23,26 +23,26 @@ _TRUTH = re.compile(
 
 @dataclass(frozen=True)
 class TrajectorySummary:
-    """A trajectory in a few numbers.
+    """Key figures of a trajectory.
 
     Attributes:
-        source: The SOURCE that names it.
-        kind: Type of its messages, or format of the file.
+        source: SOURCE of the trajectory.
+        kind: Message type, or format of the file.
         poses: Number of states.
-        rate_hz: One over the median step; 0 if there is none.
-        first_ns: Earliest stamp.
-        last_ns: Latest stamp.
-        path_length_m: Length of its path.
-        mean_speed_mps: Length of its path by its duration; 0 without stamps.
-        largest_speed_mps: Along the fastest step between two states; 0 without stamps.
+        rate_hz: Inverse of the median time step; 0 without time steps.
+        first_ns: Earliest timestamp.
+        last_ns: Latest timestamp.
+        path_length_m: Length of the path.
+        mean_speed_mps: Path length divided by the duration; 0 without timestamps.
+        largest_speed_mps: Largest speed between consecutive states; 0 without timestamps.
         frame: Fixed frame, "" if unknown.
         child_frame: Frame of the body, "" if unknown.
-        holds: What else than positions it has.
-        gaps: Number of steps longer than `LONG_GAP_S`.
-        longest_gap_s: The longest step, seconds.
-        could_be: "groundtruth", "estimate" or "estimate or groundtruth".
-        notes: What its reader recognised, and how many rows were dropped.
-        problem: Why it can't be evaluated, "" if it can.
+        holds: Quantities in addition to positions, such as "rotation".
+        gaps: Number of time steps longer than `LONG_GAP_S`.
+        longest_gap_s: Longest time step, seconds.
+        could_be: Likely role: "groundtruth", "estimate" or "estimate or groundtruth".
+        notes: Notes of the reader, and the number of dropped rows by reason.
+        problem: Reason why the trajectory can't be evaluated, "" if it can.
     """
 
     source: str
@@ -66,7 +66,7 @@ class TrajectorySummary:
 
 @dataclass(frozen=True)
 class EdgeSummary:
-    """A transform of the TF tree: of the child frame in the parent frame."""
+    """A transform of the TF tree: the pose of the child frame in the parent frame."""
 
     topic: str
     parent: str
@@ -78,14 +78,14 @@ class EdgeSummary:
 
 @dataclass(frozen=True)
 class Description:
-    """What a source holds.
+    """Contents of a source.
 
     Attributes:
         path: The file or directory.
-        trajectories: What could be evaluated.
-        edges: The TF tree.
-        others: (topic, type, number of messages) without poses.
-        notes: What had to be worked around.
+        trajectories: Trajectories in the source, also those with a problem.
+        edges: Transforms of the TF tree.
+        others: (topic, type, number of messages) of the topics without poses.
+        notes: Notes of the reader of a bag, damage included.
     """
 
     path: Path
@@ -98,15 +98,15 @@ class Description:
 def describe(
     source: str, *, advance: Advance | None = None, hints: TextHints = NO_HINTS
 ) -> Description:
-    """Return what a SOURCE holds; of a bag without topic, all of its topics.
+    """Return the contents of a SOURCE; for a bag without a topic, of all its topics.
 
     Args:
         source: As for `read_trajectory`, or a bag without a topic.
-        advance: Called with what is done and with all there is, now and then.
-        hints: What is known of a text file beyond what is in it.
+        advance: Progress callback, called with the amount done and the total.
+        hints: Columns and frame rate of a text file, as the user states them.
 
     Raises:
-        InputError: It can't be read at all.
+        InputError: The source can't be read.
     """
     parts = parse_source(source)
     if parts.is_bag and not parts.topic:
@@ -119,7 +119,7 @@ def describe(
 
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
-    """Return what the topics of a bag hold."""
+    """Return the contents of all topics of a bag."""
     from trajeval_ros.io.bags.bag import Bag
     from trajeval_ros.io.bags.topic_readers import (
         PoseReader,
@@ -171,11 +171,11 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
 
 
 def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
-    """Return a trajectory in a few numbers.
+    """Return the key figures of a trajectory.
 
     Args:
-        source: What names it.
-        trajectory: As it was read: its first note is its format.
+        source: SOURCE of the trajectory.
+        trajectory: As its reader returned it: the first note is the format.
     """
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
@@ -215,7 +215,7 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
 
 
 def _could_be(source: str, trajectory: Trajectory) -> str:
-    """Return a guess, by the name and by what an estimator alone knows."""
+    """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.fixes is not None:
         return "groundtruth"
     if _TRUTH.search(source.lower()) or _TRUTH.search(trajectory.frame.lower()):
@@ -228,6 +228,6 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
 
 
 def _rate_hz(stamps: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> float:
-    """Return one over the median step, 0 if there is none."""
+    """Return the inverse of the median step of timestamps (N,); 0 without a positive median."""
     steps = np.diff(stamps)
     return NANOSECONDS / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 0.0

@@ -1,4 +1,4 @@
-"""How many bytes come from remote stores."""
+"""Count of the bytes that are fetched from remote stores."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextvars import ContextVar
 
 
 class FetchedBytes:
-    """A counter that several threads may increase.
+    """A thread-safe counter of bytes.
 
     Attributes:
-        total: Bytes of objects; without protocol headers and listings.
+        total: Bytes of objects, without protocol headers and listings.
     """
 
     def __init__(self) -> None:
@@ -20,7 +20,7 @@ class FetchedBytes:
         self._lock = threading.Lock()
 
     def add(self, count: int) -> None:
-        """Add bytes."""
+        """Add `count` bytes to the total."""
         with self._lock:
             self.total += count
 
@@ -35,7 +35,7 @@ def current_counter() -> FetchedBytes:
 
 @contextmanager
 def counting_fetched_bytes() -> Iterator[FetchedBytes]:
-    """Count the bytes of all remote objects that this thread opens in the block."""
+    """Count the bytes of the remote objects that this thread opens in the block."""
     counter = FetchedBytes()
     token = _COUNTER.set(counter)
     try:

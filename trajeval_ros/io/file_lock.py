@@ -1,7 +1,7 @@
-"""Locks on files and folders that the system drops with the process that holds them.
+"""Locks on files and folders that the system releases when their process ends.
 
-A number of a process that is written somewhere may belong to another process by now. A lock can't:
-whatever ends its holder, `kill -9` included, ends the lock as well.
+A stored process id is not reliable: the system may have given it to another process. A lock is
+released by the system at the end of its process, also after `kill -9`.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ except ImportError:  # not a POSIX system
 
 
 def lock(file: int, *, wait: bool) -> bool:
-    """Lock an open file or folder against all who open it on their own.
+    """Take an exclusive lock on an open file or folder.
 
     Args:
-        file: Its descriptor, which holds the lock until it is closed.
-        wait: Whether to wait until whoever holds the lock drops it.
+        file: Open descriptor. The lock is held until it is closed.
+        wait: Whether to wait until another process releases the lock.
 
     Returns:
-        Whether the lock is ours.
+        Whether the lock was taken.
 
     Raises:
-        OSError: The system or the disk knows no locks.
+        OSError: The system or the file system does not support locks.
     """
     if fcntl is None:
         raise OSError("this system does not support file locks")
@@ -38,9 +38,9 @@ def lock(file: int, *, wait: bool) -> bool:
 
 
 def is_at(path: Path, file: int) -> bool:
-    """Return whether an open file or folder still has a name.
+    """Return whether `path` is still the open file or folder `file`.
 
-    Who waited for a lock may hold that of a file which was removed meanwhile.
+    During the wait for a lock, another process can remove the file.
     """
     try:
         return os.path.samestat(path.lstat(), os.fstat(file))

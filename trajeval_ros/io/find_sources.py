@@ -1,4 +1,4 @@
-"""The bags and trajectory files below a folder, to choose from."""
+"""Search for bags and trajectory files below a folder."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.head import recognise_text
 
-DEEPEST, MOST = 4, 200  # levels of folders below, sources listed
-_MOST_FILES = 20_000  # looked at
+DEEPEST, MOST = 4, 200  # limits: levels of subfolders, listed sources
+_MOST_FILES = 20_000  # limit of examined files
 _BAGS = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "ROS 1 bag"}
 _TEXTS = {".txt", ".csv", ".tum", ".kitti", ".dat", ".log", ".tsv", ""}
 
@@ -22,10 +22,10 @@ class FoundSource:
     """A bag or a file with a trajectory.
 
     Attributes:
-        path: Below the folder.
-        kind: Its format.
-        topics: Those with poses, of a bag.
-        problem: Why it can't be opened; empty if it can.
+        path: Path, starting with the searched folder.
+        kind: Format.
+        topics: Topics of a bag that contain poses or transforms.
+        problem: Reason why it can't be opened, "" if it can.
     """
 
     path: Path
@@ -36,12 +36,12 @@ class FoundSource:
 
 @dataclass(frozen=True)
 class FolderContents:
-    """What is below a folder.
+    """Result of a search below a folder.
 
     Attributes:
-        sources: In order of their paths.
-        others: Number of files that hold no trajectory.
-        left_out: What was not looked at, one sentence each.
+        sources: Found sources, sorted by path.
+        others: Number of files without a trajectory.
+        left_out: Descriptions of the files and folders that were not examined.
     """
 
     sources: tuple[FoundSource, ...]
@@ -55,8 +55,8 @@ def find_sources(
     """Return the bags and trajectory files below a folder, down to `DEEPEST` levels.
 
     Args:
-        folder: Exists. Hidden folders and links to folders below it are not entered.
-        advance: Called with the files done and all files, now and then.
+        folder: Existing folder. Hidden subfolders and links to folders are not entered.
+        advance: Progress callback, called with the number of files done and their total.
     """
     left_out: list[str] = []
     candidates: list[Path] = []
@@ -81,7 +81,7 @@ def find_sources(
 
 
 def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
-    """Yield files, and the folders that are bags; add what is not entered to `left_out`."""
+    """Yield files, and folders that are bags; add a description of skipped ones to `left_out`."""
     too_deep = 0
     for place, folders, files in os.walk(folder):
         here = Path(place)
@@ -99,7 +99,7 @@ def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
 
 
 def _recognised(path: Path) -> FoundSource | None:
-    """Return a file or a bag's folder as a source; None if it holds no trajectory."""
+    """Return the source in a file or in a bag's folder; None if it has no trajectory."""
     if path.is_dir() or path.name.removesuffix(".zstd").endswith(tuple(_BAGS)):
         from trajeval_ros.io.bags.bag import Bag
 

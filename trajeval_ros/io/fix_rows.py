@@ -1,4 +1,4 @@
-"""Rows of fixes that a reader has found, as a trajectory in the frame of the first usable one."""
+"""Conversion of rows of GNSS fixes to a trajectory in the local frame of the first usable fix."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 
 
 def fixes_of_rows(places: Floats, quality: Floats) -> Fixes:
-    """Return fixes by their rows, as `trajectory_of_rows` has them."""
+    """Return the fixes of `places` (N, 3) and `quality` (N, 11), as in `trajectory_of_rows`."""
     return Fixes(
         places=places,
         status=quality[:, 0].astype(np.int64),
@@ -25,17 +25,18 @@ def fixes_of_rows(places: Floats, quality: Floats) -> Fixes:
 def trajectory_of_rows(
     where: str, stamps: Stamps, places: Floats, quality: Floats, **attributes: Any
 ) -> Trajectory:
-    """Return the trajectory of fixes; those that are none are dropped and counted.
+    """Return the trajectory of GNSS fixes; invalid fixes are dropped and counted.
 
     Args:
-        where: What an error is about.
+        where: File or topic, for messages.
         stamps: (N,), nanoseconds.
         places: (N, 3), latitude and longitude in degrees, height in metres.
-        quality: (N, 11), status, type of covariance, and the covariance about east, north and up.
-        **attributes: Others of `Trajectory`.
+        quality: (N, 11), status and covariance type as in sensor_msgs/NavSatFix, then the
+            covariance (3 x 3, row by row) along east, north and up, m^2.
+        **attributes: Further attributes of `Trajectory`.
 
     Raises:
-        InputError: None of them can be used, or all are the same.
+        InputError: No fix can be used, or all are equal.
     """
     try:
         return fix_trajectory(stamps, fixes_of_rows(places, quality), **attributes)

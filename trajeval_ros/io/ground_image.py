@@ -1,7 +1,7 @@
-"""Images of the ground to draw paths over: ROS maps, and images with a world file or bounds.
+"""Images of the ground below plotted paths: ROS maps, and images with a world file or bounds.
 
-Nobody vouches for these files: YAML is loaded safely, an image only up to a size, and only in
-formats that hold nothing but pixels.
+The files are untrusted input. YAML is loaded safely. Images have a size limit and one of a few
+formats that contain only pixels.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.yaml_file import read_mapping
 
 _MOST_PIXELS = 60_000_000
-_MOST_DRAWN = 4_000_000  # no paper shows more
+_MOST_DRAWN = 4_000_000  # pixels; more are not visible in print
 _FORMATS = ("PNG", "PPM", "JPEG", "TIFF", "BMP")
 _WORLD_FILE_BYTES = 10_000
-_UNKNOWN = 205  # the grey of ROS's map_saver
+_UNKNOWN = 205  # grey value that ROS's map_saver writes for unknown cells
 
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """An image that lies in the fixed frame's xy plane.
+    """An image in the xy plane of the fixed frame.
 
     Attributes:
-        pixels: (H, W) grey or (H, W, 3) colours, 0 to 255, the first row on top.
-        to_world: (2, 3), from (u, v, 1) to x and y, metres: the left upper corner is u = v = 0,
-            the right lower one u = W, v = H.
+        pixels: (H, W) grey or (H, W, 3) colour values, 0 to 255, the top row first.
+        to_world: (2, 3), maps (u, v, 1) to x and y, metres. The upper left corner of the image
+            is u = v = 0, the lower right corner u = W, v = H.
     """
 
     pixels: NDArray[np.uint8]
@@ -42,10 +42,10 @@ class GroundImage:
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
-    """Read "x0,y0,x1,y1": the left lower and the right upper corner, metres.
+    """Return the bounds in a text "x0,y0,x1,y1": lower left and upper right corner, metres.
 
     Raises:
-        SettingsError: It isn't that.
+        SettingsError: The text is not four finite numbers with x0 < x1 and y0 < y1.
     """
     try:
         x0, y0, x1, y1 = (float(each) for each in text.split(","))
@@ -66,12 +66,12 @@ def read_ground_image(
 
     Args:
         path: The file.
-        bounds: Of an image: left, lower, right, upper, metres; None to read its world file, which
-            is beside it: `.pgw` for `.png`, or `.wld`.
+        bounds: Left, lower, right and upper edge of an image, metres. None to read the world
+            file next to the image: `.pgw` for `.png`, or `.wld`.
 
     Raises:
-        InputError: It can't be read.
-        SettingsError: Bounds are given for a ROS map, which has its own.
+        InputError: A file can't be read or is not valid, or the world file is missing.
+        SettingsError: Bounds are given for a ROS map, whose YAML file has the position.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         if bounds is not None:
@@ -120,7 +120,10 @@ def _ros_map(path: Path) -> GroundImage:
 
 
 def _world_file(path: Path) -> Floats:
-    """Return the transformation (2, 3) of the pixels' corners; the file has that of centres."""
+    """Return the transformation (2, 3) as in `GroundImage.to_world`.
+
+    A world file has the position of the centre of the upper left pixel; `to_world` has its corner.
+    """
     kind = path.suffix.removeprefix(".")
     names = [f".{kind[0]}{kind[-1]}w", f".{kind}w", ".wld"] if kind else [".wld"]
     beside = [path.with_suffix(each) for each in names]
@@ -143,7 +146,10 @@ def _world_file(path: Path) -> Floats:
 
 
 def _read_image(path: Path) -> tuple[NDArray[np.uint8], Floats]:
-    """Return the pixels, and (3, 3) from their corners to those of the file's, which has more."""
+    """Return the pixels, reduced if there are too many, and the scaling (3, 3).
+
+    The scaling maps (u, v, 1) of the returned pixels to (u, v, 1) of the pixels in the file.
+    """
     try:
         from PIL import Image
     except ImportError as error:

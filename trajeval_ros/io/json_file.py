@@ -1,4 +1,4 @@
-"""JSON as the package writes it, and reads it again."""
+"""JSON texts: written without NaN, and read with limits of numbers."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from typing import Any
 
 
 def json_text(value: Mapping[str, Any], indent: int | None = None) -> str:
-    """Return a mapping as text, which ends its lines if it has several.
+    """Return a mapping as JSON text; with an indent, the text ends in a line break.
 
     Raises:
-        ValueError: There is a NaN or an infinity in it, which JSON can't say: a defect.
+        ValueError: The mapping contains NaN or infinity, which JSON does not have. This is a
+            defect of the caller.
     """
     return json.dumps(value, indent=indent, allow_nan=False) + ("" if indent is None else "\n")
 
 
 def mapping_in(text: str | bytes) -> dict[str, Any] | None:
-    """Return the mapping that a text holds, None if it is damaged or holds something else.
+    """Return the mapping in a JSON text; None if the text is damaged or is not a mapping.
 
-    That is also a number that no int64 or float64 holds, or a NaN.
+    A text with a NaN, or with a number beyond int64 or float64, counts as damaged.
     """
     try:
         found = json.loads(text, parse_float=_float, parse_constant=_float, parse_int=_integer)

@@ -1,4 +1,4 @@
-"""Texts of pipes and stores as local files: text is read several times from its start."""
+"""Local copies of text from pipes and remote stores; readers read a text file several times."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _AT_ONCE = 1 << 23  # bytes per request to a store
 
 @contextmanager
 def local_file(path: Any) -> Iterator[Path]:
-    """Yield the file itself, or a copy of a pipe or of an object in a store.
+    """Yield a local file as it is, or a temporary copy of a pipe or of a remote object.
 
-    Errors about the copy name the original.
+    Messages about the copy name the original.
 
     Args:
-        path: Of this machine, or of universal_pathlib.
+        path: A local path, or a path of universal_pathlib.
 
     Raises:
-        OSError: It can't be read.
+        OSError: The original can't be read.
     """
     if isinstance(path, Path) and path.is_file():
         yield path

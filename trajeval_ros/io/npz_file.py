@@ -1,6 +1,7 @@
-"""Arrays of an npz archive, written at once and read one by one.
+"""Writing and reading of arrays in npz archives.
 
-An archive that is read may be a stranger's: only what is asked for is looked at, and no bombs.
+An archive is untrusted input. Only the requested arrays are read, and an array with an
+implausible compression ratio is refused.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.compression import LARGEST_RATIO, most_of
 
-_LARGEST = 1 << 29  # bytes that an array may become, however well it is compressed
+_LARGEST = 1 << 29  # bytes of an array that are accepted at any compression ratio
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
-    """Write an archive at once.
+    """Write an archive in a single write.
 
-    On a full disk, zipfile leaves an open archive behind, which complains when it is collected.
+    The archive is built in memory. If zipfile writes to a full disk itself, its open archive
+    raises again when it is garbage collected.
 
     Raises:
         OSError: The file can't be written.
@@ -36,11 +38,14 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = Tr
 
 
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:
-    """Return those arrays of an archive that have one of the names; others aren't looked at.
+    """Return the arrays of an archive that have one of the names; other arrays are not read.
 
     Raises:
-        InputError: The archive can't be read, or one of the arrays isn't what its head says, holds
-            Python objects, or becomes more than any real one does.
+        InputError: The archive is damaged or does not fit into memory. Or an array contains
+            Python objects, differs in size from its header, or has a compression ratio above
+            `LARGEST_RATIO`.
+        FileNotFoundError: There is no such file.
+        PermissionError: The user has no permission to read the file.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -54,7 +59,7 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:
         raise
     except MemoryError:
         raise InputError(f"{path} does not fit into memory") from None
-    except Exception as error:  # of a dozen kinds: what damage raises is chance
+    except Exception as error:  # damage raises many types of exceptions
         raise InputError(f"{path} is not an npz archive of plain arrays, or is damaged") from error
 
 
@@ -76,5 +81,5 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, what: str) -> NDAr
         )
     with archive.open(member) as file:
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-        file.read()  # its end, where the checksum is looked at
+        file.read()  # zipfile verifies the checksum at the end of the member
     return array

@@ -1,4 +1,4 @@
-"""Trajectories to files of a format, all in one call."""
+"""Writing of several trajectories to text files or to one bag."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ MESSAGES = {
 }
 _NO_FILE = re.compile(r"[^\w.+-]+")
 _NO_TOPIC = re.compile(r"[^A-Za-z0-9_/]")
-_DIGIT_FIRST = re.compile("/(?=[0-9])")  # which no part of a topic's name may be
-_WORLD = "map"  # where a transform needs a parent, and nothing names one
+_DIGIT_FIRST = re.compile("/(?=[0-9])")  # a part of a topic's name must not start with a digit
+_WORLD = "map"  # parent frame of a transform if the trajectory names none
 
 
 def files_of(folder: Path, names: Sequence[str], kind: str) -> list[Path]:
-    """Return the files that saving makes: one for each name, or one bag for all.
+    """Return the paths that `save_trajectories` writes: one text file per name, or one bag.
 
     Args:
-        folder: Where they are.
-        names: Of the trajectories, all different.
+        folder: Output folder.
+        names: Names of the trajectories, all different.
         kind: One of `FORMATS`.
 
     Raises:
-        SettingsError: There is no such format.
+        SettingsError: The format is unknown.
     """
     require_one_of(kind, FORMATS, "format")
     stems = [_NO_FILE.sub("_", name).strip("_") or "trajectory" for name in names]
@@ -53,18 +53,19 @@ def files_of(folder: Path, names: Sequence[str], kind: str) -> list[Path]:
 def save_trajectories(
     folder: Path, trajectories: Sequence[Trajectory], kind: str, message: str = "PoseStamped"
 ) -> list[Path]:
-    """Write trajectories, each file whole or not at all, and return the files.
+    """Write trajectories, every file completely or not at all, and return the paths.
 
     Args:
-        folder: Made if need be.
-        trajectories: With names, all different.
-        kind: One of `FORMATS`; `mcap` is a file, `rosbag2` a folder with sqlite3 inside.
-        message: One of `MESSAGES`, for bags. The topic is the source's, or named as the
-            trajectory; `tf` writes all to /tf.
+        folder: Output folder, created if it does not exist.
+        trajectories: Trajectories with different names.
+        kind: One of `FORMATS`. `mcap` is a file, `rosbag2` a folder with an sqlite3 file.
+        message: Message type in a bag, one of `MESSAGES`. The topic is the topic of the source,
+            or the name of the trajectory. `tf` writes all transforms to /tf.
 
     Raises:
-        InputError: A file exists already, or can't be written.
-        SettingsError: There is no such format or message.
+        InputError: A file exists already or can't be written, or `tf` is chosen for a
+            trajectory without orientations.
+        SettingsError: The format or the message is unknown.
     """
     paths = files_of(folder, [each.name for each in trajectories], kind)
     require_one_of(message, MESSAGES, "message")
@@ -97,7 +98,11 @@ def save_trajectories(
 
 
 def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
-    """Return a topic for each: that it was read from, where that tells them apart."""
+    """Return one topic per trajectory, all different.
+
+    If all trajectories were read from different topics, these topics are kept. Otherwise the
+    topics are made from the names.
+    """
     sources = [each.source.rpartition(":")[2] for each in trajectories]
     own = all(source.startswith("/") and "." not in source for source in sources)
     names = (
@@ -110,7 +115,7 @@ def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
 
 
 def _as_transforms(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return them with frames: a child has one parent, so that children's names differ."""
+    """Return the trajectories with frames; child frames differ, since a child has one parent."""
     children = [each.child_frame for each in trajectories]
     if "" in children or len(set(children)) < len(children):
         children = _distinct([_NO_TOPIC.sub("_", each.name).strip("/") for each in trajectories])
@@ -121,7 +126,7 @@ def _as_transforms(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """Return the names, with a number where one was there before."""
+    """Return the names; a repeated name gets its place in the list as a suffix."""
     return [
         name if name not in names[:place] else f"{name}_{place + 1}"
         for place, name in enumerate(names)

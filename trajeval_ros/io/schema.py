@@ -1,7 +1,7 @@
-"""The layouts of result files, each of which a file names: `trajeval-runs/1`.
+"""Check of the schema that a result file names, such as `trajeval-runs/1`.
 
-The number is raised when something that was there goes, or means something else, and not when
-something is added.
+The number is the version. It is raised when a field is removed or changes its meaning, and not
+when a field is added.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from trajeval_ros.exceptions import InputError
 
 
 def require_schema(path: Path, found: object, known: str, what: str, mend: str) -> None:
-    """Check that a file has the layout that is read.
+    """Check that a file has the supported schema.
 
     Args:
         path: The file.
-        found: What it says.
-        known: What is read.
-        what: What such a file is, for the message.
-        mend: What to do about another file.
+        found: Schema that the file names.
+        known: Supported schema, `NAME/VERSION`.
+        what: Description of such a file, for the message.
+        mend: Advice for the message.
 
     Raises:
-        InputError: It is something else, or of another version.
+        InputError: The file has another schema or another version of it.
     """
     if found == known:
         return

@@ -1,6 +1,7 @@
-"""SOURCE -> Trajectory: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`, recognised by content.
+"""Reading of the trajectory of a SOURCE: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`.
 
-A text may also come through a pipe, such as a shell's `<(COMMAND)`, or as `-` on stdin.
+The format of a file is detected from its content. Text is also read from a pipe, such as a
+shell's `<(COMMAND)`, and from stdin, written `-`.
 """
 
 from __future__ import annotations
@@ -27,26 +28,26 @@ from trajeval_ros.io.urls import require_no_password
 
 Advance = Callable[[int, int], None]
 
-_HEAD = 16  # bytes that tell what a file is
+_HEAD = 16  # bytes at the start of a file from which its format is detected
 _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
-STDIN = "-"  # what names it among sources
+STDIN = "-"  # the SOURCE for stdin
 _STDIN_PATH = "/dev/stdin"
-_PARTS = 1000  # that each of several files counts in the progress
+_PARTS = 1000  # progress steps per file, if there are several files
 
 
 @dataclass(frozen=True)
 class Source:
-    """A source, taken apart.
+    """The parts of a SOURCE.
 
     Attributes:
         path: A file, or the directory of a rosbag2.
-        topic: Topic with its leading slash, "" if none was given.
+        topic: Topic with its leading slash, "" if none is given.
         frames: (parent, child) of a transform, or None.
-        is_bag: Whether the path holds a bag.
-        is_pipe: Whether it can be read only once, from its beginning to its end.
+        is_bag: Whether the path is a bag.
+        is_pipe: Whether the path is a pipe, which can be read only once.
     """
 
     path: Path
@@ -69,14 +70,14 @@ def read_trajectory(
     Args:
         source: `PATH` of a text file or of a bag with one topic of poses, `BAG:TOPIC`,
             `BAG:/tf:PARENT.CHILD`, or `-` for text on stdin.
-        advance: Called with what is done and with all there is (bytes of a text, messages of a
-            bag), now and then.
-        covariances: Whether to read those of a bag, too.
-        strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
-        hints: What is known of a text file beyond what is in it.
+        advance: Progress callback, called with the amount done and the total: bytes of a text,
+            messages of a bag.
+        covariances: Whether to read the covariances of a bag.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        hints: Columns and frame rate of a text file, as the user states them.
 
     Raises:
-        InputError: It can't be read; the message says what is wrong, where, and how to mend it.
+        InputError: The source can't be read; the message states where, what and what to do.
 
     Example:
         >>> import pathlib, tempfile
@@ -101,24 +102,25 @@ def read_many(
     strict: bool = False,
     hints: TextHints | Sequence[TextHints] = NO_HINTS,
 ) -> list[Trajectory]:
-    r"""Read the trajectories that several SOURCEs name; each bag once, however many are in it.
+    r"""Read the trajectories of several SOURCEs; a bag with several of them is read once.
 
-    A trajectory, its notes and its damage are the same as if its source were read alone.
+    The result for a source is the same as if it is read alone, including notes and damage.
 
     Args:
-        sources: Each as for `read_trajectory`.
-        advance: Called with what is done and with all there is, now and then. For one source or
-            one bag as for `read_trajectory`; otherwise each file or bag counts the same.
-        covariances: Whether to read those of a bag, too; for all sources, or for each.
-        strict: Whether to verify all that is read of a bag, and to refuse it if it is damaged.
-        hints: What is known of text files beyond what is in them; of all, or of each.
+        sources: SOURCEs as for `read_trajectory`.
+        advance: Progress callback, called with the amount done and the total. For one source or
+            one bag as for `read_trajectory`; otherwise all files and bags have equal weight.
+        covariances: Whether to read the covariances of a bag; one value, or one per source.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        hints: Columns and frame rate of text files; one value, or one per source.
 
     Returns:
-        A trajectory for each source, in their order, which names it.
+        One trajectory per source, in the same order. Its attribute `source` is the SOURCE.
 
     Raises:
-        InputError: One can't be read; the message says which, what is wrong, and how to mend it.
-            That each exists is checked before any is read.
+        InputError: A source can't be read; the message states where, what and what to do. All
+            paths are checked before the first file is read.
+        ValueError: The number of `covariances` or `hints` is not the number of sources.
 
     Example:
         >>> import pathlib, tempfile
@@ -138,9 +140,9 @@ def read_many(
                 f"{what}: {counted(len(values), 'value')} for "
                 f"{counted(len(parsed), 'source')}; give one value per source"
             )
-    files: dict[object, list[int]] = {}  # numbers of the sources of each file or bag
+    files: dict[object, list[int]] = {}  # indices of the sources, by file or bag
     for number, parts in enumerate(parsed):
-        # A pipe can be read once, whatever is known of it.
+        # A pipe can be read only once: all its sources are one entry, whatever their hints.
         own_hints = NO_HINTS if parts.is_pipe else known[number]
         name = _same_bag(parts.path) if parts.is_bag else (str(parts.path), own_hints)
         files.setdefault(name, []).append(number)
@@ -171,10 +173,10 @@ def read_many(
 
 
 def each_topic(source: str) -> list[str]:
-    """Return a source, or for a bag without a topic one source for each topic with poses.
+    """Return the source itself, or for a bag without a topic one source per topic with poses.
 
     Raises:
-        InputError: There is no such file, or no such topic in the bag.
+        InputError: The file does not exist or can't be read.
     """
     parts = parse_source(source)
     if not parts.is_bag or parts.topic:
@@ -187,12 +189,12 @@ def each_topic(source: str) -> list[str]:
 
 
 def _same_bag(path: Any) -> str:
-    """Return a name that is the same however the path of a bag is spelled."""
+    """Return one name for all spellings of the path of a bag."""
     return os.path.realpath(path) if isinstance(path, Path) else str(path)
 
 
 def _part_of(advance: Advance | None, done: int, count: int) -> Advance | None:
-    """Return what tells the progress of one of several files, given how many are done."""
+    """Return the progress callback for one of `count` files, of which `done` are complete."""
     if advance is None or count == 1:
         return advance
 
@@ -204,7 +206,7 @@ def _part_of(advance: Advance | None, done: int, count: int) -> Advance | None:
 
 @contextlib.contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """See to it that an error says which file it is about."""
+    """Add the path to the message of an error in the block, if it is missing."""
     try:
         yield
     except OSError as error:
@@ -216,10 +218,13 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def parse_source(source: str) -> Source:
-    """Take a SOURCE apart; the part before a colon is the path as soon as that exists.
+    """Return the parts of a SOURCE.
+
+    A path may contain colons. The longest existing path at the start of the SOURCE is taken.
 
     Raises:
-        InputError: There is no such file or directory, or the frames aren't `PARENT.CHILD`.
+        InputError: The file or directory does not exist, a topic is given for a text file, or
+            the frames are not `PARENT.CHILD`.
     """
     if not source:
         raise InputError("a source is empty; give a file or BAG:TOPIC")
@@ -245,7 +250,7 @@ def parse_source(source: str) -> Source:
 
 
 def _split_url(source: str) -> tuple[Path, str]:
-    """Return the existing object that a source begins with, and what follows its colon."""
+    """Return the longest existing URL at the start of a source, and the text after its colon."""
     require_no_password(source)
     try:
         from upath import UPath
@@ -255,31 +260,31 @@ def _split_url(source: str) -> tuple[Path, str]:
     try:
         for count in range(len(pieces), 1, -1):
             url = ":".join(pieces[:count])
-            path: Any = UPath(url)  # a Path in all that is asked of it
+            path: Any = UPath(url)  # has the methods of Path that are used here
             if path.exists():
                 return path, ":".join(pieces[count:])
-    except Exception as error:  # each kind of store has its own
+    except Exception as error:  # the types of exceptions depend on the store
         said = " ".join(str(error).split())[:200]
         raise InputError(f"{source} can't be reached: {said}") from error
     raise InputError(f"{source} does not exist; check the URL")
 
 
 def _split_path(source: str) -> tuple[Path, str]:
-    """Return the existing path that a source begins with, and what follows its colon."""
+    """Return the longest existing path at the start of a source, and the text after its colon."""
     pieces = source.split(":")
     for count in range(len(pieces), 0, -1):
         path = Path(":".join(pieces[:count]))
         try:
             if path.exists():
                 return path, ":".join(pieces[count:])
-        except (OSError, ValueError):  # a name too long, a zero byte
+        except (OSError, ValueError):  # the name is too long or contains a zero byte
             continue
     missing = Path(pieces[0])
     raise InputError(f"{missing} does not exist{_nearest_name(missing)}")
 
 
 def _nearest_name(missing: Path) -> str:
-    """Return what to say about the file in the same directory that has the nearest name."""
+    """Return the end of a message: the file with the most similar name in the same directory."""
     try:
         names = [entry.name for entry in missing.parent.iterdir()]
     except OSError:
@@ -289,7 +294,11 @@ def _nearest_name(missing: Path) -> str:
 
 
 def _begins_as_bag(path: Path) -> bool:
-    """Return whether a file is a bag of any kind, by its first bytes."""
+    """Return whether a file is a bag of any format, from its first bytes.
+
+    Raises:
+        InputError: The file has the suffix of a bag and is empty.
+    """
     beginning = beginning_of(path, _HEAD)
     if not beginning and path.suffix in _BAG_ENDINGS:
         raise InputError(f"{path} is empty; check that the recording has data")
@@ -297,7 +306,7 @@ def _begins_as_bag(path: Path) -> bool:
 
 
 def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
-    """Return parent and child of `PARENT.CHILD`."""
+    """Return (parent, child) of `PARENT.CHILD`, without leading and trailing slashes."""
     parent, dot, child = frames.partition(".")
     parent, child = parent.strip("/"), child.strip("/")
     if not (parent and dot and child):

@@ -1,8 +1,8 @@
-"""Files and folders that are not finished yet, and what killed processes left of them.
+"""Temporary files and folders, and removal of those that killed processes left behind.
 
-Each is called `.NAME.trajeval-` and eight random digits, and its writer holds a lock on it. One
-whose lock is free has lost its writer, and is removed when a process writes there for the first
-time.
+A temporary file is named `.NAME.trajeval-` and eight random hexadecimal digits. Its writer holds
+a lock on it. If the lock is free, the writer has ended. A process removes such files the first
+time that it writes to their folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NAME = re.compile(r"\..*\.trajeval-[0-9a-f]{8}", re.DOTALL)
 
 @contextlib.contextmanager
 def temporary_file(path: Path) -> Iterator[Path]:
-    """Yield an empty file beside `path`, removed after the block unless it was renamed."""
+    """Yield an empty file next to `path`; it is removed after the block if it is still there."""
     with _locked(path.parent, path.name, _make_file) as file:
         try:
             yield file
@@ -36,11 +36,11 @@ def temporary_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def temporary_folder(name: str, parent: Path | None = None) -> Iterator[Path]:
-    """Yield an empty folder, removed after the block with all that is in it.
+    """Yield an empty folder; it is removed with its contents after the block.
 
     Args:
-        name: What it is for; part of its name.
-        parent: Where; by default where the system has temporary files.
+        name: Purpose, a part of the folder's name.
+        parent: Parent folder; by default the system's folder for temporary files.
     """
     with _locked(parent or Path(tempfile.gettempdir()), name, _make_folder) as folder:
         try:
@@ -50,13 +50,13 @@ def temporary_folder(name: str, parent: Path | None = None) -> Iterator[Path]:
 
 
 def collect_leftovers(folder: Path) -> None:
-    """Remove what processes that are gone had not finished in a folder."""
+    """Remove the temporary files in a folder whose writers have ended."""
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for name in [each.name for each in entries if _NAME.fullmatch(each.name)]:
             _remove_if_left(folder / name)
 
 
-# A folder of ten thousand records is not to be looked through for each of them.
+# A folder can have ten thousand records: it is listed once, not at every write.
 _collect_once = functools.cache(collect_leftovers)
 
 
@@ -67,10 +67,10 @@ def _locked(parent: Path, name: str, make: Callable[[Path], int]) -> Iterator[Pa
         path = parent / f".{name}.trajeval-{secrets.token_hex(4)}"
         file = make(path)
         try:
-            # Where the disk knows no locks, nobody takes it for left over either.
+            # If the file system has no locks, no process removes the file either.
             with contextlib.suppress(OSError):
                 lock(file, wait=True)
-            # Before it had its lock, another process may have taken it for left over.
+            # Another process can remove the file before it is locked.
             if is_at(path, file):
                 yield path
                 return
@@ -88,7 +88,7 @@ def _make_folder(path: Path) -> int:
 
 
 def _remove_if_left(path: Path) -> None:
-    """Remove a file or folder whose lock is free; what belongs to other users stays."""
+    """Remove a file or folder if its lock is free; files that can't be opened are kept."""
     with contextlib.suppress(OSError):
         is_folder = stat.S_ISDIR(path.lstat().st_mode)
         how = os.O_RDONLY if is_folder else os.O_RDWR

@@ -1,4 +1,4 @@
-"""URLs of sources: what they must not hold."""
+"""Check of the URLs of sources."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from trajeval_ros.exceptions import InputError
 
 
 def require_no_password(url: str) -> None:
-    """Refuse a URL with a password, which results, tables and logs would repeat.
+    """Check that a URL has no password, since results, tables and logs repeat the URL.
 
     Raises:
-        InputError: It has one; the message doesn't repeat it.
+        InputError: The URL has a password. The message does not repeat it.
     """
     scheme, _, rest = url.partition("://")
     user, at, host = rest.partition("/")[0].rpartition("@")
-    if at and ":" in user and scheme.lower() != "github":  # there it is OWNER:REPOSITORY@BRANCH
+    if at and ":" in user and scheme.lower() != "github":  # its form is OWNER:REPOSITORY@BRANCH
         raise InputError(
             f"{scheme}://{host} has a password, which results and logs repeat; set the password "
             "in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"

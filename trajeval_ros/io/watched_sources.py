@@ -1,4 +1,4 @@
-"""SOURCEs of a watchdog: an estimate, an IMU, second estimates, a map's corrections."""
+"""Reading of the SOURCEs of a watchdog: estimate, IMU, second estimates, map corrections."""
 
 from __future__ import annotations
 
@@ -21,18 +21,21 @@ def read_watched(
     corrections: str | None = None,
     advance: Advance | None = None,
 ) -> tuple[WatchedRun, Trajectory | None]:
-    """Read the sources of a watch, and groundtruth if given.
+    """Read the sources of a watchdog run, and the groundtruth if given.
 
     Args:
-        estimate: SOURCE of the estimate; of an odometry in a bag its turn rates are read, too.
+        estimate: SOURCE of the estimate. For odometry in a bag, the angular rates are read, too.
         imu: SOURCE of IMU messages in a bag.
-        partners: SOURCEs of second estimates, by their names as sources (`pair_sources`).
-        groundtruth: SOURCE of groundtruth.
+        partners: SOURCEs of second estimates, by name (`pair_sources`).
+        groundtruth: SOURCE of the groundtruth.
         corrections: SOURCE of transforms from the map to the estimate's frame.
-        advance: Called from time to time with the bytes read and their total.
+        advance: Progress callback, called with the amount done and the total.
+
+    Returns:
+        The run, and the groundtruth or None.
 
     Raises:
-        InputError: A source can't be read.
+        InputError: A source can't be read, or `imu` is not an IMU topic of a bag.
     """
     asked = (estimate, *partners.values(), corrections, groundtruth)
     poses = [each for each in asked if each is not None]
@@ -48,7 +51,7 @@ def read_watched(
 
 
 def _twist_of(estimate: str) -> InertialReadings | None:
-    """Return the turn rates of an odometry in a bag; None of anything else."""
+    """Return the angular rates of odometry in a bag; None for other sources."""
     parts = parse_source(estimate)
     if not parts.is_bag or parts.frames is not None:
         return None

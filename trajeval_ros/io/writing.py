@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and what a disk refuses in one sentence."""
+"""Atomic writing of files, and one-sentence messages about files that can't be written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from trajeval_ros.io.temporary import temporary_file
 
 
 def write_text(path: Path, text: str, *, follow_link: bool = False) -> None:
-    """Write a file whole or not at all, as `write_whole` does."""
+    """Write a text in UTF-8 completely or not at all, as `write_whole` does.
+
+    Raises:
+        InputError: The file can't be written.
+    """
     write_whole(
         path,
         lambda temporary: temporary.write_text(text, encoding="utf-8"),
@@ -20,16 +24,16 @@ def write_text(path: Path, text: str, *, follow_link: bool = False) -> None:
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: bool = False) -> None:
-    """Let `write` make a file under a temporary name beside `path`, then give it that name.
+    """Write a file under a temporary name in the same folder, then rename it to `path`.
 
-    A pipe or a device is written to as it is.
+    A pipe or a device is written directly.
 
     Args:
         path: The file.
-        write: Called with the temporary name.
-        follow_link: For a file that the user named: a link stays one, and what it leads to is
-            replaced. In a folder of results a link is replaced itself, since whoever placed it
-            must not choose what else is written over.
+        write: Function that writes the file; called with the temporary path.
+        follow_link: Whether to replace the target of a link. Use it only for files that the
+            user named. Otherwise the link itself is replaced: a link in a folder of results is
+            untrusted and must not select another file to overwrite.
 
     Raises:
         InputError: The file can't be written.
@@ -50,10 +54,13 @@ def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: boo
 
 @contextlib.contextmanager
 def refused_by_disk(what: str) -> Iterator[None]:
-    """State in one sentence that something can't be written in the block.
+    """Convert an OSError in the block to a one-sentence InputError.
+
+    Args:
+        what: The file or folder, for the message.
 
     Raises:
-        InputError: It can't.
+        InputError: `what` can't be written.
     """
     try:
         yield

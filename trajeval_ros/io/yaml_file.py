@@ -1,4 +1,4 @@
-"""YAML files, which nobody vouches for: loaded up to a size, and without running what they say."""
+"""Reading of YAML files as untrusted input: with a size limit, and without running code."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from typing import Any
 from trajeval_ros.exceptions import InputError, reason_of
 
 _LARGEST, _LARGEST_GENERATED = 1_000_000, 1 << 24  # bytes
-_OPENCV_HEAD = "%YAML:1.0"  # EuRoC's files have it, too; the standard's directive has no colon
+_OPENCV_HEAD = "%YAML:1.0"  # in OpenCV's and EuRoC's files; not valid YAML because of the colon
 
 
 def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[str, Any]:
-    """Return the mapping in a file, the first of several documents.
+    """Return the mapping in the first document of a YAML file.
 
     Args:
         path: The file.
-        what: What it should hold, for messages.
-        is_generated: A program writes such files, not a person: they may be larger, and are read
-            by libyaml, which is many times faster but takes a bare `no` or `off` for false.
+        what: Expected content, for messages.
+        is_generated: Whether a program writes such files. Then they may be larger, and libyaml
+            reads them. It is many times faster, but reads an unquoted `no` or `off` as false.
 
     Raises:
-        InputError: It can't be read, is no YAML, or holds something else.
+        InputError: The file can't be read, is too large or is not YAML, or its first document
+            is not a mapping of names.
     """
     from ruamel.yaml import YAML
 
@@ -42,7 +43,7 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
             ),
             None,
         )
-    except Exception as error:  # YAML's own are a dozen kinds, and deep nesting has another
+    except Exception as error:  # many types: of the parser, and RecursionError of deep nesting
         line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
@@ -55,16 +56,16 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
 def require_known(
     found: Iterable[str], known: Iterable[str], where: str, what: str = "key"
 ) -> None:
-    """Check that all names are known ones.
+    """Check that all names are valid.
 
     Args:
         found: The names.
         known: All valid names.
-        where: What contains them, for the message.
-        what: The noun for the message.
+        where: File and field with the names, for the message.
+        what: Noun for a name, for the message.
 
     Raises:
-        InputError: One isn't; says which might be meant.
+        InputError: A name is not valid; the message suggests a similar valid name.
     """
     known = list(known)
     for name in found:
