@@ -1,1 +1,1 @@
-"""Trajectories in text files."""
+"""Reading and writing of trajectories in text files."""

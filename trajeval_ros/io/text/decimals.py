@@ -1,13 +1,14 @@
-"""Rows of decimal numbers to float64, a block of bytes at a time, without a loop over rows.
+"""Conversion of rows of decimal numbers to float64, by blocks of bytes, without a loop over rows.
 
-Why not `np.loadtxt`: reading two trajectories of a million rows with it costs more than all of
-their evaluation, it can't read stamps exactly, and it takes either spaces or commas. Here, eight
-digits are one 64-bit word and three multiplications (SWAR), for all numbers of a column at once.
+`np.loadtxt` is not used, for three reasons. It needs more time for two trajectories of a million
+rows than their evaluation. It does not read timestamps exactly. It accepts only one separator.
+Here, eight digits are converted as one 64-bit word with three multiplications (SWAR), for all
+numbers of a column at once.
 
-A number with at most 15 or so digits is an integer below 2**53 divided by a power of ten below
-10**22. Both are exact in float64, so that the one division rounds correctly: the result is the
-same float that `float(text)` gives, to the last bit. Numbers with more digits, exponents or NaN
-are left to numpy's own conversion, which is slower and knows all of them.
+A number with up to about 15 digits is an integer below 2**53, divided by a power of ten below
+10**22. Both are exact in float64, and the single division rounds correctly. The result is equal
+to `float(text)` to the last bit. Numbers with more digits, with exponents or NaN are converted by
+numpy, which is slower.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from trajeval_ros.io.text.tokens import (
     tokenize_fields,
 )
 
-_MOST_DIGITS = 19  # of an integer that surely fits uint64
+_MOST_DIGITS = 19  # integers of up to 19 digits fit into uint64
 _FLOAT_POWERS: Floats = POWERS_OF_TEN.astype(np.float64)
-# From this whole part on, `whole * 10**places + fraction` may be 2**53 or more.
+# For this whole part and larger ones, `whole * 10**places + fraction` can reach 2**53.
 _TOO_LARGE_WHOLE = np.array([2**53 // 10**places for places in range(20)], dtype=np.uint64)
-# Keeps the low halves of the last `count` bytes of a word.
+# Masks for the low 4 bits of the last `count` bytes of a word.
 _DIGIT_MASKS = np.array(
     [0x0F0F0F0F0F0F0F0F << 8 * (8 - count) & 2**64 - 1 for count in range(9)], dtype=np.uint64
 )
@@ -49,15 +50,15 @@ _DIGIT_MASKS = np.array(
 
 @dataclass(frozen=True)
 class RowFormat:
-    """What the rows of a file are made of.
+    """The columns of a file and how they are read.
 
     Attributes:
         columns: Number of columns.
-        time: Index of the column with stamps, or None.
-        values: Indices of the columns with the numbers that are wanted.
+        time: Index of the column with timestamps, or None.
+        values: Indices of the columns that are read as numbers.
         separator: As `Layout.separator`.
-        dates: Whether the stamps are calendar dates.
-        names: Of the columns, for messages.
+        dates: Whether the timestamps are calendar dates.
+        names: Names of the columns, for messages; () if unknown.
     """
 
     columns: int
@@ -69,7 +70,7 @@ class RowFormat:
 
     @cached_property
     def pick(self) -> slice | list[int]:
-        """What picks the values' columns; a slice if it can, since it is fast."""
+        """Index of the columns `values`; a slice if they are consecutive, since it is faster."""
         if self.values == tuple(range(self.values[0], self.values[-1] + 1)):
             return slice(self.values[0], self.values[-1] + 1)
         return list(self.values)
@@ -77,12 +78,12 @@ class RowFormat:
 
 @dataclass(frozen=True)
 class ParsedRows:
-    """The numbers of a block.
+    """The numbers of a block of N rows.
 
     Attributes:
-        stamps: The N numbers of the time column, exactly; None if there is no such column.
-        timed: (N,) bool, whether the stamp is a finite number.
-        values: (N, M) of the columns that are wanted.
+        stamps: N exact numbers of the time column; None if there is no such column.
+        timed: (N,) bool, whether the timestamp is finite; all True without a time column.
+        values: (N, M), the columns `RowFormat.values`.
     """
 
     stamps: ExactNumbers | None
@@ -91,10 +92,10 @@ class ParsedRows:
 
 
 def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
-    """Read a block of whole lines; empty lines are skipped.
+    """Return the numbers of a block of complete lines; empty lines are skipped.
 
     Raises:
-        RowError: A line has another number of columns, or something that is not a number.
+        RowError: A line has a wrong number of columns, or a column is not a number.
     """
     if rows.separator:
         tokens = tokenize_fields(block, rows.columns, rows.separator)
@@ -120,9 +121,9 @@ def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
 
 @dataclass(frozen=True)
 class _Decimals:
-    """Numbers as their parts, (N,) each: (whole + fraction / 10**places), and the sign.
+    """The parts of N numbers: sign, and whole + fraction / 10**places.
 
-    The places have the shape (1,) if they are the same for all.
+    All arrays have shape (N,). If all numbers have the same places, `places` has shape (1,).
     """
 
     negative: Booleans
@@ -132,7 +133,7 @@ class _Decimals:
 
 
 def _parse_decimals(tokens: Tokens) -> _Decimals | None:
-    """Return the parts of the numbers; None if one needs a more general way of reading."""
+    """Return the parts of the numbers; None if a number is not a plain decimal number."""
     if tokens.dots is None:
         return None
     first = tokens.text[tokens.starts]
@@ -142,7 +143,7 @@ def _parse_decimals(tokens: Tokens) -> _Decimals | None:
     digits = tokens.dots - begins
     if max(digits.max(initial=0), places.max(initial=0)) > _MOST_DIGITS:
         return None
-    if (digits + places).min(initial=1) == 0:  # a lone sign or point
+    if (digits + places).min(initial=1) == 0:  # a sign or a point without digits
         return None
     whole = _parse_digits(tokens.text, tokens.dots, digits)
     fraction = _parse_digits(tokens.text, tokens.ends, places)
@@ -152,7 +153,11 @@ def _parse_decimals(tokens: Tokens) -> _Decimals | None:
 
 
 def _parse_numbers(tokens: Tokens) -> Floats:
-    """Return the numbers (N,) as `float` reads them."""
+    """Return the numbers (N,), equal to the results of `float`.
+
+    Raises:
+        WordError: A word is not a number.
+    """
     parts = _parse_decimals(tokens)
     if parts is None:
         return _convert(tokens)
@@ -167,7 +172,7 @@ def _parse_numbers(tokens: Tokens) -> Floats:
 
 
 def _parse_stamps(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
-    """Return the numbers (N,) exactly, and which of them are finite."""
+    """Return N exact numbers, and the mask (N,) of the finite ones."""
     parts = _parse_decimals(tokens)
     if parts is None:
         return exact_numbers(characters_of(tokens)), np.isfinite(_convert(tokens))
@@ -176,7 +181,11 @@ def _parse_stamps(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
 
 
 def _parse_dates(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
-    """Return calendar dates (N,) as exact seconds since 1970, and which of them are none."""
+    """Return calendar dates as N exact seconds since 1970, and the mask (N,) of present dates.
+
+    Raises:
+        WordError: A word is neither empty nor a date.
+    """
     words = _words(tokens)
     empty = words == b""
     try:
@@ -198,20 +207,20 @@ def _is_date(word: bytes) -> bool:
 
 
 def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uint64]:
-    """Return the integers (N,) that stand in `text[end - count:end]`, of at most 19 digits."""
-    # The 8 bytes before each end as one little-endian word: the first digit is the lowest byte.
+    """Return the integers (N,) in `text[end - count:end]`, of at most 19 digits."""
+    # The 8 bytes before an end are one little-endian word: the first digit is the lowest byte.
     words: NDArray[np.uint64] = np.ndarray(
         (len(text) - 7,), dtype="<u8", buffer=text.data, strides=(1,)
     )
     integers = np.zeros(len(ends), dtype=np.uint64)
     shortest, longest = counts.min(initial=_MOST_DIGITS), int(counts.max(initial=0))
     for done in range(0, longest, 8):
-        if longest - done == 1:  # as in nine decimals, the most common format
+        if longest - done == 1:  # the ninth of nine decimals, the most common format
             digit = np.where(counts == longest, text[ends - longest] & 0x0F, np.uint8(0))
             integers += digit * POWERS_OF_TEN[done]
             break
         word = words[ends - (done + 8)]
-        # Bytes before the number become zeros; so does the upper half of each digit's byte.
+        # Clears the bytes before the number, and the upper 4 bits of all digits.
         word &= _DIGIT_MASKS[8 if shortest >= done + 8 else np.clip(counts - done, 0, 8)]
         word *= np.uint64(10 << 8 | 1)
         word >>= np.uint64(8)
@@ -228,14 +237,18 @@ def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uin
 
 
 def _convert(tokens: Tokens) -> Floats:
-    """Return the floats (N,) that `float` makes of the numbers, whatever their form."""
+    """Return numbers of any notation as `float` converts them (N,); NaN for empty words.
+
+    Raises:
+        WordError: A word is not a number.
+    """
     words = _words(tokens)
     missing = words == b""
     words[missing] = b"0"
     try:
-        if (words.view(np.uint8) == ord("_")).any():  # python reads 1_000, but no writer means it
+        if (words.view(np.uint8) == ord("_")).any():  # Python accepts 1_000; in data it is damage
             raise ValueError
-        with np.errstate(over="ignore"):  # 1e400 is infinite
+        with np.errstate(over="ignore"):  # 1e400 becomes infinity
             numbers = words.astype(np.float64)
     except ValueError:
         for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Fixes in text: columns that a header calls latitude and longitude, and NMEA 0183 GGA lines."""
+"""GNSS fixes in text: columns named latitude and longitude, and GGA lines of NMEA 0183."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajeval_ros.io.fix_rows import trajectory_of_rows
 
 _KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
 
-# Patterns are compiled when they are used: few files are NMEA.
+# Patterns are compiled on use, since few files are NMEA.
 _GGA = (
     rb"(?m)^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
     rb"(\d),[^,]*,[^,]*,(-?[\d.]+),M?,(-?[\d.]*),[^*\r\n]*)\*([0-9A-Fa-f]{2})"
@@ -28,8 +28,8 @@ _DATE = (
     rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4}))"
 )
 _HALF_A_DAY_S, _DAY_S = 43_200, 86_400
-# GGA's quality as a status of sensor_msgs/NavSatFix: none, fix, differential, PPS, fixed and float
-# RTK, dead reckoning, entered by hand, simulated.
+# Status of sensor_msgs/NavSatFix by GGA's quality: none, fix, differential, PPS, RTK fixed, RTK
+# float, dead reckoning, manual input, simulation.
 _QUALITIES = np.array([-1.0, 0.0, 1.0, 0.0, 2.0, 2.0, -1.0, -1.0, 0.0, 0.0])
 
 
@@ -42,18 +42,18 @@ def fixes_of(
     dropped: dict[str, int],
     notes: Sequence[str],
 ) -> Trajectory:
-    """Return the fixes in the columns of a file.
+    """Return the trajectory of the fixes in the columns of a file.
 
     Args:
-        path: For messages.
+        path: The file, for messages and the trajectory's name.
         stamps: (N,), nanoseconds.
-        groups: (N, width) of each group in the layout.
-        stamped: Whether these are times.
-        dropped: Rows that were left out, by reason.
-        notes: What to tell about the file.
+        groups: Columns (N, width), by the name of their group in the layout.
+        stamped: Whether `stamps` are times.
+        dropped: Number of dropped rows, by reason.
+        notes: Notes about the file.
 
     Raises:
-        InputError: They have no times, or none of them can be used.
+        InputError: The fixes have no timestamps, or no fix can be used.
     """
     if not stamped:
         raise InputError(
@@ -77,13 +77,14 @@ def fixes_of(
 
 
 def read_nmea(path: Path) -> Trajectory | None:
-    """Read the GGA lines of a file; None if it has none in its beginning.
+    """Read the GGA lines of a file; None if its first 64 KiB contain no GGA line.
 
-    Days are those of RMC and ZDA lines; without any, the first is 1970-01-01. Heights are above
-    the ellipsoid: GGA's altitude and its separation of the geoid.
+    The date is taken from the first RMC or ZDA line. Without such a line, the first day is
+    1970-01-01. Heights are above the ellipsoid: the sum of altitude and geoid separation.
 
     Raises:
-        InputError: None of the lines can be used.
+        InputError: No GGA line can be used.
+        OSError: The file can't be read.
     """
     with path.open("rb") as file:
         beginning = file.read(1 << 16)
@@ -123,7 +124,7 @@ def read_nmea(path: Path) -> Trajectory | None:
 
 
 def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
-    """Return which lines have the checksum that they say, (N,)."""
+    """Return the mask (N,) of lines with a correct checksum."""
     if not matches:
         return np.zeros(0, dtype=bool)
     ends = np.array([each.span(1) for each in matches]).ravel()
@@ -133,12 +134,12 @@ def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
 
 
 def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices, tuple[str, ...]]:
-    """Return the days since 1970 of lines (N,), and what to tell about them.
+    """Return the days since 1970 of the lines (N,), and notes about them.
 
     Args:
-        data: The file.
-        places: (N,) where each line begins.
-        seconds: (N,) of its day.
+        data: Content of the file.
+        places: (N,), offsets of the lines, bytes.
+        seconds: (N,), time of day of the lines, seconds.
     """
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
     said = re.search(_DATE, data)
@@ -151,7 +152,7 @@ def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices
         day, month, year = zda
     number = int(year) + (2000 if rmc_time is not None else 0)
     told = date(number, int(month), int(day)).toordinal() - date(1970, 1, 1).toordinal()
-    # The line's own day is that of its neighbour, unless midnight lies between the two.
+    # The line with the date has the same day as the GGA line before it, except over midnight.
     row = max(int(np.searchsorted(places, said.start())) - 1, 0)
     own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
     between = round((own_s - int(seconds[row])) / _DAY_S)

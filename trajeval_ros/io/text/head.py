@@ -1,4 +1,4 @@
-"""The first lines of a text file: is it a trajectory, and of which layout?"""
+"""Recognition of the layout of a text file from its first lines."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trajeval_ros.io.text.layouts import (
 COMMENT = re.compile(rb"[#%][^\n]*")
 _DATE = rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?"
 _HEAD = 1 << 16  # bytes
-_SAMPLE = 50  # rows that are looked at to recognise a layout
+_SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
@@ -34,12 +34,12 @@ _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSL
 
 @dataclass(frozen=True)
 class TextFormat:
-    """What the head of a file shows.
+    """Layout and start of the rows of a text file.
 
     Attributes:
-        layout: The meaning of its columns.
+        layout: Meaning of the columns.
         start: Offset of the first row, bytes.
-        no_row: What matches all that is no part of a row.
+        no_row: Pattern of the text that does not belong to rows, such as comments.
     """
 
     layout: Layout
@@ -48,7 +48,7 @@ class TextFormat:
 
     @property
     def columns(self) -> int:
-        """Number of its columns."""
+        """Number of columns."""
         return len(self.layout.columns)
 
 
@@ -57,11 +57,13 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
 
     Args:
         path: The file.
-        named: The names of its columns, if the user gives them; they are believed.
+        named: Names of the columns, as the user states them; () to recognise the layout.
 
     Raises:
-        InputError: It is empty, not text, of no known layout, or has another number of columns
-            than are named.
+        InputError: The file is empty, is not text, has an unknown layout, or has another number
+            of columns than `named`.
+        SettingsError: The names are not valid, as for `layout_of`.
+        OSError: The file can't be read.
     """
     if named:
         return _as_named(path, layout_of(named))
@@ -79,7 +81,7 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
 
 
 def _as_named(path: Path, layout: Layout) -> TextFormat:
-    """Return how a file is read whose columns the user has named, from its first row on."""
+    """Return the format of a file with columns that the user named."""
     data = _beginning(path)
     start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
     count = 0
@@ -98,9 +100,10 @@ def _as_named(path: Path, layout: Layout) -> TextFormat:
 
 
 def _of_row(layout: Layout, line: bytes) -> Layout | None:
-    """Return the layout, its time a date if it is one in this line; None if this is no row of it.
+    """Return the layout if a line is a row of it, else None.
 
-    Empty fields are missing values.
+    If the time in the line is a calendar date, the returned layout has a date as time. Empty
+    fields are missing values.
     """
     if layout.separator:
         fields = [each.strip(b' "\t\r\n') for each in line.split(layout.separator.encode())]
@@ -125,7 +128,7 @@ def _from_header(head: Head) -> Layout | None:
 
 
 def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
-    """Return the layout with what a SQUARE header says of its covariances."""
+    """Return the layout with the convention of covariances that the header of SQUARE states."""
     said = " ".join(header).upper()
     if re.search(_OTHERS, said):
         note = "covariances dropped: their axes or their order are not supported"
@@ -134,28 +137,28 @@ def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
 
 
 def _graph(path: Path) -> TextFormat | None:
-    """Return how the vertices of a g2o file are read; None if it is none."""
+    """Return the format of the vertices of a g2o file; None if the file is not g2o."""
     with path.open("rb") as file:
         found = re.search(_GRAPH, file.read(_HEAD))
     if found is None:
         return None
     tag = found[1]
-    # Lines stay where they are, so that messages have their numbers.
+    # Other lines become empty and are not removed: line numbers in messages stay correct.
     no_row = re.compile(rb"(?m)^(?!%s\s)[^\n]*|^%s\s" % (tag, tag))
     return TextFormat(G2O[tag.decode()], 0, no_row)
 
 
 @dataclass(frozen=True)
 class Head:
-    """The first lines: those that aren't rows, a few rows, and where the rows begin.
+    """The first lines of a file: header lines and the first rows.
 
     Attributes:
-        header: Lines without their comment signs.
-        sample: The numbers of the first rows; none of a table.
+        header: Lines before the first row, without comment signs.
+        sample: Numbers of the first rows; can be empty if `table` is set.
         commas: Whether commas separate columns.
         start: Offset of the first row, bytes.
-        table: The layout, if the line above the rows names each of their columns and separates
-            them one by one, as CSV does.
+        table: Layout, if the line above the rows names all columns and has single separators, as
+            in CSV; else None.
     """
 
     header: list[str]
@@ -166,12 +169,17 @@ class Head:
 
 
 def read_head(path: Path) -> Head:
-    """Look at the start of a file, or raise InputError if it can't hold rows of numbers."""
+    """Return the header and the first rows of a file.
+
+    Raises:
+        InputError: The file is empty, is not text, or has no row of numbers in its first lines.
+        OSError: The file can't be read.
+    """
     data = _beginning(path)
     start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
     lines = data[start:].splitlines(keepends=True)
     if len(data) == _HEAD and len(lines) > 1:
-        lines.pop()  # it may be cut
+        lines.pop()  # the last line can be incomplete
     header: list[str] = []
     named = False
     for index, line in enumerate(lines):
@@ -196,7 +204,10 @@ def read_head(path: Path) -> Head:
 
 
 def _table(header: Sequence[str], line: bytes) -> Layout | None:
-    """Return the layout of a table whose header is the last line; None if this is no row of it."""
+    """Return the layout of a table if its header is the last header line and `line` is a row.
+
+    Otherwise return None.
+    """
     separator = separator_of(header[-1]) if header else ""
     if not separator:
         return None
@@ -207,7 +218,11 @@ def _table(header: Sequence[str], line: bytes) -> Layout | None:
 
 
 def _beginning(path: Path) -> bytes:
-    """Return the first bytes of a text file, or raise InputError if it is none."""
+    """Return the first `_HEAD` bytes of a text file.
+
+    Raises:
+        InputError: The file is empty, binary, or UTF-16 text.
+    """
     with path.open("rb") as file:
         data = file.read(_HEAD)
     if not data.strip():
@@ -220,12 +235,12 @@ def _beginning(path: Path) -> bytes:
 
 
 def _words(line: bytes) -> list[bytes]:
-    """Return what separators leave of a line, without its comment."""
+    """Return the words of a line between spaces and commas, without its comment."""
     return COMMENT.sub(b"", line).replace(b",", b" ").split()
 
 
 def _to_float(word: bytes) -> float | None:
-    """Return the number that a word is, or None."""
+    """Return a word as a number; None if it is not a number."""
     try:
         return None if b"_" in word else float(word)
     except ValueError:
@@ -233,7 +248,10 @@ def _to_float(word: bytes) -> float | None:
 
 
 def _sample(lines: list[bytes]) -> list[list[float]]:
-    """Return the first rows, up to one that differs: reading the file says what is wrong there."""
+    """Return the numbers of the first rows, up to a row with text or another number of columns.
+
+    The reader reports the error in that row.
+    """
     sample: list[list[float]] = []
     for line in lines[:_SAMPLE]:
         numbers = [_to_float(word) for word in _words(line)]

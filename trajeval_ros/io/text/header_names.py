@@ -1,4 +1,4 @@
-"""The names that programs give to columns, in the words of `layouts.NAMES`."""
+"""Translation of column names in header lines to the names in `layouts.NAMES`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from trajeval_ros.io.text.layouts import (
     Layout,
 )
 
-SEPARATORS = (",", ";", "\t")  # of columns one by one; spaces come in any number
-# Patterns are compiled when they are used: most files have no header.
+SEPARATORS = (",", ";", "\t")  # single separators of columns; spaces separate in any number
+# Patterns are compiled on use, since most files have no header.
 _UNIT = r"\[([^\]]*)\]|\(([^)]*)\)"
 _WORDS = r"[^a-z0-9]+"
 _UNITS = {
@@ -27,7 +27,7 @@ _UNITS = {
 }
 _TIME = r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
 _FRAME = r"frame|frame_(?:index|number)|index|image|image_id|id|no"
-# Names of x in each group; the last word or letter tells which element a column holds.
+# Patterns of column names by group. `{}` is the element: x, y, z or w.
 _VECTORS = {
     "position": r"(?:(?:t|p|pos|position|p_[a-z_]+)?_?"
     r"|(?:.*_)?(?:position|translation|point|pos)_){}",
@@ -51,7 +51,7 @@ _OPENVINS_TRIANGLES = {
     "qrr": "pr11", "qrp": "pr12", "qry": "pr13", "qpp": "pr22", "qpy": "pr23", "qyy": "pr33",
     "pxx": "pt11", "pxy": "pt12", "pxz": "pt13", "pyy": "pt22", "pyz": "pt23", "pzz": "pt33",
 }  # fmt: skip
-# Of GNSS fixes; no more of them is looked for without latitude and longitude.
+# Names of GNSS fixes, used only if both latitude and longitude are present.
 _FIXES = {
     "latitude": r"(?:lat|latitude)(?:_?deg)?",
     "longitude": r"(?:lon|lng|long|longitude)(?:_?deg)?",
@@ -61,25 +61,25 @@ _FIXES = {
     "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?",
     "fix_status": r"(?:fix_?)?status(?:_status)?",
 }
-# OpenVINS writes whole vectors under one name each: quaternion (xyzw) first.
+# OpenVINS writes one name per vector: quaternion (xyzw), position, velocity, biases.
 _OPENVINS = r"\bq p v bg ba\b"
 _TRAJECTOPY = r"\s*#?\s*fields\s+"
 
 
 def separator_of(line: str) -> str:
-    """Return what separates the names of a line: a comma, a semicolon, a tab, or "" for spaces."""
+    """Return the separator of a line: a comma, a semicolon, a tab, or "" for spaces."""
     return next((each for each in SEPARATORS if each in line), "")
 
 
 def from_header(line: str, columns: int) -> Layout | None:
-    """Return the layout that a header line describes, if it names every column.
+    """Return the layout that a header line describes.
 
     Args:
-        line: Without its comment sign.
-        columns: Of the rows below it.
+        line: Header line, without its comment sign.
+        columns: Number of columns in the rows below.
 
     Returns:
-        None if it has another number of names, or names no position.
+        The layout. None if the number of names is not `columns`, or if no position is named.
     """
     plain = re.sub(_TRAJECTOPY, "", line)
     if re.search(_OPENVINS, re.sub(_UNIT, "", plain).lower()) and columns >= len(
@@ -89,7 +89,7 @@ def from_header(line: str, columns: int) -> Layout | None:
         return Layout(OPENVINS_STATE.name, (*OPENVINS_STATE.columns, *rest))
     separator = separator_of(plain)
     names = [each.strip() for each in plain.split(separator or None)]
-    if not separator:  # a unit behind a space is no name of its own
+    if not separator:  # a unit after a space belongs to the name before it
         names = [each for each in names if not re.fullmatch(_UNIT, each)]
     if names and not names[-1]:
         names.pop()
@@ -107,7 +107,7 @@ def from_header(line: str, columns: int) -> Layout | None:
 
 
 def _columns(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the name in our words of each column, each once."""
+    """Return the name in `layouts.NAMES` of every column; `_` if unknown or used before."""
     plain = [re.sub(_WORDS, "_", re.sub(_UNIT, "", name).lower()).strip("_") for name in names]
     units = [_unit(name) for name in names]
     found = [IGNORED] * len(names)
@@ -148,7 +148,7 @@ def _unit(name: str) -> str:
 def _name_time(
     plain: Sequence[str], units: Sequence[str], name: Callable[[int, str], None]
 ) -> None:
-    """Name the stamps: those of the measurement, if there are others as well; else frames."""
+    """Name the column of timestamps, preferably of the header; without one, frame numbers."""
     times = [place for place, word in enumerate(plain) if re.fullmatch(_TIME, word)]
     times.sort(key=lambda place: (not plain[place].endswith("header_stamp"), place))
     for place in times[:1]:
@@ -161,7 +161,7 @@ def _name_time(
 
 
 def _name_fixes(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
-    """Name latitude and longitude, and what else says something of fixes."""
+    """Name the columns of GNSS fixes, if latitude and longitude are present."""
     places = {
         word: [at for at, each in enumerate(plain) if re.fullmatch(pattern, each)]
         for word, pattern in _FIXES.items()
@@ -173,7 +173,7 @@ def _name_fixes(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
 
 
 def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
-    """Name covariances by number (0 to 35, 11 to 66 or 00 to 55) or by axes."""
+    """Name columns of covariances, numbered 0 to 35, 11 to 66 or 00 to 55, or named by axes."""
     numbered = {
         place: f"{match[1]}{match[2] or ''}"
         for place, word in enumerate(plain)
@@ -199,7 +199,7 @@ def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) ->
 
 
 def _title(layout: Layout, line: str) -> str:
-    """Return what a file with these named columns is called."""
+    """Return the name of the format that has these columns."""
     groups = layout.groups
     if re.match(_TRAJECTOPY, line):
         return "trajectopy"

@@ -1,4 +1,4 @@
-"""What a user says of text files that isn't in them."""
+"""Information about text files that the user states: column names and frame rate."""
 
 from __future__ import annotations
 
@@ -11,21 +11,25 @@ from trajeval_ros.io.text.layouts import layout_of
 
 @dataclass(frozen=True)
 class TextHints:
-    """What a user says of text files beyond what is in them.
+    """Information about text files that the user states.
 
     Attributes:
         columns: Names of the columns (`layouts.NAMES`); () to recognise them.
-        frame_rate_hz: Rows a second of files without stamps; None if it isn't known.
+        frame_rate_hz: Rows per second of files without timestamps; None if unknown.
+
+    Raises:
+        SettingsError: A name is unknown or repeated, no position is named, or the rate is not
+            greater than zero.
     """
 
     columns: tuple[str, ...] = ()
     frame_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse names that are none, and a rate that is none.
+        """Check the names and the rate.
 
         Raises:
-            SettingsError: There is one.
+            SettingsError: As for the class.
         """
         if self.columns:
             layout_of(self.columns)
@@ -35,19 +39,19 @@ class TextHints:
 
     @property
     def of_reference(self) -> TextHints:
-        """What of them holds of the groundtruth or reference, too: it has columns of its own."""
+        """Hints for the groundtruth or reference: the rate only, since its columns can differ."""
         return TextHints(frame_rate_hz=self.frame_rate_hz)
 
     @classmethod
     def of(cls, columns: str | None, frame_rate_hz: float | None) -> TextHints:
-        """Return them from the words of the command line.
+        """Return hints from options of the command line.
 
         Args:
-            columns: Names with spaces or commas between them; None to recognise them.
+            columns: Names separated by spaces or commas; None to recognise them.
             frame_rate_hz: As the attribute.
 
         Raises:
-            SettingsError: As for the class, or there is no name.
+            SettingsError: As for the class, or `columns` has no name.
         """
         names = () if columns is None else tuple(columns.replace(",", " ").split())
         if columns is not None and not names:

@@ -1,8 +1,8 @@
-"""Which column of a text file means what: the layouts that are known, as data.
+"""Layouts of text files: the meaning of their columns, as tables.
 
-A column has one of the names in `NAMES`, the same that `--columns` takes. A header that names
-the columns is believed (`header_names.py`); without one, the number of columns decides, and
-whatever is then a guess is said in the layout's note.
+A column has one of the names in `NAMES`, which `--columns` also takes. If a header names the
+columns, its names apply (`header_names.py`). Otherwise the number of columns selects the layout,
+and the layout's note states the assumptions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 IGNORED = "_"
-# Nanoseconds of a unit of the time; of `t` it is recognised by its size.
+# Nanoseconds per unit of time. The unit of `t` is recognised from the values.
 UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
 DATE, FRAME = "date", "frame"
 TIMES = (*UNITS, DATE, FRAME)
@@ -29,7 +29,7 @@ _ANGLES = ("roll", "pitch", "yaw")
 _SIX = range(1, 7)
 UPPER = tuple(f"c{row}{column}" for row in _SIX for column in range(row, 7))
 LOWER = tuple(f"c{row}{column}" for row in _SIX for column in range(1, row + 1))
-# What columns are read as: a group is there if all of its columns are.
+# Quantities and their columns. A group is present if all of its columns are.
 GROUPS: dict[str, tuple[str, ...]] = {
     "position": ("x", "y", "z"),
     "planar": ("x", "y"),
@@ -55,9 +55,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "fix_status": ("fix_status",),
 }
 _METRES = ("position", "planar", "matrix")
-# What says where a state is.
+# Groups that contain a position.
 _PLACES = {*_METRES, "place", "level_place"}
-# Of several that say the same, the first is read.
+# Groups with the same quantity: a group is ignored if one of these is present.
 _INSTEAD = {
     "planar": ("position",),
     "angles": ("quaternion",),
@@ -76,22 +76,22 @@ NAMES = (*TIMES, *dict.fromkeys(name for group in GROUPS.values() for name in gr
 EXAMPLE = "--columns 't x y z qw qx qy qz'"
 _CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "TartanAir's axes: north, east, down")
-# How a file's covariances are meant: about fixed axes, as PoseWithCovariance; of body twists.
+# Conventions of covariances: about fixed axes, as in PoseWithCovariance, or of body twists.
 FIXED_AXES, BODY_TWISTS = "fixed axes", "body twists"
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of columns.
+    """The meaning of the columns of a file.
 
     Attributes:
-        name: What it is called.
-        columns: A name of `NAMES` for each column of the file.
-        note: What was guessed, or left out; "" if nothing.
-        up: Which axis of the fixed frame points up.
-        covariances: What its 6 x 6 covariances are of, `FIXED_AXES` or `BODY_TWISTS`.
-        separator: What separates columns one by one, so that some may be empty or text; "" where
-            any run of spaces and commas does.
+        name: Name of the format.
+        columns: Names of the columns, from `NAMES`.
+        note: Assumptions and ignored columns, "" if there are none.
+        up: Axis of the fixed frame that points up.
+        covariances: Convention of 6 x 6 covariances, `FIXED_AXES` or `BODY_TWISTS`.
+        separator: Single separator of columns, which can then be empty or text. "" if any number
+            of spaces and commas separates columns.
     """
 
     name: str
@@ -103,17 +103,17 @@ class Layout:
 
     @cached_property
     def time(self) -> int | None:
-        """Index of the column with stamps or with numbers of frames, or None."""
+        """Index of the column with timestamps or frame numbers, or None."""
         return next((at for at, name in enumerate(self.columns) if name in TIMES), None)
 
     @property
     def time_name(self) -> str:
-        """Name of that column, "" without one."""
+        """Name of the column `time`, "" if there is none."""
         return "" if self.time is None else self.columns[self.time]
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """The groups of `GROUPS` that are read, and the indices of their columns."""
+        """Groups of `GROUPS` that are read, with the indices of their columns."""
         found = {
             group: tuple(self.columns.index(name) for name in names)
             for group, names in GROUPS.items()
@@ -127,23 +127,23 @@ class Layout:
 
     @property
     def has_places(self) -> bool:
-        """Whether the columns say where the states are."""
+        """Whether the columns contain a position."""
         return not _PLACES.isdisjoint(self.groups)
 
     @property
     def is_geographic(self) -> bool:
-        """Whether they say so by latitude and longitude: the states are GNSS fixes."""
+        """Whether the positions are GNSS fixes: latitude and longitude."""
         return not {"place", "level_place"}.isdisjoint(self.groups)
 
 
 def layout_of(columns: Sequence[str]) -> Layout:
-    """Return the layout of columns that a user has named.
+    """Return the layout of columns that the user named.
 
     Args:
-        columns: As in `t x y z qw qx qy qz`, with `_` for what is ignored.
+        columns: Names, as in `t x y z qw qx qy qz`, with `_` for ignored columns.
 
     Raises:
-        SettingsError: A name is none, comes twice, or there is no position.
+        SettingsError: A name is unknown or repeated, there are several times, or no position.
     """
     for name in columns:
         if name not in NAMES:
@@ -182,7 +182,7 @@ G2O = {
 }
 OPENVINS_STATE = _layout("OpenVINS state", f"t qx qy qz qw x y z vx vy vz {_BIASES}")
 _KITTI = _layout("KITTI", _MATRIX, up=_CAMERA)
-# Without a header, by the number of columns.
+# Layouts of files without a header, by the number of columns.
 _BY_COUNT = {
     len(each.columns): each
     for each in (
@@ -213,7 +213,7 @@ _BY_COUNT = {
         ),
     )
 }
-# The same where commas separate, and stamps are nanoseconds since 1970.
+# The same for files with commas and with timestamps in nanoseconds since 1970.
 _OF_NANOSECONDS = {
     len(each.columns): each
     for each in (
@@ -229,14 +229,14 @@ KNOWN = (
 
 
 def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
-    """Return the layout that files with so many columns and no header usually have.
+    """Return the usual layout of files without a header, by the number of columns.
 
     Args:
-        rows: The first few rows, all of the same length, at least one.
+        rows: First rows of the file, all of the same length, at least one.
         commas: Whether commas separate the columns.
 
     Raises:
-        InputError: There is none.
+        InputError: No layout has this number of columns, or 12 or 13 columns are not poses.
     """
     columns = len(rows[0])
     if columns in (12, 13):
@@ -249,7 +249,11 @@ def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
 
 
 def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
-    """Return KITTI's layout: a 3 x 4 matrix, with an index or a time before it or not."""
+    """Return KITTI's layout: a 3 x 4 matrix, optionally after a frame index or a time.
+
+    Raises:
+        InputError: The matrices are not rotations with a translation.
+    """
     leading = len(rows[0]) - 12
     matrices = np.array(rows)[:, leading:].reshape(-1, 3, 4)
     axes = matrices[np.isfinite(matrices).all(axis=(1, 2)), :, :3]

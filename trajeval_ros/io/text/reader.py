@@ -1,4 +1,4 @@
-"""Trajectories from text files: TUM, KITTI, EuRoC/ASL, OpenVINS, VINS-Mono, fixes, and kin."""
+"""Reading of trajectories from text files: TUM, KITTI, EuRoC/ASL, OpenVINS, GNSS fixes, others."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ from trajeval_ros.io.text.tokens import RowError
 
 Advance = Callable[[int, int], None]
 
-# Bytes that are allocated and freed once: that tells glibc's malloc to keep so much for the next
-# block, instead of giving each block's arrays back to the kernel, which costs as much as parsing.
+# Bytes that are allocated and freed once. After that, glibc's malloc keeps as much memory for the
+# next block. Otherwise it returns the arrays of every block to the kernel, which takes as long as
+# parsing.
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
-_FRAMES = 10**8  # a sequence has fewer
-_BLOCK = 1 << 19  # bytes that are parsed at once: their arrays stay in the processor's cache
+_FRAMES = 10**8  # limit of frame numbers
+_BLOCK = 1 << 19  # bytes that are parsed at once; their arrays fit into the processor's cache
 
 
 def read_text(
@@ -40,16 +41,19 @@ def read_text(
     hints: TextHints = NO_HINTS,
     beside: Path | None = None,
 ) -> Trajectory:
-    """Read a trajectory from a text file whose layout is recognised by its content.
+    """Read a trajectory from a text file; the layout is recognised from the content.
 
     Args:
         path: An existing, readable file.
-        advance: Called with the bytes done and all bytes, now and then.
-        hints: What the user says of it.
-        beside: The original of a copy, next to which files of timestamps are; by default `path`.
+        advance: Progress callback, called with the number of bytes done and their total.
+        hints: Columns and frame rate, as the user states them.
+        beside: Original of `path` if that is a copy. Files with timestamps are next to the
+            original. By default `path`.
 
     Raises:
-        InputError: The file is no trajectory, with the line where that shows.
+        InputError: The file is not a trajectory, or has no valid pose. The message names the
+            line if a line is the reason.
+        OSError: The file can't be read.
     """
     fixes = read_nmea(path)
     if fixes is not None:
@@ -98,13 +102,13 @@ def read_text(
 
 @dataclass(frozen=True)
 class _Columns:
-    """The columns of a file by their meaning.
+    """The columns of the N valid rows of a file.
 
     Attributes:
         stamps: N exact numbers, None if there is no time column.
-        groups: (N, width) of each group in the layout.
+        groups: Columns (N, width), by the name of their group in the layout.
         count: N.
-        untimed: Number of rows that were left out because their stamp is not finite.
+        untimed: Number of rows that were dropped because their timestamp is not finite.
     """
 
     stamps: ExactNumbers | None
@@ -114,7 +118,11 @@ class _Columns:
 
 
 def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Columns:
-    """Read all rows of a file, block by block, into arrays that are large enough for all."""
+    """Read all rows of a file by blocks, into arrays with room for the estimated number of rows.
+
+    Raises:
+        InputError: A line is not a row of the layout.
+    """
     total = path.stat().st_size - text.start
     wanted = text.layout.groups
     groups = {group: np.empty((0, len(columns))) for group, columns in wanted.items()}
@@ -146,26 +154,30 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Col
 
 
 def _values_of(layout: Layout) -> tuple[int, ...]:
-    """Return the indices of the columns that are read as numbers, in the order of the file."""
+    """Return the indices of the columns that are read as numbers, in increasing order."""
     return tuple(sorted({place for places in layout.groups.values() for place in places}))
 
 
 def _pick(places: list[int]) -> slice | list[int]:
-    """Return what picks the columns; a slice if it can, since it is fast."""
+    """Return an index of the columns; a slice if they are consecutive, since it is faster."""
     if places == list(range(places[0], places[-1] + 1)):
         return slice(places[0], places[-1] + 1)
     return places
 
 
 def _enlarged(array: Floats, count: int, room: int) -> Floats:
-    """Return an array of `room` rows that starts with the `count` rows of another."""
+    """Return an array of `room` rows that starts with the first `count` rows of `array`."""
     enlarged = np.empty((room, array.shape[1]))
     enlarged[:count] = array[:count]
     return enlarged
 
 
 def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRows]]:
-    """Yield the rows of a file, a block of whole lines at a time, and where each block ends."""
+    """Yield (offset of the end in bytes, rows) for every block of complete lines of a file.
+
+    Raises:
+        InputError: A line is not a row of the layout, or is too long.
+    """
     done, row_format = text.start, _row_format(text.layout)
     np.empty(_WORKING_MEMORY, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
@@ -186,7 +198,11 @@ def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRow
 
 
 def _line_blocks(path: Path, file: FileIO) -> Iterator[bytes]:
-    """Yield the rest of a file in blocks of whole lines."""
+    """Yield the rest of a file in blocks of complete lines.
+
+    Raises:
+        InputError: A line has more than `_BLOCK` bytes.
+    """
     rest = b""
     while part := file.read(_BLOCK):
         end = part.rfind(b"\n") + 1
@@ -202,7 +218,7 @@ def _line_blocks(path: Path, file: FileIO) -> Iterator[bytes]:
 
 
 def _lines_before(path: Path, offset: int) -> int:
-    """Return the number of lines that end before an offset in a file."""
+    """Return the number of lines of a file that end before an offset in bytes."""
     with path.open("rb") as file:
         return sum(
             file.read(min(_BLOCK, offset - at)).count(b"\n") for at in range(0, offset, _BLOCK)
@@ -210,7 +226,7 @@ def _lines_before(path: Path, offset: int) -> int:
 
 
 def _row_format(layout: Layout) -> RowFormat:
-    """Return what is read of each row."""
+    """Return the format of the rows of a layout."""
     return RowFormat(
         columns=len(layout.columns),
         time=layout.time,
@@ -222,7 +238,11 @@ def _row_format(layout: Layout) -> RowFormat:
 
 
 def _frames_of(path: Path, layout: Layout, rows: _Columns) -> NDArray[np.int64] | None:
-    """Return the numbers (N,) of frames; None where the rows have stamps."""
+    """Return the frame numbers (N,); None if the rows have timestamps.
+
+    Raises:
+        InputError: A frame number is negative, too large, or not an integer.
+    """
     if rows.stamps is None:
         return np.arange(rows.count)
     if layout.time_name != FRAME:
@@ -244,7 +264,11 @@ def _stamps_of(
     frames: NDArray[np.int64] | None,
     hints: TextHints,
 ) -> tuple[NDArray[np.int64], bool, list[str]]:
-    """Return the stamps (N,), whether they are times, and what to tell about them."""
+    """Return timestamps (N,) in nanoseconds, whether they are times, and notes about them.
+
+    Raises:
+        InputError: The unit of the timestamps can't be recognised or does not fit.
+    """
     if frames is None:
         assert rows.stamps is not None
         if not rows.count:
@@ -283,7 +307,11 @@ def _stamps_of(
 
 
 def _read_times(path: Path) -> NDArray[np.int64]:
-    """Return the stamps (N,) of a file with one time per line, nanoseconds."""
+    """Return the timestamps (N,), nanoseconds, of a file with one time per line.
+
+    Raises:
+        InputError: The file does not have one time per line.
+    """
     head = read_head(path)
     if len(head.sample[0]) != 1:
         raise InputError(

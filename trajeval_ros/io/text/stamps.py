@@ -1,8 +1,8 @@
-"""Stamps from text, exact to the nanosecond.
+"""Reading of timestamps from text, exact to the nanosecond.
 
-A float64 holds seconds since 1970 only to 2.4e-7 s. So a stamp is never a float here: it is read
-as a whole number and a count of billionths, and becomes int64 nanoseconds once the unit of the
-file is known.
+The resolution of float64 for seconds since 1970 is only 2.4e-7 s. Therefore a timestamp is read as
+a whole number and a number of billionths. It is converted to int64 nanoseconds when the unit of
+the file is known.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ POWERS_OF_TEN: Unsigned = np.array([10**power for power in range(20)], dtype=np.
 _LARGEST = np.uint64(2**64 - 1)
 _LAST_SECOND = 9.2e9  # int64 nanoseconds end in the year 2262
 _LAST_NANOSECOND = 9.2e18
-_EPOCH_NANOSECONDS = 1e17  # 1973: anything above is nanoseconds since 1970
-_NANOSECOND_STEP = 5e5  # hardly a file in nanoseconds is denser
+_EPOCH_NANOSECONDS = 1e17  # in 1973; larger numbers are nanoseconds since 1970
+_NANOSECOND_STEP = 5e5  # least median step of timestamps in nanoseconds: 2 kHz
 _ONE_DATE = rb"\d{4}-\d\d?-\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:\.\d+)?)?)?"
 _DATES = rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE)
 
 
 @dataclass(frozen=True)
 class ExactNumbers:
-    """Numbers as sign * (whole + billionths * 1e-9).
+    """N numbers as sign * (whole + billionths * 1e-9).
 
     Attributes:
         negative: (N,) bool.
         whole: (N,) uint64.
-        billionths: (N,) uint64, from 0 to 1e9 (rounding may carry).
+        billionths: (N,) uint64, from 0 to 1e9; 1e9 is possible because of rounding.
     """
 
     negative: Booleans
@@ -45,7 +45,7 @@ class ExactNumbers:
 
     @classmethod
     def concatenate(cls, parts: list[ExactNumbers]) -> ExactNumbers:
-        """Return all numbers of the parts in one."""
+        """Return the numbers of all parts, in order."""
         return cls(
             np.concatenate([part.negative for part in parts]),
             np.concatenate([part.whole for part in parts]),
@@ -53,7 +53,7 @@ class ExactNumbers:
         )
 
     def __getitem__(self, rows: Booleans) -> ExactNumbers:
-        """Return the numbers of a mask."""
+        """Return the numbers selected by a mask (N,)."""
         return ExactNumbers(self.negative[rows], self.whole[rows], self.billionths[rows])
 
 
@@ -65,11 +65,12 @@ def billionths(fraction: Unsigned, decimals: NDArray[np.int64]) -> Unsigned:
 
 
 def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
-    """Read numbers with any exponent and any number of digits, exactly.
+    """Read N numbers with any exponent and any number of digits.
 
     Args:
-        characters: (N, width) of numbers that `float` understands, padded with zero bytes on the
-            right. Numbers that aren't finite give nonsense: drop them by their float value.
+        characters: (N, width), texts of numbers that `float` accepts, padded with zero bytes on
+            the right. The results for NaN and infinity are undefined: drop them by their float
+            value.
 
     The loop runs over the characters of a number, for all numbers at once. It keeps 19
     significant digits and rounds by the 20th.
@@ -109,20 +110,20 @@ def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
 
 
 def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
-    """Read dates such as `2024-03-01 12:00:00.5`, (N,), as exact seconds since 1970.
+    """Return N dates such as `2024-03-01 12:00:00.5` as exact seconds since 1970.
 
-    Also with a T between day and time, slashes in the day, and a Z or an offset of zero after it;
-    a date without one is taken as UTC.
+    A T between day and time, slashes in the day, and a Z or an offset of zero at the end are
+    accepted. A date without an offset is read as UTC.
 
     Raises:
-        ValueError: One is no date, or of another time zone.
+        ValueError: A word is not a date, or has another time zone.
     """
     plain = np.char.replace(words, b"/", b"-")
     for zone in (b"Z", b" UTC", b"+00:00", b"+0000"):
         plain = np.char.replace(plain, zone, b"")
-    if not re.fullmatch(_DATES, b" ".join(plain.tolist())):  # numpy reads a lone year, too
+    if not re.fullmatch(_DATES, b" ".join(plain.tolist())):  # numpy also accepts only a year
         raise ValueError("no date")
-    # By text: of bytes that are no date, such as a month 13, numpy 1.26 crashes.
+    # Converted from str, since numpy 1.26 crashes on bytes with an invalid date such as month 13.
     stamps = plain.astype(np.str_).astype("datetime64[ns]").astype(np.int64)
     whole, rest = np.divmod(np.abs(stamps).view(np.uint64), np.uint64(NANOSECONDS))
     return ExactNumbers(stamps < 0, whole, rest)
@@ -131,19 +132,20 @@ def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
 def to_nanoseconds(
     numbers: ExactNumbers, unit_ns: int | None = None, *, far_apart_is_ns: bool = False
 ) -> tuple[NDArray[np.int64], bool]:
-    """Return the stamps (N,) in nanoseconds and whether the file holds nanoseconds.
+    """Return the timestamps (N,) in nanoseconds, and whether the file has nanoseconds.
+
+    If the unit is unknown, numbers are nanoseconds in two cases. They are so large that they
+    count from 1970. Or they are whole numbers with a large median step that are too large for
+    seconds, as from a clock that started at zero.
 
     Args:
-        numbers: N of them, N > 0.
-        unit_ns: Nanoseconds of the unit that the file's header names; None if it names none.
-        far_apart_is_ns: Whether whole numbers that lie far apart are nanoseconds even if they
-            could be seconds: of a format whose stamps are nanoseconds as a rule.
-
-    Nanoseconds are recognised by their size: since 1970, or as whole numbers that lie far apart
-    (clocks that started at zero) and are too large for seconds.
+        numbers: N numbers, N > 0.
+        unit_ns: Nanoseconds per unit, if the header names the unit; None if it is unknown.
+        far_apart_is_ns: Whether whole numbers with a large median step are nanoseconds even if
+            they are small enough for seconds. Set it for formats with timestamps in nanoseconds.
 
     Raises:
-        InputError: The numbers are neither seconds nor nanoseconds.
+        InputError: The numbers are neither seconds nor nanoseconds, or too large for the unit.
     """
     largest = float(numbers.whole.max())
     if unit_ns not in (None, 1, NANOSECONDS):
@@ -168,7 +170,11 @@ def to_nanoseconds(
 
 
 def _scaled(numbers: ExactNumbers, unit_ns: int) -> NDArray[np.int64]:
-    """Return numbers of a unit between the two in nanoseconds, rounded."""
+    """Return numbers in milliseconds or microseconds as nanoseconds (N,), rounded.
+
+    Raises:
+        InputError: A number is too large for int64 nanoseconds.
+    """
     if float(numbers.whole.max()) * unit_ns > _LAST_NANOSECOND:
         raise InputError(
             f"its timestamps are too large for a unit of {unit_ns} ns; choose another unit"
@@ -179,7 +185,7 @@ def _scaled(numbers: ExactNumbers, unit_ns: int) -> NDArray[np.int64]:
 
 
 def _is_sparse(numbers: ExactNumbers) -> bool:
-    """Return whether the numbers are whole and lie as far apart as nanoseconds do."""
+    """Return whether the numbers are whole and their median step is typical of nanoseconds."""
     if len(numbers.whole) < 2 or numbers.billionths.any():
         return False
     return float(np.median(np.abs(np.diff(numbers.whole.astype(np.float64))))) >= _NANOSECOND_STEP

@@ -1,4 +1,4 @@
-"""Positions, orientations, velocities and covariances from the columns of a text file."""
+"""Conversion of the columns of a text file to positions, orientations and other quantities."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.layouts import BODY_TWISTS, GROUPS, Layout
 
-_LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, in files of few digits
-_LARGEST_SUM = 1e9  # rad; of more turns, the digits don't tell the angle
+_LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
+_LARGEST_SUM = 1e9  # rad; larger sums of angles have too few digits for the angle itself
 _COVARIANCES = {
     *("covariance", "covariance_upper", "covariance_lower", "variances"),
     *("rotation_covariance", "position_covariance"),
@@ -24,15 +24,15 @@ _NO_Z = "no column z: assumed 0"
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """What the columns say of N states; None where they say nothing.
+    """N states from the columns of a file; a quantity without columns is None.
 
     Attributes:
         positions: (N, 3), metres.
-        quaternions: (N, 4), xyzw, NaN where there is no rotation.
-        velocities: (N, 3), m/s, in the frame.
-        covariances: (N, 6, 6), position first, about the frame's fixed axes.
-        matrices: (N, 3, 3), KITTI's, as they are.
-        notes: What to tell about them.
+        quaternions: (N, 4), xyzw, NaN for invalid rotations.
+        velocities: (N, 3), m/s, in the fixed frame.
+        covariances: (N, 6, 6), position first, about the axes of the fixed frame.
+        matrices: (N, 3, 3), rotation matrices of KITTI, as in the file.
+        notes: Notes about the states.
     """
 
     positions: Floats
@@ -47,13 +47,13 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     """Return the states of a file.
 
     Args:
-        path: For messages.
-        layout: Of the file.
-        groups: (N, width) of each group in the layout.
+        path: The file, for messages.
+        layout: Layout of the file.
+        groups: Columns (N, width), by the name of their group in the layout.
         count: N.
 
     Raises:
-        InputError: Angles that are said to be in radians aren't.
+        InputError: An angle in radians is larger than a full turn.
     """
     notes = []
     matrices = None
@@ -81,7 +81,7 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
 
 
 def _usable(quaternions: Floats) -> Floats:
-    """Return unit quaternions (N, 4), the identity where there is no rotation."""
+    """Return unit quaternions (N, 4); invalid ones become the identity."""
     usable = np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)
     found = np.tile([0.0, 0.0, 0.0, 1.0], (len(quaternions), 1))
     found[usable] = lie.normalized(quaternions[usable])
@@ -89,7 +89,7 @@ def _usable(quaternions: Floats) -> Floats:
 
 
 def _of_matrices(rotations: Floats) -> Floats:
-    """Return quaternions (N, 4) of matrices (N, 3, 3), NaN of those that are no rotations."""
+    """Return the quaternions (N, 4) of matrices (N, 3, 3); NaN if one is not a rotation."""
     valid = np.asarray(np.isfinite(rotations).all(axis=(1, 2)))
     valid[valid] = np.linalg.det(rotations[valid]) > 0.0
     quaternions = np.full((len(rotations), 4), np.nan)
@@ -99,9 +99,10 @@ def _of_matrices(rotations: Floats) -> Floats:
 
 
 def _nearest_rotations(matrices: Floats) -> Floats:
-    """Return the rotations nearest to (N, 3, 3) matrices of few digits.
+    """Return the rotations (N, 3, 3) nearest to matrices (N, 3, 3) with rounded digits.
 
-    scipy's own repair of such matrices differs from version to version, by 5e-7 of the errors.
+    scipy also projects such matrices, but its result depends on the version: errors differ by up
+    to 5e-7 of their value.
     """
     u, _, vt = np.linalg.svd(matrices)
     nearest: Floats = u @ vt
@@ -111,7 +112,11 @@ def _nearest_rotations(matrices: Floats) -> Floats:
 def _of_angles(
     path: Path, layout: Layout, groups: Mapping[str, Floats], count: int
 ) -> Floats | None:
-    """Return quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None if there are no angles."""
+    """Return the quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None without angles.
+
+    Raises:
+        InputError: An angle in radians is larger than a full turn.
+    """
     group = next(
         (each for each in ("angles", "angles_deg", "heading", "heading_deg") if each in groups),
         None,
@@ -121,7 +126,7 @@ def _of_angles(
     angles = groups[group]
     if group.endswith("_deg"):
         angles = np.radians(angles)
-    elif layout.name != "g2o":  # whose angles may have been added up
+    elif layout.name != "g2o":  # its angles can be sums of several turns
         beyond = np.abs(angles) > _LARGEST_ANGLE
         if beyond.any():
             row, column = np.argwhere(beyond)[0]
@@ -130,7 +135,7 @@ def _of_angles(
                 f"{path}, row {row + 1}: {name} is {angles[row, column]:g}, which is not in "
                 f"radians; if it is in degrees, name the column {name}_deg"
             )
-    angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # such a row is no pose
+    angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # NaN: the row is dropped
     roll, pitch, yaw = angles.T if angles.shape[1] == 3 else (0.0, 0.0, angles[:, 0])
     turns = np.zeros((3, count, 3))
     for axis, angle in enumerate((roll, pitch, yaw)):
@@ -142,7 +147,10 @@ def _of_angles(
 def _covariances(
     layout: Layout, groups: Mapping[str, Floats], quaternions: Floats
 ) -> tuple[Floats | None, list[str]]:
-    """Return covariances (N, 6, 6) about fixed axes, and what to tell about them."""
+    """Return covariances (N, 6, 6) about the axes of the fixed frame, and notes about them.
+
+    The covariances are None if only one of position and rotation covariance is present.
+    """
     count = len(quaternions)
     found = np.zeros((count, 6, 6))
     if "rotation_covariance" in groups and "position_covariance" in groups:

@@ -1,6 +1,7 @@
-"""Trajectories to text files that other programs read: TUM, KITTI, EuRoC/ASL.
+"""Writing of trajectories to text files of other programs: TUM, KITTI, EuRoC/ASL.
 
-Stamps keep every nanosecond and floats every bit. What a format has no column for is left out.
+Timestamps are exact to the nanosecond, and floats to the last bit. Quantities without a column in
+the format are not written.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from trajeval_ros.io.text.number_characters import (
 )
 from trajeval_ros.io.writing import write_whole
 
-_BLOCK = 1 << 11  # rows whose characters are held at once, in the cache
+_BLOCK = 1 << 11  # rows that are converted at once; their characters fit into the cache
 _TUM_HEADER = "# timestamp [s] tx ty tz qx qy qz qw\n"
 _EUROC_GROUPS = {
     "positions": [f"p_RS_R_{axis} [m]" for axis in "xyz"],
@@ -34,7 +35,9 @@ _EUROC_GROUPS = {
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write `t x y z qx qy qz qw` in seconds and metres; identity where there are no rotations.
+    """Write `t x y z qx qy qz qw` in seconds and metres.
+
+    If the trajectory has no orientations, identity quaternions are written.
 
     Raises:
         InputError: The file can't be written.
@@ -44,7 +47,10 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def write_euroc(path: Path, trajectory: Trajectory) -> None:
-    """Write CSV with EuRoC's names: nanoseconds, position, quaternion (w first), what else it has.
+    """Write CSV with the columns of EuRoC that the trajectory has.
+
+    The columns are the timestamp in nanoseconds, position, quaternion (w first), velocity and
+    biases.
 
     Raises:
         InputError: The file can't be written.
@@ -62,9 +68,9 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
-    """Write 3 x 4 matrices row by row, and the stamps beside them in STEM_times.txt.
+    """Write 3 x 4 matrices row by row, and the timestamps in seconds to STEM_times.txt.
 
-    The axes are the trajectory's own; KITTI's are a camera's.
+    The axes of the trajectory are kept. They are not converted to the camera axes of KITTI.
 
     Raises:
         InputError: A file can't be written.

@@ -1,4 +1,4 @@
-"""Where the numbers, or the fields, of a block of lines start and end."""
+"""Positions of the numbers or fields in a block of lines."""
 
 from __future__ import annotations
 
@@ -11,25 +11,35 @@ from trajeval_ros.geometry.arrays import Booleans, Indices
 
 Bytes = NDArray[np.uint8]
 
-_LONGEST_WORD = 400  # characters; nobody writes longer numbers, and memory has an end
-_PADDING = b" " * _LONGEST_WORD  # so that words that reach beyond a number end in the block
+_LONGEST_WORD = 400  # characters; longer words are not numbers and need too much memory
+_PADDING = b" " * _LONGEST_WORD  # keeps the fixed-width words of `characters_of` in the block
 
 
 class RowError(ValueError):
-    """A row that can't be read: the index of its line in the block, and what is wrong with it."""
+    """A row that can't be read.
+
+    Attributes:
+        line: Index of the line in the block, from 0.
+        reason: Description of the error.
+    """
 
     def __init__(self, line: int, reason: str) -> None:
-        """Remember the line, which the caller turns into a number within the file."""
+        """Store the index of the line in the block, and the reason."""
         super().__init__(reason)
         self.line = line
         self.reason = reason
 
 
 class WordError(ValueError):
-    """Something that is not a number: the index of its first character, and what it is."""
+    """A word that is not a number.
+
+    Attributes:
+        start: Index of the first character in the padded block.
+        reason: Description of the error.
+    """
 
     def __init__(self, start: int, reason: str) -> None:
-        """Remember where it is."""
+        """Store the index of the first character, and the reason."""
         super().__init__(reason)
         self.start = start
         self.reason = reason
@@ -37,14 +47,14 @@ class WordError(ValueError):
 
 @dataclass(frozen=True)
 class Tokens:
-    """Where numbers start and end.
+    """Positions of numbers in a block of text.
 
     Attributes:
-        text: (bytes,) of the padded block.
-        starts: Index of the first character, (N,) or (N, columns).
-        ends: Index after the last character.
-        dots: Index of the decimal point, or of the end if there is none; None if some number of
-            the block is more than digits with a sign and a point.
+        text: (B,), bytes of the padded block.
+        starts: (N,) or (N, columns), index of the first character.
+        ends: Same shape, index after the last character.
+        dots: Same shape, index of the decimal point, or `ends` if there is none. None if a word
+            of the block has characters other than digits, one leading sign and one point.
     """
 
     text: Bytes
@@ -53,7 +63,7 @@ class Tokens:
     dots: Indices | None
 
     def __getitem__(self, pick: Indices | tuple[slice, slice | list[int] | int]) -> Tokens:
-        """Return some of the numbers, in one row."""
+        """Return the selected numbers as arrays of one dimension."""
         return Tokens(
             self.text,
             np.ravel(self.starts[pick]),
@@ -63,12 +73,12 @@ class Tokens:
 
 
 def tokenize(block: bytes, columns: int) -> Tokens:
-    """Find the numbers of all lines and their decimal points.
+    """Return the positions (N, columns) of the numbers of all lines.
 
-    Spaces, tabs, commas and semicolons separate numbers, alone or in groups.
+    Any number of spaces, tabs, commas and semicolons separates numbers. Empty lines are skipped.
 
     Raises:
-        RowError: A line has another number of columns.
+        RowError: A line has another number of columns, or the block contains zero bytes.
     """
     text = _padded(block)
     separates = text <= ord(" ")
@@ -93,7 +103,7 @@ def tokenize(block: bytes, columns: int) -> Tokens:
 def _points(
     text: Bytes, separates: Booleans, starts: Indices, ends: Indices, columns: int
 ) -> Indices | None:
-    """Return the index of each number's point, or its end; None if something else is there."""
+    """Return `Tokens.dots` (N,), or None as described there."""
     dots = np.flatnonzero(text == ord("."))
     first = text[starts]
     signs = np.count_nonzero((first == ord("-")) | (first == ord("+")))
@@ -103,13 +113,17 @@ def _points(
 
 
 def _check_lines(text: Bytes, starts: Indices, ends: Indices, columns: int) -> None:
-    """Raise RowError unless each line has `columns` numbers, or none."""
+    """Check that every line has `columns` numbers or none.
+
+    Raises:
+        RowError: A line has another number of columns.
+    """
     is_newline = text == ord("\n")
     last_ends = ends[columns - 1 :: columns]
     if (
         len(last_ends) * columns == len(starts)
         and is_newline[last_ends].all()
-        and np.count_nonzero(is_newline) == len(last_ends) + 1  # one was appended
+        and np.count_nonzero(is_newline) == len(last_ends) + 1  # `_padded` appends one
     ):
         return
     newlines = np.flatnonzero(is_newline)
@@ -122,10 +136,10 @@ def _check_lines(text: Bytes, starts: Indices, ends: Indices, columns: int) -> N
 
 
 def _dot_of_each(starts: Indices, ends: Indices, dots: Indices, columns: int) -> Indices | None:
-    """Return the index of each number's point, or its end; None if one has two points."""
+    """Return `Tokens.dots` (N,) from the indices of all points; None if a word has two points."""
     if len(dots) == len(starts) and ((starts <= dots) & (dots < ends)).all():
         return dots
-    # Mostly the same columns have points in all rows: it is faster to see that than to search.
+    # Usually the same columns have points in all rows. This check is faster than a search.
     in_first_row = dots[: dots.searchsorted(ends[columns - 1])]
     pattern = ends[:columns].searchsorted(in_first_row, side="right")
     owners = (np.arange(0, len(starts), columns)[:, None] + pattern).ravel()
@@ -139,12 +153,13 @@ def _dot_of_each(starts: Indices, ends: Indices, dots: Indices, columns: int) ->
 
 
 def tokenize_fields(block: bytes, columns: int, separator: str) -> Tokens:
-    """Find the fields of all lines, each ended by one separator; they may be empty, or text.
+    """Return the positions (N, columns) of the fields of all lines, with one separator between.
 
-    A separator between double quotes is text. Spaces and quotes around a field are no part of it.
+    Fields can be empty or text. A separator between double quotes is text. Spaces and quotes
+    around a field are removed. Empty lines are skipped.
 
     Raises:
-        RowError: A line has another number of columns.
+        RowError: A line has another number of columns, or the block contains zero bytes.
     """
     text = _padded(block)
     is_newline = text == ord("\n")
@@ -155,7 +170,7 @@ def tokenize_fields(block: bytes, columns: int, separator: str) -> Tokens:
     ends = np.flatnonzero(separates)
     starts = np.concatenate([[len(_PADDING)], ends[:-1] + 1])
     starts, stops = _trimmed(text, starts, ends)
-    last = np.flatnonzero(is_newline[ends])  # field of each line
+    last = np.flatnonzero(is_newline[ends])  # index of the last field of every line
     per_line = np.diff(last, prepend=-1)
     blank = (per_line == 1) & (starts[last] == stops[last])
     wrong = np.flatnonzero((per_line != columns) & ~blank)
@@ -166,7 +181,7 @@ def tokenize_fields(block: bytes, columns: int, separator: str) -> Tokens:
         starts, stops = starts[keep], stops[keep]
     separates |= text <= ord(" ")
     dots = None
-    if np.count_nonzero(~separates) == (stops - starts).sum():  # else there are spaces inside
+    if np.count_nonzero(~separates) == (stops - starts).sum():  # else a field contains spaces
         dots = _points(text, separates, starts, stops, columns)
     shape = (-1, columns)
     return Tokens(
@@ -178,11 +193,11 @@ def tokenize_fields(block: bytes, columns: int, separator: str) -> Tokens:
 
 
 def _trimmed(text: Bytes, starts: Indices, ends: Indices) -> tuple[Indices, Indices]:
-    """Return where fields start and end without the spaces and quotes around them."""
+    """Return the starts and ends of fields without the spaces and quotes around them."""
     around = text <= ord(" ")
     if (text == ord('"')).any():
         around |= text == ord('"')
-    # An empty line ends each block, so that some field always is empty.
+    # Every block ends with an empty line. Therefore at least one field is empty.
     rows = np.flatnonzero((starts < ends) & (around[starts] | around[ends - 1]))
     if not len(rows):
         return starts, ends
@@ -207,7 +222,11 @@ def _wrong_count(line: int, count: int, columns: int) -> RowError:
 
 
 def characters_of(tokens: Tokens) -> Bytes:
-    """Return the numbers as characters (N, width), zeros after their end."""
+    """Return the characters (N, width) of the numbers, with zero bytes after their ends.
+
+    Raises:
+        WordError: A word has more than `_LONGEST_WORD` characters.
+    """
     lengths = tokens.ends - tokens.starts
     width = int(lengths.max(initial=1))
     if width > _LONGEST_WORD:
@@ -223,5 +242,5 @@ def characters_of(tokens: Tokens) -> Bytes:
 
 
 def line_of(tokens: Tokens, index: int) -> int:
-    """Return the line in the block, from 0, of the character with that index."""
+    """Return the index, from 0, of the line in the block that contains a character."""
     return int(np.count_nonzero(tokens.text[:index] == ord("\n")))
