@@ -1,1 +1,1 @@
-"""What an evaluation writes: result.json, errors.npz, and requirements on them."""
+"""Output files of an evaluation: result.json, errors.npz; and requirements on their numbers."""

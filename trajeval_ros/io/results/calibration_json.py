@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def calibration_json(calibrated: Calibrated) -> dict[str, Any]:
-    """Return what was estimated, what was applied and why, and what that did to the errors."""
+    """Return the estimated parameters, whether and why they are applied, and the resulting ATE.
+
+    docs/result.md describes the fields. The units are in their names.
+    """
     wanted, calibration = calibrated.wanted, calibrated.calibration
     hand_eye = calibrated.hand_eye
     return {
@@ -116,7 +119,7 @@ def _verdict(found: Parameter, applied: bool) -> dict[str, Any]:
 
 
 def _list(column: Floats | None) -> list[float | None] | None:
-    """Return the components, null where one is not known."""
+    """Return the components as a list, None for NaN; None without a column."""
     if column is None:
         return None
     return [None if math.isnan(each) else each for each in column.tolist()]

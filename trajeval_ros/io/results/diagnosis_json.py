@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 def diagnosis_json(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the mistakes that a recording shows, the gravest first."""
+    """Return the findings about an estimate, the most severe first."""
     return [_finding(each) for each in diagnosis.findings]
 
 
 def mended_json(mended: Mended | None) -> dict[str, Any] | None:
-    """Return what was mended, and the errors without and with it."""
+    """Return the corrected finding, and the ATE before and after; None without a correction."""
     if mended is None:
         return None
     return {

@@ -1,4 +1,4 @@
-"""The errors of every pair as files: errors.npz, and errors.parquet where pyarrow is."""
+"""Files with the errors of all pairs: errors.npz, and errors.parquet if pyarrow is installed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ ARCHIVE, TABLE = "errors.npz", "errors.parquet"
 
 
 def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
-    """Return what writes each file of errors, by the file's name; no table without pyarrow."""
+    """Return the functions that write the files with errors, by the name of the file.
+
+    Without pyarrow, errors.parquet is not among them.
+    """
     files = {ARCHIVE: write_errors}
     if have_pyarrow():
         files[TABLE] = write_error_table
@@ -28,11 +31,15 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 
 
 def write_errors(path: Path, outcome: Outcome) -> None:
-    """Write what is known of every pair and sub-trajectory, run by run, as an npz archive.
+    """Write the errors of all pairs and sub-trajectories of all runs as an npz archive.
 
-    Keys are `NAME.stamps` (int64 ns), `NAME.position_m`, ... for pairs (`pair_columns`), and
-    `NAME.8m.starts`, `NAME.8m.ends` (indices of pairs), `NAME.8m.position_m`, ... by length.
-    `NAME.probabilistic.edges` are between two pairs. `schema` names this layout.
+    Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
+    Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
+    pairs), `NAME.8m.position_m`, ... `NAME.probabilistic.edges` (N - 1,) are log densities of the
+    relative poses of consecutive pairs, nats. `schema` is the version of this layout.
+
+    Raises:
+        OSError: The file can't be written.
     """
     arrays: dict[str, Any] = {"schema": SCHEMA}
     for run in outcome.runs:
@@ -44,15 +51,16 @@ def write_errors(path: Path, outcome: Outcome) -> None:
         for segment in run.evaluation.segments or ():
             errors = columns_of(segment.errors)
             arrays |= {f"{name}.{segment.length}.{key}": each for key, each in errors.items()}
-    # Digits of errors hardly compress: it would take half of a long run's time, to save a fifth.
+    # Not compressed: on long runs, compression takes half of the time and saves a fifth in size.
     write_arrays(path, arrays, compressed=False)
 
 
 def write_error_table(path: Path, outcome: Outcome) -> None:
-    """Write a Parquet table with a row for each pair of each run.
+    """Write a Parquet table with one row per pair, of all runs.
 
-    Columns are `estimate`, the run's name, and `pair_columns` component by component; null where
-    a run has no such column. `trajeval.schema` in the metadata names this layout.
+    The columns are `estimate`, the name of the run, and the components of `pair_columns`
+    (`component_columns`). A column that a run does not have is null. `trajeval.schema` in the
+    metadata is the version of this layout.
 
     Raises:
         InputError: pyarrow can't be used.

@@ -1,4 +1,4 @@
-"""Errors as an MCAP file, by the topics and in the messages that the live evaluator publishes."""
+"""Writing of errors as an MCAP file, with the topics and messages of the live evaluator."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.online.trail import Trail
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
-_LATEST_NS = 2**31 * NANOSECONDS  # of what a ROS stamp can hold
+_LATEST_NS = 2**31 * NANOSECONDS  # limit of ROS timestamps
 
 
 class _Channel(NamedTuple):
-    """Messages of one topic, with the times at which they are logged."""
+    """Messages of one topic, with their log times (N,) in nanoseconds."""
 
     topic: str
     type: str
@@ -63,18 +63,19 @@ class _Channel(NamedTuple):
 
 
 def write_error_recording(path: Path, outcome: Outcome) -> None:
-    """Write errors, paths, alignments and statistics as ROS 2 messages, whole or not at all.
+    """Write errors, paths, alignments and statistics as ROS 2 messages, completely or not at all.
 
-    Errors are logged at the stamps of the estimate's messages, so that they stand beside what
-    else was recorded. What is known of a whole run is logged at its first pair; the window's
-    numbers, which are those of the whole run here, at its last one as well.
+    The log times of errors are the timestamps of the estimate's messages: errors and the
+    original recording have the same time axis. The alignment and the paths of a run are logged at
+    its first pair. The statistics of the window are logged at the first and the last pair. Here
+    the window is the whole run.
 
     Args:
-        path: The file; one that exists is replaced.
-        outcome: What `run` returned.
+        path: The file; an existing file is replaced.
+        outcome: Result of `run`.
 
     Raises:
-        InputError: It can't be written, or stamps are before 1970 or after 2038.
+        InputError: The file can't be written, or timestamps are before 1970 or after 2038.
     """
     channels: list[_Channel] = []
     statuses = []
@@ -91,7 +92,7 @@ def write_error_recording(path: Path, outcome: Outcome) -> None:
 
 
 def _topic_parts(runs: Sequence[RunOutcome]) -> list[str]:
-    """Return a part of a topic's name for each run, all different."""
+    """Return one part of a topic's name per run, all different."""
     names = [part_of_topic(run.estimate.name) for run in runs]
     return [
         name if names.count(name) == 1 else f"{name}_{place}"
@@ -100,10 +101,10 @@ def _topic_parts(runs: Sequence[RunOutcome]) -> list[str]:
 
 
 class _RecordedRun:
-    """What is recorded of one estimate."""
+    """The messages about one estimate."""
 
     def __init__(self, outcome: Outcome, run: RunOutcome, name: str) -> None:
-        """Measure its pairs as the live evaluator does, under the alignment of the whole run."""
+        """Compute the errors of the pairs as the live evaluator, with the final alignment."""
         self._evaluation, self._frame, self._name = run.evaluation, outcome.groundtruth.frame, name
         self._child_frame, up = run.estimate.frame, outcome.groundtruth.up
         self._sources = {
@@ -119,7 +120,7 @@ class _RecordedRun:
         self._times = self._pairs.stamps - self._offset_ns
 
     def channels(self) -> Iterator[_Channel]:
-        """Yield its topics."""
+        """Yield the topics with their messages."""
         errors, knows_up = self._errors, not doubt_of(self._evaluation.groundtruth)
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
@@ -145,7 +146,7 @@ class _RecordedRun:
             yield self._channel(topic, PATH_TYPE, begin, [path])
 
     def status(self) -> Any:
-        """Return diagnostic_msgs/DiagnosticStatus: statistics, and what is to be known of them."""
+        """Return a diagnostic_msgs/DiagnosticStatus with statistics and warnings."""
         types, warnings = _message_types().types, self._evaluation.warnings
         values = status_values(self._snapshot, Update(errors=(self._errors,)))
         return types["diagnostic_msgs/msg/DiagnosticStatus"](
@@ -171,7 +172,10 @@ class _RecordedRun:
 def _as_live(
     evaluation: Evaluation, truth_up: UpAxis, estimate_up: UpAxis
 ) -> tuple[Pairs, Similarity]:
-    """Return pairs and alignment between the frames' own axes, which a gauge may have turned."""
+    """Return the pairs and the alignment in the original axes of both frames.
+
+    Under an upright gauge, the evaluation has turned the trajectories to z up.
+    """
     pairs, similarity = evaluation.association, evaluation.alignment.similarity
     truth, estimate = pairs.groundtruth, pairs.estimate
     if evaluation.protocol.is_upright:
@@ -191,7 +195,7 @@ def _rows(trajectory: Trajectory) -> Floats:
 
 
 def _snapshot(evaluation: Evaluation) -> Snapshot:
-    """Return an evaluation as the live one is at its end, with a window that is the whole run."""
+    """Return the final state of a live evaluation with the whole run as its window."""
     pairs, position = evaluation.association, evaluation.ate["position_m"]
     rmse = None if position is None else position.rmse
     relative = {}
@@ -229,7 +233,7 @@ def _each(rows: Any) -> Iterator[bytes]:
 
 
 def _write(path: Path, channels: Sequence[_Channel]) -> None:
-    """Write all messages, merged by time."""
+    """Write the messages of all channels in the order of their log times."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:

@@ -1,4 +1,4 @@
-"""Integrity as JSON."""
+"""The `integrity` block of result.json."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def integrity_json(integrity: Integrity) -> dict[str, Any]:
-    """Return shares, episodes and statistics of each part of the pose (docs/result.md)."""
+    """Return fractions, episodes and statistics for every part of the pose (docs/result.md)."""
     return {
         "risk": integrity.risk,
         "exactness": integrity.exactness,

@@ -1,4 +1,4 @@
-"""What is known of every pair of a run, as columns: errors, their vectors, aligned poses."""
+"""Columns with one row per pair of a run: errors, error vectors, aligned poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
 from trajeval_ros.metrics.error_vectors import error_vectors
 from trajeval_ros.pipeline.outcome import RunOutcome
 
-if TYPE_CHECKING:  # it imports scipy.stats
+if TYPE_CHECKING:  # the module imports scipy.stats, a slow import
     from trajeval_ros.consistency.result import Consistency
 
 _XYZ, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
@@ -22,19 +22,19 @@ _COMPONENTS = {3: _XYZ, 4: (*_XYZ, "w"), 6: (*_XYZ, *_TURNS)}
 
 
 def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
-    """Return a run's columns by name, each of N rows, one a pair.
+    """Return the columns of a run with N pairs, by name.
 
     Args:
-        run: What was found about an estimate.
-        up: The groundtruth's up axis, as read: vectors and poses are along its frame's own axes,
-            even if the run was evaluated in a world with z up.
+        run: Result for one estimate.
+        up: Up axis of the groundtruth, as read. Vectors and poses are in the original axes of
+            the groundtruth's frame, also if the run was evaluated with z up.
 
     Returns:
-        `stamps` (N,) int64 ns, each error of `AbsoluteErrors` (N,), each vector of `ErrorVectors`
-        (N, 3), `aligned_positions` (N, 3), `aligned_quaternions` (N, 4); what can't be had is
-        left out. Where consistency was asked for, `consistency.errors`, `.sigmas` (N, 6),
-        `.nees`, `.position_nees`, `.rotation_nees` (N,); where groundtruth was continuous,
-        `probabilistic.residuals` and others.
+        `stamps` (N,), int64, nanoseconds; the errors of `AbsoluteErrors` (N,); the vectors of
+        `ErrorVectors` (N, 3); `aligned_positions` (N, 3), metres; `aligned_quaternions` (N, 4),
+        xyzw. Quantities that are not available are left out. With a consistency test also
+        `consistency.errors`, `.sigmas` (N, 6), `.nees`, `.position_nees`, `.rotation_nees` (N,).
+        With a continuous groundtruth also `probabilistic.` columns (`probabilistic_columns`).
     """
     evaluation = run.evaluation
     aligned, vectors = evaluation.aligned, error_vectors(evaluation)
@@ -66,7 +66,7 @@ def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
 
 
 def columns_of(errors: Any) -> dict[str, NDArray[Any]]:
-    """Return the columns of errors (a dataclass) that are not None."""
+    """Return the fields of a dataclass of arrays that are not None, by name."""
     return {
         field.name: column
         for field in dataclasses.fields(errors)
@@ -75,10 +75,10 @@ def columns_of(errors: Any) -> dict[str, NDArray[Any]]:
 
 
 def component_columns(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return columns (N,) alone: those of vectors become one for each component.
+    """Return columns of shape (N,): a column of vectors is split into its components.
 
-    `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`, rotations `_roll`,
-    `_pitch` and `_yaw`. Points in names become underscores.
+    `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`. Components of
+    rotations are `_roll`, `_pitch` and `_yaw`. Points in names become underscores.
     """
     found = {}
     for name, column in columns.items():

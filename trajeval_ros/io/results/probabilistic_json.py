@@ -1,4 +1,4 @@
-"""The `probabilistic` block of result.json, and its columns of errors.npz."""
+"""The `probabilistic` block of result.json, and the columns for errors.npz."""
 
 from __future__ import annotations
 
@@ -46,7 +46,12 @@ def probabilistic_json(assessment: Assessment) -> dict[str, Any]:
 
 
 def probabilistic_columns(assessment: Assessment) -> dict[str, Any]:
-    """Return its columns by name, a row for each pair."""
+    """Return the columns of an assessment of N pairs by name.
+
+    Returns:
+        `residuals` and `sigmas`, (N, 6), or (N, 3) for positions only, metres and radians;
+        `mahalanobis2` and `supported` (N,).
+    """
     error = assessment.error
     return {
         "residuals": error.residuals.at(error.mode.element),

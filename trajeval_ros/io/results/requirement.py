@@ -1,4 +1,4 @@
-"""Requirements on results, such as `ate.position_m.rmse < 0.3`: gates for scripts and CI."""
+"""Requirements on results for scripts and CI gates, such as `ate.position_m.rmse < 0.3`."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Requirement:
     """A bound on one number of every run in a result.
 
     Attributes:
-        path: Keys from the run down, joined by dots. A sub-trajectory length, as asked for, is a
-            key of `re`: `re.8m.position_percent.mean`, `re.10%.rotation_deg.p95`.
+        path: Keys below the run, joined by dots. A requested sub-trajectory length is a key of
+            `re`: `re.8m.position_percent.mean`, `re.10%.rotation_deg.p95`.
         comparison: `<`, `<=`, `>` or `>=`.
-        bound: What the number is compared with.
+        bound: Bound, in the unit of the number.
     """
 
     path: str
@@ -32,7 +32,11 @@ class Requirement:
 
     @classmethod
     def parse(cls, text: str) -> Requirement:
-        """Read `ate.position_m.rmse < 0.3`."""
+        """Return the requirement in a text such as `ate.position_m.rmse < 0.3`.
+
+        Raises:
+            SettingsError: The text is not PATH, comparison and number.
+        """
         match = re.fullmatch(_PATTERN, text)
         try:
             if match is None:
@@ -45,18 +49,18 @@ class Requirement:
             ) from None
 
     def __str__(self) -> str:
-        """Write it as `parse` reads it."""
+        """Return the text that `parse` reads."""
         return f"{self.path} {self.comparison} {self.bound:g}"
 
     def unmet(self, run: Mapping[str, Any], lengths: Sequence[str]) -> str:
-        """Return why a run of a result doesn't meet it; empty if it does.
+        """Return the reason why a run does not meet the requirement, "" if it does.
 
         Args:
-            run: One of the result's `runs`.
-            lengths: Of its sub-trajectories, as asked for: "8m", "10%".
+            run: One of the `runs` of a result.
+            lengths: Sub-trajectory lengths as requested: "8m", "10%".
 
         Raises:
-            SettingsError: The path names nothing that results have.
+            SettingsError: The path does not exist in results, or is not a number.
         """
         value: Any = run
         for key in self.path.split("."):
@@ -75,7 +79,7 @@ class Requirement:
     def _step(self, value: Any, key: str, lengths: Sequence[str]) -> Any:
         known = value
         if isinstance(value, Mapping) and "segments" in value:
-            # A dot in a length would part it.
+            # A dot in a length is written as an underscore, since dots separate keys.
             names = [length.replace(".", "_") for length in lengths]
             known = {
                 **dict(zip(names, value["segments"], strict=True)),

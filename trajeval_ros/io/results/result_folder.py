@@ -1,4 +1,4 @@
-"""The files of an outcome: result.json, errors.npz, errors.parquet."""
+"""Writing of the result files of an evaluation: result.json, errors.npz, errors.parquet."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from trajeval_ros.pipeline.outcome import Outcome
 def write_result(outcome: Outcome, folder: str | Path) -> Path:
     """Write result.json, errors.npz and, with pyarrow, errors.parquet (docs/result.md).
 
-    Each is written whole or not at all.
+    Every file is written completely or not at all.
 
     Args:
-        outcome: What `run` returned.
-        folder: Made if it doesn't exist; files of the same names are replaced.
+        outcome: Result of `run`.
+        folder: Output folder, created if it does not exist. Files of the same names are replaced.
 
     Returns:
         The path of result.json. The same outcome gives the same bytes.
 
     Raises:
-        InputError: The files can't be written.
+        InputError: A file can't be written.
 
     Example:
         >>> import json, tempfile
@@ -39,7 +39,7 @@ def write_result(outcome: Outcome, folder: str | Path) -> Path:
     folder = Path(folder)
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / TABLE).unlink(missing_ok=True)  # of another outcome, where pyarrow was
+        (folder / TABLE).unlink(missing_ok=True)  # can be from another run, written with pyarrow
     for name, write in error_files(outcome).items():
         write_whole(folder / name, write)
     write_text(folder / "result.json", json_text(result_of(outcome), indent=2))

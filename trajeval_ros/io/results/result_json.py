@@ -1,7 +1,7 @@
-"""result.json: what an evaluation leaves behind for other programs.
+"""Content of result.json, the result of an evaluation for other programs.
 
-The schema is `trajeval/1`; docs/result.md describes every field. Two evaluations of the same
-input give the same bytes.
+The schema is `trajeval/1`. docs/result.md describes all fields. Two evaluations of the same input
+give the same bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCHEMA = "trajeval/1"
 
 
 def result_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the result of evaluating one or more estimates against one groundtruth."""
+    """Return the content of result.json for one or more estimates and one groundtruth."""
     groundtruth, runs = outcome.groundtruth, outcome.runs
     protocol, time_span = runs[0].evaluation.protocol, outcome.request.time_span
     mends = outcome.request.mends
@@ -74,7 +74,7 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
     evaluation, estimate = run.evaluation, run.estimate
     protocol, pairs = evaluation.protocol, evaluation.association
     similarity, coverage = evaluation.alignment.similarity, pairs.coverage
-    if protocol.is_upright:  # then it is between these worlds
+    if protocol.is_upright:  # then the alignment is between frames turned to z up
         similarity = between_own_axes(similarity, truth_up, estimate.up)
     return {
         "estimate": {
@@ -174,5 +174,5 @@ def _consistency(consistency: Consistency) -> dict[str, Any]:
 
 
 def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | None:
-    """Return STATS of the schema."""
+    """Return the object STATS of the schema; None without statistics."""
     return None if statistics is None else dataclasses.asdict(statistics)

@@ -1,4 +1,4 @@
-"""What a watchdog saw, as JSON."""
+"""The result of a watchdog run as JSON."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
     """Return signals with limits, alarms and evidence (docs/watchdog.md).
 
     Args:
-        estimate: Source of the estimate.
-        seen: What was seen in it.
-        book: The same, compared with limits.
+        estimate: SOURCE of the estimate.
+        seen: Signals of the run.
+        book: Alarms of the run, and the limits.
     """
 
     def stamp(seconds: float) -> int:
