@@ -1,1 +1,1 @@
-"""What a user asks for, in words and in files: requests, protocols, transforms, covariances."""
+"""Reading of the user's settings: options, protocols, transforms, joint covariances, limits."""

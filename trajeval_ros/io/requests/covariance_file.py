@@ -1,4 +1,4 @@
-"""Joint covariances as npz archives; docs/consistency.md describes the format."""
+"""Reading and writing of joint covariances as npz archives (format: docs/consistency.md)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PERTURBATIONS = ("left", "right")
 
 
 def write_joint_covariance(path: Path, joint: JointCovariance) -> None:
-    """Write an npz archive.
+    """Write a joint covariance as an npz archive.
 
     Raises:
         InputError: The file can't be written.
@@ -50,11 +50,13 @@ def write_joint_covariance(path: Path, joint: JointCovariance) -> None:
 
 
 def read_joint_covariance(path: Path) -> JointCovariance:
-    """Read an npz archive.
+    """Read a joint covariance from an npz archive.
+
+    A covariance with perturbations on the right is converted to perturbations on the left.
 
     Raises:
-        InputError: It can't be read, something is missing or of the wrong size, or the matrix
-            is no covariance.
+        InputError: The file can't be read, an array is missing or has a wrong shape, or the
+            matrix is not a valid covariance.
     """
     try:
         arrays = read_arrays(path, _ARRAYS)
@@ -110,7 +112,13 @@ def _joint_of(arrays: dict[str, NDArray[Any]]) -> JointCovariance:
 
 
 def _word(arrays: dict[str, NDArray[Any]], name: str, known: tuple[str, ...]) -> str:
-    """Return a word of the archive; the first one known where there is none."""
+    """Return a text of the archive; if it is missing, the default.
+
+    The default is the first of `known`. For `gauge` it is the last one, `unknown`.
+
+    Raises:
+        InputError: The text is not one of `known`.
+    """
     word = str(arrays[name]) if name in arrays else known[0 if name != "gauge" else -1]
     if word not in known:
         raise InputError(f"the joint covariance's {name} is {word!r}; use {', '.join(known)}")
@@ -125,7 +133,7 @@ def _information(arrays: dict[str, NDArray[Any]], size: int) -> scipy.sparse.csr
     try:
         parts = tuple(arrays[f"info_{name}"] for name in ("data", "indices", "indptr"))
         matrix = scipy.sparse.csr_matrix(parts, shape=(size, size))
-        matrix.check_format(full_check=True)  # else wrong indices read what isn't theirs
+        matrix.check_format(full_check=True)  # wrong indices would read outside of the arrays
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"info_data, info_indices and info_indptr are not a {size} x {size} matrix in CSR "

@@ -1,4 +1,4 @@
-"""The pose of a marker in a body, in a file: a `geometry_msgs/TransformStamped` in YAML.
+"""Reading of the pose of a marker in the body: a `geometry_msgs/TransformStamped` in YAML.
 
     header: {frame_id: base_link}
     child_frame_id: marker
@@ -6,7 +6,8 @@
       translation: {x: 0.1, y: -0.05, z: 0.2}
       rotation: {x: 0.0, y: 0.0, z: 0.0, w: 1.0}
 
-The frames' names may be left out. What `ros2 topic echo --once` prints of such a topic will do.
+The names of the frames are optional. The output of `ros2 topic echo --once` of a topic with this
+type is a valid file.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ from trajeval_ros.geometry.trajectory import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
 _WHAT = "transform"
-_UNIT = 0.01  # of a quaternion's length; rounded digits are no other rotation
+_UNIT = 0.01  # tolerance of a quaternion's length, for rounded digits
 
 
 def read_hand_eye(path: Path) -> HandEye:
-    """Read T_B_M: header.frame_id is the estimate's body, child_frame_id the marker.
+    """Read T_B_M; `header.frame_id` is the estimate's body, `child_frame_id` the marker.
 
     Raises:
-        InputError: The file can't be read, or is no transform.
+        InputError: The file can't be read, or is not a transform.
     """
     message = read_mapping(path, _WHAT)
     return hand_eye_of(message, str(path))
 
 
 def read_similarity(path: Path) -> Similarity:
-    """Read a transformation from a file of the same kind; `scale: 2.0` in it makes it a Sim(3).
+    """Read a transformation from a file of the same format, with an optional field `scale`.
 
     Raises:
-        InputError: The file can't be read, or is no transform.
+        InputError: The file can't be read, or is not a transform.
     """
     message = read_mapping(path, _WHAT)
     scale = message.pop("scale", 1.0)
@@ -52,10 +53,14 @@ def read_similarity(path: Path) -> Similarity:
 
 
 def hand_eye_of(message: dict[str, Any], path: str) -> HandEye:
-    """Return T_B_M from the values of such a file.
+    """Return T_B_M from the mapping in a file.
+
+    Args:
+        message: Fields of a `geometry_msgs/TransformStamped`.
+        path: The file, for messages.
 
     Raises:
-        InputError: They are no transform; says so of `path`.
+        InputError: The mapping is not a transform.
     """
     require_known(message, ("header", "child_frame_id", "transform"), path)
     header = _mapping(message.get("header", {}), f"{path}: header")
@@ -79,7 +84,7 @@ def hand_eye_of(message: dict[str, Any], path: str) -> HandEye:
 
 
 def hand_eye_json(hand_eye: HandEye) -> dict[str, Any]:
-    """Return it as such a file holds it."""
+    """Return the transform as the mapping that such a file contains."""
     return {
         "header": {"frame_id": hand_eye.body},
         "child_frame_id": hand_eye.marker,

@@ -1,4 +1,4 @@
-"""Limits of a watchdog in a file: YAML, that a person may read and change."""
+"""Reading and writing of a watchdog's limits as a YAML file, which users can edit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MEND = "learn limits with trajeval watch RUN --learn FILE"
 
 
 def write_limits(path: Path, limits: WatchLimits) -> None:
-    """Write limits, whole or not at all.
+    """Write limits, completely or not at all.
 
     Raises:
         InputError: The file can't be written.
@@ -48,13 +48,13 @@ def read_limits(path: Path) -> WatchLimits:
     """Read limits.
 
     Raises:
-        InputError: It can't be read, or its content is not valid.
+        InputError: The file can't be read, or its content is not valid.
     """
     return limits_in(read_mapping(path, "limits"), path)
 
 
 def limits_mapping(limits: WatchLimits) -> dict[str, Any]:
-    """Return limits as their file has them, for a JSON file."""
+    """Return limits as the mapping of a file with limits, for JSON."""
     return {
         "schema": SCHEMA,
         "evidence": {
@@ -69,6 +69,10 @@ def limits_mapping(limits: WatchLimits) -> dict[str, Any]:
 
 def limits_in(found: dict[str, Any], path: Path) -> WatchLimits:
     """Return the limits in the mapping of a file.
+
+    Args:
+        found: Mapping, as `limits_mapping` returns it.
+        path: The file, for messages.
 
     Raises:
         InputError: The content is not valid.

@@ -1,4 +1,4 @@
-"""A protocol in a file: what a benchmark asks for, in YAML, and nothing else.
+"""Reading of a protocol, the rules of a benchmark, from a YAML file.
 
     base: uzh-fpv                      # a protocol to start from; default
     gauge: yaw
@@ -14,7 +14,7 @@
     score: {bounds_m: [0.01, 0.1], points: [10, 1], best: 100, dimensions: 3}   # or knots_m
     recall: {bounds_m: [1, 5], dimensions: 2}
 
-Whatever is left out is as in `base`.
+Settings that are missing are taken from `base`.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ _KNOWN = (
 
 
 def is_protocol_file(name: str) -> bool:
-    """Return whether a protocol's name is that of a file."""
+    """Return whether the name of a protocol is the name of a YAML file."""
     return name.endswith(_SUFFIXES)
 
 
 def read_protocol(path: Path) -> Protocol:
-    """Read a protocol; its name is the file's.
+    """Read a protocol; its name is the name of the file without the suffix.
 
     Raises:
-        InputError: The file can't be read, or what it says means nothing.
+        InputError: The file can't be read, or a setting is unknown or not valid.
     """
     found = read_mapping(path, "protocol")
     require_known(found, _KNOWN, str(path))
@@ -99,7 +99,12 @@ def _protocol(found: Mapping[str, Any], name: str) -> Protocol:
 def _replaced(
     base: AssociationRule | Selection, found: Any, where: str
 ) -> AssociationRule | Selection:
-    """Return settings with those of a mapping in place of their own."""
+    """Return `base` with the settings in the mapping `found`.
+
+    Raises:
+        SettingsError: `found` is not a mapping, or a value has the wrong type.
+        InputError: A setting is unknown.
+    """
     if not isinstance(found, dict):
         raise SettingsError(f"{where} must be a mapping, not {found!r}")
     types = {

@@ -1,4 +1,4 @@
-"""From words to a request: what the command line, a comparison's file and a node are told."""
+"""Conversion of settings to a request: options, the file of a comparison, a node's parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _LONGEST_LEVER_M = 1e3
 AUTO, NONE, MESSAGE = "auto", "none", "message"
 
-# The words, and what their values are. `_` stands where the command line has `-`.
+# Names and types of the settings. The options have the same names, with `-` instead of `_`.
 WORDS: dict[str, type] = {
     "protocol": str,
     "gauge": str,
@@ -73,15 +73,15 @@ WORDS: dict[str, type] = {
 
 
 def request_from(words: Mapping[str, Any]) -> Request:
-    """Return what words ask for; a word that is missing or None leaves the protocol's setting.
+    """Return the request for settings; a missing one or None keeps the protocol's setting.
 
     Args:
-        words: By the names of `WORDS`, as texts that the command line takes,
-            and `watch_limits` (a path), `swap` and `fix`, which are of a single pair.
+        words: Settings by the names in `WORDS`, with values as on the command line. `watch_limits`
+            (a path), `swap` and `fix` are also accepted; they apply to a single evaluation.
 
     Raises:
-        SettingsError: Words that mean nothing, or nothing together.
-        InputError: A file that they name can't be read.
+        SettingsError: A setting is not valid, or contradicts another one.
+        InputError: A file that a setting names can't be read or is not valid.
     """
     given = {key: value for key, value in words.items() if value is not None}
     offset = given.pop("time_offset", None)
@@ -146,7 +146,7 @@ def _limits(path: Path) -> WatchLimits:
 
 
 def _fix_rule(given: dict[str, Any]) -> FixRule:
-    """Take the words about GNSS fixes out of those that are given."""
+    """Remove the settings of GNSS fixes from `given` and return them."""
     datum = given.pop("datum", None)
     words = {"min_status": "min_fix_status", "max_sigma_m": "max_fix_sigma"}
     words["correlation_s"] = "fix_correlation"
@@ -157,10 +157,10 @@ def _fix_rule(given: dict[str, Any]) -> FixRule:
 
 
 def parse_lever(text: str) -> tuple[float, float, float]:
-    """Read "0.4,0.2,1.0": metres along the axes of the estimate's body.
+    """Return the lever arm in a text "0.4,0.2,1.0": metres, in the estimate's body frame.
 
     Raises:
-        SettingsError: It isn't three numbers.
+        SettingsError: The text is not three numbers with absolute values below 1000 m.
     """
     try:
         x, y, z = (float(part) for part in text.split(","))
@@ -190,10 +190,14 @@ def _integrity(
 
 
 def integrity_request(alert_limit: str, risk: float | None) -> IntegrityRequest:
-    """Return alert limits as they are written, metres and perhaps degrees, and a risk.
+    """Return the request for protection levels and alert limits.
+
+    Args:
+        alert_limit: "0.5" in metres, or "0.5,2" in metres and in degrees of heading.
+        risk: Probability that an error exceeds its protection level; None for the default.
 
     Raises:
-        SettingsError: They mean nothing.
+        SettingsError: The limits or the risk are not valid.
     """
     from trajeval_ros.consistency.integrity import DEFAULT_RISK, IntegrityRequest
 
@@ -221,7 +225,7 @@ def known_hand_eye(text: str) -> HandEye:
     """Read T_B_M from a file, or from BAG:/tf_static:BODY.MARKER.
 
     Raises:
-        InputError: It can't be read, or is no transform.
+        InputError: The file or bag can't be read, or does not contain the transform.
     """
     if text.count(":") >= 2 and not Path(text).exists():
         from trajeval_ros.io.bags.topics import read_hand_eye_of_bag
@@ -248,7 +252,7 @@ def _seconds(text: str | float | None) -> float | None:
 def _covariances(source: str, frame: str, noise: tuple[float, float] | None) -> CovarianceRequest:
     if source in (NONE, MESSAGE):
         return CovarianceRequest(source, rotation_frame=frame, groundtruth_noise=noise)
-    # Words that contradict each other are told before a file is read.
+    # Contradictory settings are reported before a file is read.
     CovarianceRequest(rotation_frame=frame, groundtruth_noise=noise)
     from trajeval_ros.io.requests.covariance_file import read_joint_covariance
 
@@ -258,10 +262,10 @@ def _covariances(source: str, frame: str, noise: tuple[float, float] | None) -> 
 
 
 def parse_up(text: str) -> tuple[str, str]:
-    """Read "-y", or "-y,z": the up axes of the groundtruth and of the estimates.
+    """Return the up axes of the groundtruth and of the estimates in a text "-y" or "-y,z".
 
     Raises:
-        SettingsError: It is neither.
+        SettingsError: The text is not one or two of `UP_AXES`.
     """
     axes = [each.strip() for each in text.split(",")]
     if len(axes) > 2:
@@ -273,10 +277,10 @@ def parse_up(text: str) -> tuple[str, str]:
 
 
 def parse_noise(text: str) -> tuple[float, float]:
-    """Read "0.002,0.1": metres and degrees.
+    """Return the standard deviations in a text "0.002,0.1": metres and degrees.
 
     Raises:
-        SettingsError: It isn't two numbers above zero.
+        SettingsError: The text is not two finite numbers greater than zero.
     """
     try:
         position_m, rotation_deg = (float(part) for part in text.split(","))
