@@ -1,1 +1,1 @@
-"""Recordings of feature tracks and an IMU, with groundtruth."""
+"""Reading of recordings with feature tracks, IMU and groundtruth."""

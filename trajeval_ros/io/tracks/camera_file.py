@@ -1,4 +1,4 @@
-"""A camera's calibration: EuRoC's sensor.yaml, which this package's camera.yaml is, too."""
+"""Reading of a camera's calibration in the format of EuRoC's sensor.yaml."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.visual_inertial.lens import Lens
 from trajeval_ros.visual_inertial.sensor_recording import CalibratedCamera
 
-# What Kalibr, OpenCV and ROS call the two.
+# Names of the two models in EuRoC, Kalibr and ROS.
 _DISTORTIONS = {
     "radial-tangential": "radial-tangential",
     "radtan": "radial-tangential",
@@ -27,10 +27,11 @@ _ROTATION_TOLERANCE = 1e-3
 
 
 def read_camera(path: Path) -> CalibratedCamera:
-    """Read intrinsics, distortion and extrinsics.
+    """Read intrinsics (pixels), distortion, and the camera's pose in the IMU frame (metres).
 
     Raises:
-        InputError: A value is missing, or a model is none of those that are known.
+        InputError: The file can't be read, a value is missing or not valid, or the model of the
+            camera or of the distortion is not supported.
     """
     values = read_mapping(path, "calibration of a camera")
     model, distortion = values.get("camera_model"), values.get("distortion_model")

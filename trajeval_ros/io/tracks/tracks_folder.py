@@ -1,7 +1,7 @@
-"""A folder with feature tracks, IMU, groundtruth and calibration: docs/tracks.md.
+"""Reading of a folder with feature tracks, IMU, groundtruth and calibration (docs/tracks.md).
 
-EuRoC's own layout is recognised: `mav0/imu0/data.csv`, `mav0/cam0/sensor.yaml` and
-`mav0/state_groundtruth_estimate0/data.csv`, with the tracks beside the images they are of.
+The layout of EuRoC is also supported: `mav0/imu0/data.csv`, `mav0/cam0/sensor.yaml`,
+`mav0/state_groundtruth_estimate0/data.csv`, and the tracks in `mav0/cam0`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from trajeval_ros.io.text.tokens import RowError
 from trajeval_ros.io.tracks.camera_file import read_camera
 from trajeval_ros.visual_inertial.sensor_recording import SensorRecording, one_instant_each
 
-# By preference: names of this package's own format, then those of EuRoC.
+# In order of preference: names in this package's own format, then in EuRoC's.
 _NAMES = {
     "tracks": ("tracks*.csv", "mav0/cam0/tracks*.csv"),
     "IMU samples": ("imu*.csv", "mav0/imu0/data.csv"),
@@ -33,10 +33,13 @@ _LARGEST = 1 << 30  # bytes
 
 
 def read_tracks_folder(folder: Path) -> SensorRecording:
-    """Read a recording.
+    """Read a recording from a folder.
+
+    If the groundtruth has no velocities, its positions are differentiated. Biases are used only
+    if the groundtruth has the biases of both sensors.
 
     Raises:
-        InputError: A file is missing, is there twice, or can't be what its name says.
+        InputError: A file is missing or not unique, can't be read, or has invalid content.
     """
     if not folder.is_dir():
         raise InputError(
@@ -76,7 +79,11 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
 
 
 def _only(folder: Path, what: str) -> Path:
-    """Return the one file of the folder that has what."""
+    """Return the only file of the folder with the content `what`, a key of `_NAMES`.
+
+    Raises:
+        InputError: No file or more than one file is found.
+    """
     for pattern in _NAMES[what]:
         found = sorted(folder.glob(pattern))
         if len(found) == 1:
@@ -92,7 +99,15 @@ def _only(folder: Path, what: str) -> Path:
 
 
 def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
-    """Return the stamps (n,) and the other columns (n, c - 1) of a table."""
+    """Return timestamps (N,) in nanoseconds and the other columns (N, C - 1) of a table.
+
+    Args:
+        path: The file.
+        names: Names of its C columns, separated by commas.
+
+    Raises:
+        InputError: The file is too large, or a row is not C finite numbers.
+    """
     columns = names.count(",") + 1
     if path.stat().st_size > _LARGEST:
         raise InputError(f"{path} is too large; use a part of the recording")
@@ -121,7 +136,16 @@ def _track_names(path: Path, column: Floats) -> Stamps:
 
 
 def _require_once(path: Path, sightings: Stamps, stamps: Stamps) -> None:
-    """Refuse a track that is in one image twice."""
+    """Check that no track is in one image more than once.
+
+    Args:
+        path: The file, for messages.
+        sightings: (O, 2), index of the image and id of the track.
+        stamps: (O,), nanoseconds.
+
+    Raises:
+        InputError: A track is in one image more than once.
+    """
     _, first, counts = np.unique(sightings, axis=0, return_index=True, return_counts=True)
     if counts.max() > 1:
         place = int(first[counts.argmax()])
@@ -132,7 +156,12 @@ def _require_once(path: Path, sightings: Stamps, stamps: Stamps) -> None:
 
 
 def _groundtruth(path: Path) -> tuple[Trajectory, list[str]]:
-    """Return the groundtruth, with velocities, and what of it was made up."""
+    """Return the groundtruth with velocities, and notes about missing quantities.
+
+    Raises:
+        InputError: The file has fewer than 3 poses, no orientations or no timestamps, or has
+            repeated timestamps.
+    """
     read = read_text(path)
     if read.quaternions is None or not read.stamped or len(read) < 3:
         raise InputError(
