@@ -1,4 +1,4 @@
-"""The common change of all numbers of a gate, with bounds that agree with its verdict."""
+"""The common change of all numbers of a gate, with the confidence bounds of its pooled test."""
 
 from __future__ import annotations
 
@@ -37,10 +37,17 @@ def common_change(
     *,
     paired: bool = False,
 ) -> Change:
-    """Return the common change of one comparison and its bounds, as logarithms.
+    """Return the common change of one comparison, its lower and its upper bound, as logarithms.
 
-    Bounds are where the pooled test turns (same relabellings at every shift); each is missed with
-    the pooled level. They are infinite where nothing can be said.
+    The bounds invert the pooled test: they are the shifts of new trials at which its verdict
+    changes. So they agree with the verdict of the gate. Both are one-sided, at the pooled level.
+    All shifts use the same relabellings. The bounds are infinite if the test can't reject.
+
+    Args:
+        numbers: Logarithms of the trials of every number, (1, old + new).
+        sizes: Numbers of old and new trials, by number.
+        total: Probability of a false alarm.
+        paired: Whether the i-th old and the i-th new trial of a number are a pair.
     """
     levels = levels_of(sizes, total, paired=paired)
     changes = [float(mean_change(z, size)[0]) for z, size in zip(numbers, sizes, strict=True)]
@@ -68,7 +75,7 @@ def common_change(
 
 
 def shifted(numbers: Sequence[Floats], sizes: Sequence[Size], shift: float) -> list[Floats]:
-    """Return numbers whose new trials are less by a shift."""
+    """Return the numbers with a shift subtracted from their new trials."""
     return [
         np.concatenate([z[:, :old], z[:, old:] - shift], axis=1)
         for z, (old, _) in zip(numbers, sizes, strict=True)
@@ -76,7 +83,7 @@ def shifted(numbers: Sequence[Floats], sizes: Sequence[Size], shift: float) -> l
 
 
 class _PooledTest:
-    """The pooled test of one comparison at any shift, with the relabellings of `compare`."""
+    """The pooled test of one comparison for any shift, with the relabellings of `compare`."""
 
     def __init__(self, numbers: Sequence[Floats], sizes: Sequence[Size], *, paired: bool) -> None:
         random = np.random.default_rng(0)
@@ -88,7 +95,7 @@ class _PooledTest:
         return scores_of([within_pairs(z) for z in numbers] if self._paired else numbers)
 
     def statistic(self, shift: float) -> float:
-        """Return the pooled statistic of the labels as they are."""
+        """Return the observed statistic after a shift of the new trials."""
         scores = self._scores(shift)
         return sum(
             weight_of(size) / float(scores.scales[0, place]) * float(contrast(psi, size)[0])
@@ -96,7 +103,7 @@ class _PooledTest:
         )
 
     def p(self, shift: float, direction: float) -> float:
-        """Return p of the test after a shift of the new trials."""
+        """Return the p-value after a shift of the new trials; `direction` as for `compare`."""
         scores = self._scores(shift)
         sums = sum(
             weight_of(size) / scores.scales[0, place] * contrasts(psi, size, self._labels[place])
@@ -107,7 +114,7 @@ class _PooledTest:
 
 
 def _where_it_turns(low: float, high: float, is_below: Callable[[float], bool]) -> float:
-    """Return where a statement that is true at `low` becomes false, by bisection."""
+    """Return by bisection where a condition that is true at `low` becomes false."""
     for _ in range(30):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if is_below(middle) else (low, middle)

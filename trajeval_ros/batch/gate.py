@@ -1,4 +1,4 @@
-"""What a regression gate is, and how it is written on the command line."""
+"""A regression gate, and its notation on the command line."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ _GATE = re.compile(
     rf"(?:\s+spread\s+{_SIZE}\s*%|\s+(untested))?\s*"
 )
 _TERM = re.compile(rf"{_SIZE}\s*(%|MAD)")
-_EQUAL = 1e-9  # relative: the digits that are promised
-_LEAST = 1e-12  # of an error, so that zero has a logarithm
+_EQUAL = 1e-9  # relative: numbers that differ by less are equal
+_LEAST = 1e-12  # smallest error, so that the logarithm of zero is finite
 _EXAMPLE = "ate.position_m.rmse worse than 5 %"
 
 
 @dataclass(frozen=True)
 class Gate:
-    """How much worse a number may be than in the baseline.
+    """A limit of how much worse a number may be than in the baseline.
 
     Attributes:
-        path: As in a requirement: `ate.position_m.rmse`, `re.8m.position_percent.mean`,
-            `association.groundtruth_coverage`.
-        percent: The margin: what may change.
-        deviations: Median absolute deviations of the baseline's trials, beyond which the median of
-            a single number must be, too.
-        spread_percent: Of the trials, where the user knows it; None to measure it.
-        tested: Whether trials tell a change from chance; else medians alone decide.
+        path: Path of the number, as in a requirement: `ate.position_m.rmse`,
+            `re.8m.position_percent.mean`, `association.groundtruth_coverage`.
+        percent: The margin: the largest permitted worsening, in percent.
+        deviations: A single number is worse only if its median also differs by more than this
+            many median absolute deviations of the baseline's trials.
+        spread_percent: Standard deviation of the trials, in percent, given by the user; None to
+            estimate it.
+        tested: Whether to apply a statistical test to the trials; if not, medians are compared.
     """
 
     path: str
@@ -41,10 +42,11 @@ class Gate:
 
     @classmethod
     def parse(cls, text: str) -> Gate:
-        """Read `ate.position_m.rmse worse than 5 %`, perhaps with `spread 15 %` or `untested`.
+        """Parse `ate.position_m.rmse worse than 5 %`; `spread 15 %` or `untested` may follow.
 
         Raises:
-            SettingsError: It is written otherwise, or can't be judged.
+            SettingsError: The text has another form, a spread of 0 %, or a margin of 100 % or more
+                for a coverage.
         """
         match = _GATE.fullmatch(text)
         terms = [_TERM.fullmatch(each.strip()) for each in match[2].split("+")] if match else []
@@ -66,7 +68,7 @@ class Gate:
         return made
 
     def __str__(self) -> str:
-        """Write it as `parse` reads it."""
+        """Return the text that `parse` reads."""
         terms = []
         if self.percent or not self.deviations:
             terms.append(f"{self.percent:g} %")
@@ -79,24 +81,28 @@ class Gate:
 
     @property
     def larger_is_worse(self) -> bool:
-        """Whether it is an error, and not a coverage."""
+        """Whether the number is an error; a coverage is worse if it is smaller."""
         return not self.path.startswith("association.")
 
     @property
     def margin(self) -> float:
-        """The margin as a logarithm, with the digits that are promised."""
+        """The margin as a difference of logarithms, larger by the tolerance of equal numbers."""
         if self.larger_is_worse:
             return math.log1p(self.percent / 100.0) + _EQUAL
         return _EQUAL - math.log1p(-self.percent / 100.0)
 
     def logarithm(self, value: float) -> float:
-        """Return a logarithm that is larger where the number is worse; inf of a failed run."""
+        """Return the logarithm of a value, with the sign for which larger is worse.
+
+        Args:
+            value: The value; inf for a failed run, which is returned as inf.
+        """
         if math.isinf(value):
             return math.inf
         return (1.0 if self.larger_is_worse else -1.0) * math.log(max(value, _LEAST))
 
     def change(self, logarithm: float) -> float:
-        """Return the relative change of the number, 0.05 for 5 %, of a change of its logarithm."""
+        """Convert a change of `logarithm` to a relative change of the number, 0.05 for 5 %."""
         sign = 1.0 if self.larger_is_worse else -1.0
         exponent = sign * logarithm
         return math.expm1(exponent) if exponent < 700.0 else math.inf

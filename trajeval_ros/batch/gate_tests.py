@@ -1,7 +1,7 @@
-"""Tests of a gate: are all numbers together worse, is a single one, are there more failures?
+"""Statistical tests of a gate: of all numbers together, of single numbers, and of failed runs.
 
-Arrays are those of `relabelling`; new trials are already less the logarithm of the margin, so that
-each test asks whether they are worse by more than the margin.
+Arrays are defined in `relabelling`. The logarithm of the margin is already subtracted from new
+trials, so all tests are one-sided tests against zero.
 """
 
 from __future__ import annotations
@@ -29,24 +29,25 @@ from trajeval_ros.geometry.arrays import Booleans, Floats
 
 FALSE_ALARMS = 0.025
 RELABELLINGS = 4000
-_BY_RELABELLING = 0.72  # share of the level for single numbers
-_BY_STUDENT = 0.32  # the same where relabellings are too few for single numbers
-ENOUGH = 1.15  # least rejections that single numbers must have by their level
-_FLOOR = 0.3  # of the typical spread, that few trials of one number may have
-_TIE = 1e-9  # relative: sums in another order are equal
+_BY_RELABELLING = 0.72  # fraction of the level for single numbers, tested by relabelling
+_BY_STUDENT = 0.32  # the same if they are tested by Student's test
+ENOUGH = 1.15  # least product of relabellings and level with which a test can reject
+_FLOOR = 0.3  # least standard deviation of a single number, relative to the typical one
+_TIE = 1e-9  # relative: sums of the same terms in another order are equal
 
 Way = Literal["relabelling", "student", "known", "none"]
 
 
 @dataclass(frozen=True)
 class Levels:
-    """How the chance of a false alarm is shared.
+    """The significance levels of the tests of a gate.
 
     Attributes:
-        total: Of all.
-        pooled: Of the verdict on all numbers together.
-        numbers: Of all single numbers together; 0 if none can be judged.
-        pooled_by, numbers_by: Which test judges.
+        total: Probability of a false alarm of all tests together.
+        pooled: Level of the test of all numbers together.
+        numbers: Level of the tests of all single numbers together; 0 if they are not tested.
+        pooled_by: Method of the pooled test.
+        numbers_by: Method of the tests of single numbers.
     """
 
     total: float
@@ -59,7 +60,16 @@ class Levels:
 def levels_of(
     sizes: Sequence[Size], total: float = FALSE_ALARMS, *, paired: bool = False
 ) -> Levels:
-    """Share the chance of a false alarm: a test that can never reject gives its share away."""
+    """Divide the level between the pooled test and the tests of single numbers.
+
+    The pooled test gets the whole level if the trials are too few to test single numbers. If there
+    are too few relabellings for the pooled test, it is Student's test, or there is none.
+
+    Args:
+        sizes: Numbers of old and new trials, by number.
+        total: Probability of a false alarm.
+        paired: Whether trials are pairs.
+    """
     if paired:
         return _levels_of_pairs(sizes, total)
     counts = [math.comb(old + new, new) for old, new in sizes]
@@ -85,12 +95,17 @@ def _levels_of_pairs(sizes: Sequence[Size], total: float) -> Levels:
 
 
 def is_enough(pairs: int, level: float) -> bool:
-    """Whether sign flips of so many pairs can reach a level."""
+    """Return whether a sign-flip test of this number of pairs can reach a level."""
     return 2.0**pairs * level >= ENOUGH
 
 
 def levels_when_known(numbers: int, total: float) -> Levels:
-    """Share the chance of a false alarm where the spread of trials is known."""
+    """Divide the level as `levels_of` does, for a known spread of the trials.
+
+    Args:
+        numbers: How many numbers there are.
+        total: Probability of a false alarm.
+    """
     if numbers == 1:
         return Levels(total, total, 0.0, "known", "none")
     share = _BY_RELABELLING * total
@@ -103,12 +118,13 @@ def _is_one_trial(sizes: Sequence[Size]) -> bool:
 
 @dataclass(frozen=True)
 class GateOutcome:
-    """What a test says.
+    """The p-values of the tests of a gate.
 
     Attributes:
-        levels: What p-values are compared with.
-        p_pooled: Of all numbers together, (comparisons,).
-        p_numbers: Of single ones, adjusted for their count, (comparisons, numbers).
+        levels: Significance levels.
+        p_pooled: p-values of the pooled test, (comparisons,).
+        p_numbers: p-values of single numbers, adjusted for multiple testing,
+            (comparisons, numbers).
     """
 
     levels: Levels
@@ -117,17 +133,20 @@ class GateOutcome:
 
     @property
     def pooled(self) -> Booleans:
-        """Whether all together are called worse, (comparisons,)."""
+        """Whether the pooled test rejects, (comparisons,)."""
         return self.p_pooled <= self.levels.pooled
 
     @property
     def level_of_numbers(self) -> Floats:
-        """Level of single ones, (comparisons,); after the pooled verdict they have its, too."""
+        """Level of single numbers, (comparisons,).
+
+        If the pooled test rejects, its level is available to single numbers, too.
+        """
         return np.where(self.pooled, self.levels.total, self.levels.numbers)
 
     @property
     def numbers(self) -> Booleans:
-        """Which single ones are called worse, (comparisons, numbers)."""
+        """Whether the tests of single numbers reject, (comparisons, numbers)."""
         if not self.levels.numbers:
             return np.zeros(self.p_numbers.shape, dtype=np.bool_)
         return self.p_numbers <= self.level_of_numbers[:, None]
@@ -146,13 +165,13 @@ def compare(
     """Test whether new trials are worse than old ones.
 
     Args:
-        numbers: Logarithms of each number, (comparisons, old + new).
-        sizes: Its old and new trials.
-        direction: -1 tests whether they are better instead.
-        total: Chance of a false alarm.
-        paired: Whether the i-th old and the i-th new trial of each number belong together.
-        count: Relabellings.
-        random: What they are drawn with; by default the same each time.
+        numbers: Logarithms of the trials of every number, (comparisons, old + new).
+        sizes: Numbers of old and new trials, by number.
+        direction: 1 tests whether new trials are worse, -1 whether they are better.
+        total: Probability of a false alarm.
+        paired: Whether the i-th old and the i-th new trial of a number are a pair.
+        count: Number of relabellings.
+        random: Generator for relabellings; by default one with a fixed seed.
     """
     random = random or np.random.default_rng(0)
     levels = levels_of(sizes, total, paired=paired)
@@ -182,7 +201,7 @@ def compare(
     p_pooled = share_at_least(sums, mine)
     p_numbers = np.ones(shape)
     if single:
-        # Of all numbers the largest t (max-T): their p-values hold for all of them together.
+        # Comparison with the largest t of all numbers (max-T) adjusts for multiple testing.
         for place in range(shape[1]):
             p_numbers[:, place] = share_at_least(largest, observed[:, place])
     elif levels.numbers_by == "student":
@@ -191,20 +210,25 @@ def compare(
 
 
 def weight_of(size: Size) -> float:
-    """Return what a difference of means weighs: harmonic, so that few trials count less."""
+    """Return the weight of a difference of means, proportional to its inverse variance."""
     old, new = size
     return old * new / (old + new)
 
 
 def share_at_least(values: Floats, least: Floats) -> Floats:
-    """Return the share of values (comparisons, count) not below, the observed one included."""
+    """Return the p-values of a permutation test, (comparisons,).
+
+    Args:
+        values: Statistics under relabellings, (comparisons, count).
+        least: Observed statistics, (comparisons,), which count as one more relabelling.
+    """
     edge = least - _TIE * (1.0 + np.abs(least))
     made: Floats = (1.0 + (values >= edge[:, None]).sum(1)) / (values.shape[1] + 1.0)
     return made
 
 
 def _student_of_each(numbers: Sequence[Floats], sizes: Sequence[Size], direction: float) -> Floats:
-    """Return p of each number alone, times the numbers that can be judged (Bonferroni)."""
+    """Return Bonferroni-adjusted p-values of Student's test, (comparisons, numbers)."""
     deviations = [_deviation_within(z, size) for z, size in zip(numbers, sizes, strict=True)]
     typical = np.median(deviations, axis=0)
     each = [
@@ -218,7 +242,7 @@ def _student_of_each(numbers: Sequence[Floats], sizes: Sequence[Size], direction
 
 
 def with_worst(z: Floats) -> Floats:
-    """Return trials with failed ones as bad as the worst of their number."""
+    """Return trials (comparisons, trials) with failed ones replaced by the worst of the number."""
     fine = np.isfinite(z)
     worst = np.where(fine, z, -np.inf).max(1, keepdims=True)
     return np.where(fine, z, np.where(np.isfinite(worst), worst, 0.0))
@@ -237,7 +261,7 @@ def _deviation_within(z: Floats, size: Size) -> Floats:
 
 
 def mean_change(z: Floats, size: Size) -> Floats:
-    """Return the mean of new trials less that of old ones, (comparisons,)."""
+    """Return the mean of new trials minus the mean of old ones, (comparisons,)."""
     return contrast(with_worst(z), size)
 
 
@@ -248,16 +272,19 @@ def student(
     *,
     least: Floats | None = None,
 ) -> Floats:
-    """Return p of Student's test, where relabellings are too few: within numbers, or over them.
+    """Return p-values of Student's test, (comparisons,); used if relabellings are too few.
 
-    Differences of exchangeable trials are symmetric, so that heavy tails make it conservative.
+    The variance is estimated within numbers. If all have one trial per side, it is estimated from
+    the changes of the numbers. Differences of exchangeable trials are symmetric, so heavy tails
+    make the test conservative.
 
     Args:
-        numbers: As those of `compare`.
-        sizes: Likewise.
-        direction: Likewise.
-        least: Least deviation of a single number (comparisons,); it then has the degrees of
-            freedom of its smaller side, since few trials can hide an outlier of one side.
+        numbers: As for `compare`.
+        sizes: As for `compare`.
+        direction: As for `compare`.
+        least: For a single number: lower limit of its standard deviation, (comparisons,). The
+            degrees of freedom are then those of its smaller side, because a side with few trials
+            may lack an outlier by chance.
     """
     means = np.stack(
         [mean_change(z, size) for z, size in zip(numbers, sizes, strict=True)], axis=1
@@ -276,18 +303,20 @@ def student(
         error = np.maximum(error, least * math.sqrt(1.0 / old + 1.0 / new))
         degrees = 2 * min(old, new) - 2
     change = direction * means.mean(1)
-    # Without any spread, as of a coverage of 100 % in all trials, a change can't be judged.
+    # Without spread (a coverage of 100 % in all trials) there is no test.
     t = np.divide(change, error, out=np.zeros_like(change), where=error > 0.0)
     made: Floats = np.where(error > 0.0, stdtr(degrees, -t), 1.0)
     return made
 
 
 def more_failures(before: Sequence[Booleans], now: Sequence[Booleans]) -> float:
-    """Return p of "new runs fail more often", number by number (Mantel-Haenszel).
+    """Return the p-value of the hypothesis that new runs do not fail more often.
+
+    It is a permutation test, stratified by number, with the weights of Mantel and Haenszel.
 
     Args:
-        before: Which old runs of each number failed.
-        now: Which new ones.
+        before: Whether old runs failed, (old,) by number.
+        now: Whether new runs failed, (new,) by number.
     """
     random = np.random.default_rng(0)
     sizes = [(len(old), len(new)) for old, new in zip(before, now, strict=True)]

@@ -1,4 +1,4 @@
-"""The numbers of a table that gates ask for, trial by trial."""
+"""The numbers of a results table that gates need, trial by trial."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from trajeval_ros.exceptions import InputError, SettingsError
 Group = tuple[str, str]
 Row = Mapping[str, Any]
 
-# Columns by names: a run's coverage is its own, whatever others cut from it.
+# Names in a gate and columns of the table. The groundtruth's coverage is that of the whole run,
+# before a common time span cuts it.
 _COVERAGES = {
     "estimate_coverage": "estimate_coverage",
     "groundtruth_coverage": "own_groundtruth_coverage",
@@ -27,9 +28,9 @@ class GateTrials:
     """A number of one algorithm on one sequence, trial by trial.
 
     Attributes:
-        values: Infinite for runs that failed, or that have no such number.
-        copies: Runs that were left out because their poses are those of another trial.
-        runs: Of each name what tells its poses from others', and its value; with copies.
+        values: One value per trial; inf for a failed run or a run without this number.
+        copies: Number of omitted trials: their poses are identical to those of another trial.
+        runs: By trial name, copies included: a key that identical poses share, and the value.
     """
 
     values: list[float]
@@ -37,12 +38,16 @@ class GateTrials:
     runs: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     def paired_with(self, now: GateTrials, whose: str) -> tuple[GateTrials, GateTrials]:
-        """Return the trials of both tables, those of a name at the same place.
+        """Return the trials of both tables, paired by trial name.
 
-        Pairs whose poses are those of another pair count once.
+        Pairs with identical poses count once.
+
+        Args:
+            now: Trials of the newer table.
+            whose: Algorithm and sequence, for the error message.
 
         Raises:
-            SettingsError: A name is in one table only.
+            SettingsError: A trial name occurs in only one of the tables.
         """
         for has, lacks, where in (
             (self, now, "this comparison"),
@@ -64,7 +69,7 @@ class GateTrials:
 
 
 class GateValues:
-    """The numbers of a table, run by run, that gates ask for."""
+    """The numbers of a results table, by algorithm, sequence and trial."""
 
     def __init__(self, rows: ResultsTable) -> None:
         self.settings = rows.settings
@@ -83,19 +88,19 @@ class GateValues:
 
     @property
     def groups(self) -> list[Group]:
-        """All algorithms on all sequences, also those without numbers."""
+        """All pairs of algorithm and sequence, including those without numbers."""
         return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._runs))
 
     @property
     def failed(self) -> dict[Group, list[bool]]:
-        """Whether each run failed, or has no file, by algorithm and sequence."""
+        """Whether runs failed or are missing, by algorithm and sequence."""
         found: dict[Group, dict[str, bool]] = {group: {} for group in self.groups}
         for row in self._runs:
             found[row["algorithm"], row["sequence"]][row["trial"]] = row["status"] != OK
         return {group: list(runs.values()) for group, runs in found.items()}
 
     def trials(self, path: str) -> dict[Group, GateTrials]:
-        """Return the trials of a number by algorithm and sequence; copies of a run count once.
+        """Return the trials of a number by algorithm and sequence; identical runs count once.
 
         Raises:
             SettingsError: The table has no such number.
@@ -103,7 +108,15 @@ class GateValues:
         return self.trials_like(path, self)
 
     def trials_like(self, path: str, other: GateValues) -> dict[Group, GateTrials]:
-        """Return the trials of a number that another table has, and this one perhaps not."""
+        """Return the trials of a number that may be missing in this table.
+
+        Args:
+            path: Path of the number.
+            other: Table in which the path is looked up.
+
+        Raises:
+            SettingsError: The other table has no such number.
+        """
         rows, column = other.find(path)
         values: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
         hashes: dict[tuple[str, ...], str] = {}
@@ -117,19 +130,19 @@ class GateValues:
                 values[row["algorithm"], row["sequence"]][row["trial"]] = row[column]
         made = {}
         for group, own in values.items():
-            # Runs without a hash failed: each is a trial of its own.
+            # Failed runs have no hash; they are never copies.
             runs = {trial: (hashes.get((*group, trial)) or trial, x) for trial, x in own.items()}
             distinct = dict(runs.values())
             made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), runs)
         return made
 
     def why_failed(self, group: Group) -> str:
-        """Return why the first run of a group has no number."""
+        """Return the reason of the first failed run of a group, for a message."""
         reasons = (why for run, why in self._reasons.items() if run[:2] == group and why)
         return next(reasons, "the value is missing")
 
     def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
-        """Return which rows a path means, by values of columns, and which of their columns.
+        """Return the rows that a path selects, as allowed values by column, and the value column.
 
         Raises:
             SettingsError: The table has no such number.
@@ -171,14 +184,19 @@ class GateValues:
 def require_same_settings(
     baseline: GateValues, now: Mapping[str, Any], gates: Sequence[Gate]
 ) -> None:
-    """Check that two tables can be compared, in what the gates ask for.
+    """Check that the settings of two tables are equal, where the gates depend on them.
+
+    Args:
+        baseline: The older table.
+        now: Settings of the newer table.
+        gates: The gates.
 
     Raises:
-        InputError: They were made by other definitions.
+        InputError: A setting differs.
     """
     pooled = any(gate.path.startswith("re.pooled") for gate in gates)
     for name, value in now.items():
-        if name == "lengths" and not pooled:  # one that is lacking is told by itself
+        if name == "lengths" and not pooled:  # `GateValues.find` reports a missing length
             continue
         before = baseline.settings.get(name)
         if before != value:
@@ -192,7 +210,7 @@ def require_same_settings(
 
 
 def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
-    """Return what else is different."""
+    """Return remarks on other differences: a changed groundtruth."""
     changed = dict.fromkeys(
         sequence
         for (algorithm, sequence), before in baseline.groundtruths.items()
@@ -211,6 +229,6 @@ def _run(row: Row) -> tuple[str, ...]:
 
 
 def _key(row: Row) -> str | None:
-    """Return a length as paths have it: 8m, 8_5m."""
+    """Return a sub-trajectory length in the notation of paths: 8m, 8_5m."""
     length: str | None = row["length"]
     return None if length is None else length.replace(".", "_")

@@ -1,4 +1,4 @@
-"""What gates say: of single numbers, of all together, and of failed runs."""
+"""Verdicts of gates: on single numbers, on all numbers together, and on failed runs."""
 
 from __future__ import annotations
 
@@ -11,24 +11,29 @@ from trajeval_ros.batch.relabelling import Size
 WORSE, NO_WORSE, UNDECIDED = "worse", "no worse", "undecided"
 NOT_ALONE, LOST, NEW, FAILED = "not judged alone", "lost", "new", "failed"
 MORE_FAILURES = "more failures"
-ADVISED = (10, 3)  # trials of the baseline and of a change
+ADVISED = (10, 3)  # recommended trials: of the baseline, of the new comparison
 
 
 @dataclass(frozen=True)
 class NumberVerdict:
-    """What became of a number of one algorithm on one sequence.
+    """The verdict on a number of one algorithm on one sequence.
 
     Attributes:
-        algorithm, sequence: Whose.
-        before, now: Medians over the trials, infinite where half of them failed; None without.
-        trials: Of the baseline, and of this comparison; copies of a run count once.
-        noticeable: Relative change that would have been noticed in it alone; None if none.
-        p: Chance of such a largest change of any number, without a change beyond the margin; None
-            where single numbers aren't tested.
-        level: What p is compared with; None likewise.
-        verdict: `worse`, `no worse`, `undecided`; `not judged alone`: too few trials; `lost`: it
-            had numbers and has none; `new`: the other way; `failed`: without numbers in either.
-        reason: What was lost, or why a worse one doesn't count.
+        algorithm: Name of the algorithm.
+        sequence: Name of the sequence.
+        before: Median over the trials of the baseline; inf if half of them failed, None without
+            trials.
+        now: Median over the trials of this comparison, likewise.
+        trials: Numbers of trials in the baseline and in this comparison; identical runs count
+            once.
+        noticeable: Relative change of this number alone that is detected with a probability of
+            80 %; None if no change is.
+        verdict: `worse`, `no worse` or `undecided`. `not judged alone`: too few trials. `lost`:
+            values in the baseline only. `new`: values in this comparison only. `failed`: no
+            values in either.
+        reason: Why the values are lost, or why a statistically significant change is not counted.
+        p: p-value, adjusted for multiple testing; None if single numbers are not tested.
+        level: Significance level of p; None likewise.
     """
 
     algorithm: str
@@ -44,12 +49,12 @@ class NumberVerdict:
 
     @property
     def fails(self) -> bool:
-        """Whether it is a regression."""
+        """Whether this is a regression."""
         return self.verdict in (WORSE, LOST)
 
     @property
     def change(self) -> float | None:
-        """The relative change of the medians; None where there is none."""
+        """The relative change of the medians; None if it can't be computed."""
         if not self.before or self.now is None or math.isinf(self.before + self.now):
             return None
         return (self.now - self.before) / self.before
@@ -57,16 +62,17 @@ class NumberVerdict:
 
 @dataclass(frozen=True)
 class PooledVerdict:
-    """What is said of all numbers of a gate together.
+    """The verdict on all numbers of a gate together.
 
     Attributes:
-        count: Of numbers.
+        count: How many numbers there are.
         verdict: `worse`, `no worse` or `undecided`.
-        change: Common change, as a fraction of the baseline's.
-        bounds: Of the change, the lower one first; None where nothing can be said.
-        noticeable: Relative change that would have been noticed; None if none.
-        p: Chance of such numbers without a change beyond the margin.
-        level: What p is compared with.
+        change: Common relative change, 0.05 for 5 %.
+        bounds: Lower and upper confidence bound of the change; None if there are too few trials.
+        noticeable: Common relative change that is detected with a probability of 80 %; None if no
+            change is.
+        p: p-value of a change that is larger than the margin.
+        level: Significance level of p.
     """
 
     count: int
@@ -80,16 +86,17 @@ class PooledVerdict:
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """What a gate says.
+    """The verdicts of a gate.
 
     Attributes:
-        gate: Which.
-        pooled: Of all numbers together; None of an untested gate, or without numbers.
-        numbers: Of single ones.
-        copies: Trials that were left out as copies of others.
-        paired: Whether trials of a name were pairs; what is noticed is then not known.
-        advised: What would be noticed with the advised trials, together and in the best and the
-            worst number alone; None where the advice isn't needed or spreads aren't known.
+        gate: The gate.
+        pooled: Verdict on all numbers together; None for an untested gate or without numbers.
+        numbers: Verdicts on single numbers.
+        copies: Number of omitted trials: their poses are identical to those of another trial.
+        paired: Whether trials of the same name were pairs; noticeable changes are then not known.
+        advised: Noticeable relative changes with the recommended trials: common, smallest and
+            largest of single numbers. None if single numbers have enough trials, or if there is
+            only one, trials are pairs, or spreads are not known.
     """
 
     gate: Gate
@@ -101,7 +108,7 @@ class GateVerdict:
 
     @property
     def verdict(self) -> str:
-        """`worse` or `lost` if anything is; else `no worse` or `undecided`."""
+        """`worse` or `lost` if a number or all together are; else `no worse` or `undecided`."""
         words = [each.verdict for each in self.numbers]
         together = None if self.pooled is None else self.pooled.verdict
         if WORSE in (together, *words):
@@ -113,23 +120,25 @@ class GateVerdict:
 
     @property
     def fails(self) -> bool:
-        """Whether anything is worse or lost."""
+        """Whether the verdict is `worse` or `lost`."""
         return self.verdict in (WORSE, LOST)
 
     @property
     def is_no_worse(self) -> bool:
-        """Whether it is shown that nothing got worse."""
+        """Whether the verdict is `no worse`."""
         return self.verdict == NO_WORSE
 
 
 @dataclass(frozen=True)
 class Failures:
-    """Whether more runs fail than in the baseline.
+    """The test whether more runs fail than in the baseline.
 
     Attributes:
-        before, now: Failed runs and all runs, of what both comparisons have.
-        p: Chance of such numbers if runs fail as often as before.
-        level: What p is compared with.
+        before: Failed runs and all runs of the baseline, for algorithms and sequences that both
+            comparisons have.
+        now: Failed runs and all runs of this comparison, likewise.
+        p: p-value; the null hypothesis is that runs do not fail more often than before.
+        level: Significance level of p.
     """
 
     before: Size
@@ -139,23 +148,23 @@ class Failures:
 
     @property
     def fails(self) -> bool:
-        """Whether there are more."""
+        """Whether statistically significantly more runs fail."""
         return self.p <= self.level
 
     @property
     def verdict(self) -> str:
-        """`more failures` or `undecided`: that there are no more isn't tested."""
+        """`more failures` or `undecided`; there is no test for "not more"."""
         return MORE_FAILURES if self.fails else UNDECIDED
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What all gates say.
+    """The verdicts of all gates.
 
     Attributes:
-        gates: Each of them.
-        failures: Of the runs.
-        false_alarms: Chance of a false alarm that the gates share.
+        gates: Verdicts by gate.
+        failures: The test of failed runs.
+        false_alarms: Probability of a false alarm of all gates together.
     """
 
     gates: tuple[GateVerdict, ...]
@@ -164,7 +173,7 @@ class Judgement:
 
     @property
     def verdict(self) -> str:
-        """`worse`, `lost` or `more failures`; else `no worse` if all gates are, or `undecided`."""
+        """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
         words = [each.verdict for each in self.gates]
         for word in (WORSE, LOST):
             if word in words:
@@ -175,10 +184,10 @@ class Judgement:
 
     @property
     def fails(self) -> bool:
-        """Whether there is a regression."""
+        """Whether the verdict is a regression."""
         return self.verdict in (WORSE, LOST, MORE_FAILURES)
 
     @property
     def is_no_worse(self) -> bool:
-        """Whether it is shown that there is none."""
+        """Whether the verdict is `no worse`."""
         return self.verdict == NO_WORSE

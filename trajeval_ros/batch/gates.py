@@ -1,4 +1,4 @@
-"""Regression gates: is this comparison worse than an older one, beyond what trials vary anyway?"""
+"""Regression gates: test whether a comparison is worse than its baseline by more than a margin."""
 
 from __future__ import annotations
 
@@ -51,18 +51,19 @@ def judge(
     *,
     paired: bool = False,
 ) -> Judgement:
-    """Judge every algorithm on every sequence by every gate.
+    """Apply every gate to every algorithm on every sequence.
 
     Args:
-        gates: Which share the chance of a false alarm, without the untested ones.
+        gates: The gates; all that are tested have the same part of the level.
         baseline: The older table.
-        now: The newer one.
-        false_alarms: Chance that any gate calls anything worse without a change.
-        paired: Whether trials of a name share a seed, so that labels change within pairs.
+        now: The newer table.
+        false_alarms: Probability that any gate reports a regression without a change.
+        paired: Whether trials of the same name have the same seed; relabellings then swap old and
+            new within pairs.
 
     Raises:
-        SettingsError: A gate asks for a number that the baseline has not, or pairs can't be made,
-            or are too few.
+        SettingsError: The baseline lacks the number of a gate, a trial is not in both tables, or
+            there are too few pairs.
     """
     share = false_alarms / max(1, sum(gate.tested for gate in gates))
     verdicts = tuple(
@@ -148,7 +149,7 @@ def _require_enough(gate: Gate, pairs: int, level: float) -> None:
 
 
 class _Tested:
-    """The tests of a gate on numbers that both comparisons have."""
+    """The tests of a gate, of the numbers that both comparisons have."""
 
     def __init__(
         self,
@@ -189,7 +190,7 @@ class _Tested:
         )
 
     def p_and_level_of(self, place: int) -> tuple[float, float] | tuple[None, None]:
-        """Return p of a single number and what it is compared with, if it is tested."""
+        """Return the p-value of a single number and its level; None if it is not tested."""
         if len(self._sizes) == 1:
             return self.pooled.p, self.pooled.level
         if not self._worse.levels.numbers:
@@ -209,7 +210,7 @@ class _Tested:
         return NOT_ALONE if word == UNDECIDED and not is_judged else word
 
     def advised(self) -> tuple[float, float, float] | None:
-        """Return what would be noticed with the advised trials, if single numbers have too few."""
+        """Return `GateVerdict.advised`."""
         if self._paired or np.isfinite(self.alone).any() or len(self._sizes) == 1:
             return None
         margin, sizes = self._gate.margin, [ADVISED] * len(self._sizes)
@@ -232,13 +233,13 @@ def _finite(gate: Gate, logarithm: float) -> float | None:
 
 
 def _bounds(gate: Gate, low: float, high: float) -> tuple[float, float] | None:
-    """Return the bounds of a logarithm as relative changes, None where one says nothing."""
+    """Return the bounds of a logarithm as relative changes; None if one is infinite."""
     least, most = sorted(map(gate.change, (low, high)))
     return (least, most) if least > -1.0 and np.isfinite(most) else None
 
 
 def _median(values: Sequence[float]) -> float | None:
-    """Return the median, with failed trials as the worst; None without trials."""
+    """Return the median, with failed trials as inf; None without trials."""
     if not values:
         return None
     ordered = sorted(values)
@@ -246,7 +247,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _is_beyond(gate: Gate, before: Sequence[float], now: Sequence[float]) -> bool:
-    """Whether the medians differ by more than the margin and the deviations of the baseline."""
+    """Return whether the new median exceeds margin and median absolute deviations."""
     finite = np.array([each for each in before if np.isfinite(each)])
     middle, after = float(np.median(finite)), _median(now)
     if after is None or np.isinf(after):

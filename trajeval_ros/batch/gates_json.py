@@ -1,4 +1,4 @@
-"""The verdicts of gates as JSON, for other programs: what gates.md says, with all digits.
+"""The verdicts of gates as JSON: the contents of gates.md with all digits.
 
 The schema is `trajeval-gates/1`; docs/compare.md describes every field.
 """
@@ -25,7 +25,7 @@ SCHEMA = "trajeval-gates/1"
 
 
 def to_json(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
-    """Return the verdict of all gates, of each, and of every number; what isn't known is null."""
+    """Return the verdicts of all gates and numbers as JSON; unknown values are null."""
     content = {
         "schema": SCHEMA,
         "version": __version__,
@@ -107,5 +107,5 @@ def _failed(size: Size) -> dict[str, int]:
 
 
 def _finite(value: float | None) -> float | None:
-    """Return a number, and None for the median of trials half of which failed."""
+    """Return a number; None for inf, the median if half of the trials failed."""
     return None if value is None or not math.isfinite(value) else value

@@ -24,12 +24,18 @@ from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.numbers import NOTHING, change_percent, counted, three_decimals
 from trajeval_ros.formatting.text_tables import BOLD, MarkedText, TextCell, markdown_table
 
-_MOST_ROWS = 20  # of a table that isn't folded
+_MOST_ROWS = 20  # longer tables are folded
 _ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
 
 
 def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
-    """Return the verdict of all gates, then of each, with what would have been noticed."""
+    """Return the verdicts of all gates and numbers, with noticeable changes, as Markdown.
+
+    Args:
+        judgement: The verdicts.
+        title: Title of the comparison.
+        remarks: Sentences for the start, without a full stop.
+    """
     lines = [f"### {markdown_text(title)}: {_head(judgement)}", ""]
     lines += [line for each in remarks for line in (f"**Note:** {markdown_text(each)}.", "")]
     for each in judgement.gates:

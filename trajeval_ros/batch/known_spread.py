@@ -1,4 +1,4 @@
-"""The tests of a gate where the user says how much trials vary: normal, with that deviation."""
+"""The tests of a gate for a spread of trials that the user gives: z-tests of normal logarithms."""
 
 from __future__ import annotations
 
@@ -15,15 +15,22 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 class KnownSpread:
-    """The tests of one comparison.
+    """The tests of one comparison with a known standard deviation.
 
     Attributes:
-        levels: Their levels.
-        errors: Standard deviations of the numbers' changes, (numbers,).
+        sizes: Numbers of old and new trials, by number.
+        levels: Significance levels.
+        errors: Standard deviations of the mean changes of the numbers, (numbers,).
     """
 
     def __init__(self, deviation: float, sizes: Sequence[Size], total: float) -> None:
-        """Take a standard deviation of logarithms."""
+        """Create the tests.
+
+        Args:
+            deviation: Standard deviation of the logarithm of a trial.
+            sizes: Numbers of old and new trials, by number.
+            total: Probability of a false alarm.
+        """
         self.sizes = sizes
         self.levels: Levels = levels_when_known(len(sizes), total)
         self.errors = deviation * np.sqrt([1.0 / old + 1.0 / new for old, new in sizes])
@@ -31,7 +38,7 @@ class KnownSpread:
         self._pooled_error = float(self._weights.sum() ** -0.5)
 
     def compare(self, numbers: Sequence[Floats], direction: float = 1.0) -> GateOutcome:
-        """Test as `gate_tests.compare` does; single numbers are adjusted by Sidak's formula."""
+        """Test as `gate_tests.compare` does, with Sidak's adjustment for single numbers."""
         changes = direction * self._changes(numbers)
         each = ndtr(-changes / self.errors)
         pooled = ndtr(-changes @ self._weights * self._pooled_error)
@@ -44,7 +51,14 @@ class KnownSpread:
         return estimate, estimate - reach, estimate + reach
 
     def noticeable(self, margin: float) -> tuple[float, Floats]:
-        """Return the worsening that is noticed, of all together and of each alone: (numbers,)."""
+        """Return the noticeable worsening as logarithms, as `noticeable` defines it.
+
+        Args:
+            margin: Logarithm of the margin.
+
+        Returns:
+            The common worsening of all numbers, and the worsening of single numbers (numbers,).
+        """
         power = float(ndtri(POWER))
         alone = self.levels.numbers or self.levels.total
         single = power - float(ndtri(alone / len(self.sizes)))

@@ -1,4 +1,4 @@
-"""How large a worsening must be to be noticed by a gate in four of five comparisons."""
+"""The noticeable worsening: a gate detects it with a probability (power) of 80 %."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trajeval_ros.batch.relabelling import (
 from trajeval_ros.geometry.arrays import Floats
 
 POWER = 0.8
-_EFFICIENCY = 0.85  # of clipped scores, by simulation
+_EFFICIENCY = 0.85  # statistical efficiency of clipped scores, by simulation
 
 
 def noticeable(
@@ -29,13 +29,16 @@ def noticeable(
     margin: float,
     total: float = FALSE_ALARMS,
 ) -> Floats:
-    """Return the common worsening that is noticed, as a logarithm: (comparisons,).
+    """Return the noticeable common worsening of all numbers as a logarithm, (comparisons,).
 
     Args:
-        spreads: Those of `spreads_within`.
-        sizes: Old and new trials.
-        margin: Logarithm of what may change.
-        total: Chance of a false alarm.
+        spreads: Standard deviations by `spreads_within`, (comparisons, numbers).
+        sizes: Numbers of old and new trials, by number.
+        margin: Logarithm of the margin.
+        total: Probability of a false alarm.
+
+    Returns:
+        The worsening, including the margin; inf if the trials are too few for a test.
     """
     levels = levels_of(sizes, total)
     runs = len(spreads)
@@ -57,7 +60,10 @@ def noticeable_alone(
     margin: float,
     total: float = FALSE_ALARMS,
 ) -> Floats:
-    """Return the same of each number alone, (comparisons, numbers); inf where it isn't judged."""
+    """Return the noticeable worsening of single numbers as logarithms, (comparisons, numbers).
+
+    The arguments are those of `noticeable`. Numbers that are not tested have inf.
+    """
     if len(sizes) == 1:
         return noticeable(spreads, sizes, margin, total)[:, None]
     levels = levels_of(sizes, total)
@@ -78,20 +84,21 @@ def noticeable_alone(
 
 
 def _reach(level: float, judged: float, known: float) -> float:
-    """Return the change that Student's test finds in four of five, in its standard errors.
+    """Return the change that Student's test detects with power `POWER`, in standard errors.
 
     Args:
-        level: Of the test, one-sided.
-        judged: Degrees of freedom that the test goes by.
-        known: Those of the spread that it takes; t of a change has the noncentral distribution.
+        level: Significance level of the one-sided test.
+        judged: Degrees of freedom of the critical value.
+        known: Degrees of freedom of the estimated spread, so of the noncentral t distribution.
     """
     return float(nctdtrinc(known, 1.0 - POWER, -stdtrit(judged, level)))
 
 
 def spreads_within(numbers: Sequence[Floats], sizes: Sequence[Size]) -> Floats:
-    """Return spreads about each side's own median, shrunk to the typical one.
+    """Return spreads about the medians of the two sides, (comparisons, numbers).
 
-    Those of the scores are of both sides together, where a true change would add to them.
+    They are shrunk towards the typical spread. The scales of `Scores` can't be used, because they
+    are about one median of both sides, so a true change increases them.
     """
     raw = []
     for z, (old, _) in zip(numbers, sizes, strict=True):

@@ -1,11 +1,13 @@
-"""Relabellings of trials, and scores of trials that don't depend on their labels.
+"""Permutation tests: relabellings of trials, and scores of trials that do not depend on labels.
 
-A *number* is one algorithm on one sequence. Its trials are logarithms of errors, old ones first,
-in an array (comparisons, old + new): an evaluation has one comparison, a simulation many. A failed
-trial is +inf. If nothing changed, labels "old" and "new" are exchangeable within each number,
-whatever the distribution, and a statistic's values under other labels are its distribution. Where
-trials are pairs (the i-th old and the i-th new one share a seed), labels are exchangeable within
-each pair.
+A *number* is a metric of one algorithm on one sequence. Its trials are logarithms of the metric,
+in an array (comparisons, old + new) with old trials first. A gate has one comparison, a simulation
+of the tests has many. A failed trial is +inf.
+
+The null hypothesis is that nothing changed. Then the labels "old" and "new" are exchangeable
+within every number, for any distribution of the trials. So the values of a statistic under
+relabellings are its null distribution. If trials are pairs (the i-th old and the i-th new trial
+have the same seed), labels are exchangeable only within pairs.
 """
 
 from __future__ import annotations
@@ -21,20 +23,20 @@ from trajeval_ros.geometry.arrays import Booleans, Floats
 
 Size = tuple[int, int]
 
-PRIOR = 4.0  # degrees of freedom that the typical spread of all numbers is worth
-CLIP = 1.5  # spreads beyond which a trial counts no more; a failed trial has this score
-_NORMAL = 1.2533  # standard deviation by mean absolute deviation, of a normal distribution
+PRIOR = 4.0  # weight of the typical spread in `shrunk`, in degrees of freedom
+CLIP = 1.5  # largest score, in spreads; a failed trial has this score
+_NORMAL = 1.2533  # standard deviation / mean absolute deviation of a normal distribution
 LEAST_SPREAD = 1e-12
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Trials of all numbers on one scale.
+    """Scores of trials: deviations from the median of the number, in spreads, clipped.
 
     Attributes:
-        psi: Of each number (comparisons, trials), within +-1.5.
-        scales: Spreads of the numbers, shrunk to the typical one: (comparisons, numbers).
-        typical: Median spread over the numbers: (comparisons,).
+        psi: Scores within +-1.5, (comparisons, trials) by number.
+        scales: Spreads, shrunk towards the typical one, (comparisons, numbers).
+        typical: Median spread of all numbers, (comparisons,).
     """
 
     psi: list[Floats]
@@ -43,7 +45,10 @@ class Scores:
 
 
 def balanced_count(count: int, size: Size) -> int:
-    """Return a count of relabellings, a multiple of all there are if they are few."""
+    """Return the number of relabellings to use.
+
+    It is `count`, or, if there are no more than `count` different ones, the next multiple of them.
+    """
     total = math.comb(sum(size), size[1])
     return total * -(-count // total) if total <= count else count
 
@@ -51,7 +56,10 @@ def balanced_count(count: int, size: Size) -> int:
 def relabellings_of_all(
     random: np.random.Generator, sizes: Sequence[Size], count: int, *, paired: bool
 ) -> list[Booleans]:
-    """Return relabellings of every number, at least `count` of each and as many of all."""
+    """Return relabellings of every number, (relabellings, old + new), True for new.
+
+    All numbers have the same number of relabellings, at least `count`.
+    """
     if paired:
         return _swaps(random, [old for old, _ in sizes], count)
     count = max(balanced_count(count, size) for size in sizes)
@@ -59,9 +67,10 @@ def relabellings_of_all(
 
 
 def within_pairs(z: Floats) -> Floats:
-    """Return trials less the middle of their pair, which a swap doesn't change.
+    """Return trials minus the mean of their pair, (comparisons, old + new).
 
-    What a seed does to both is gone. A pair with one failed run is -inf and inf, with two 0.
+    This removes the effect of the common seed. A swap of old and new only flips the signs. In a
+    pair with one failed run, this run is +inf and the other -inf. If both failed, both are 0.
     """
     old, new = np.split(z, 2, axis=1)
     failed = np.isinf(old) & np.isinf(new)
@@ -70,7 +79,7 @@ def within_pairs(z: Floats) -> Floats:
 
 
 def _swaps(random: np.random.Generator, pairs: Sequence[int], count: int) -> list[Booleans]:
-    """Return relabellings that swap old and new within pairs: sign flips of their differences.
+    """Return relabellings that swap old and new within pairs.
 
     If there are no more than `count` of all numbers together, all occur, equally often.
     """
@@ -85,10 +94,10 @@ def _swaps(random: np.random.Generator, pairs: Sequence[int], count: int) -> lis
 
 
 def relabellings(random: np.random.Generator, size: Size, count: int) -> Booleans:
-    """Return which trials are called new: (count, old + new).
+    """Return relabellings of one number, (count, old + new), True for new.
 
-    If there are no more than `count`, all occur, equally often, in random order: drawn at random,
-    a p-value of 1/70 would be on either side of the level by luck.
+    If there are no more than `count` different ones, all occur equally often, in random order.
+    Otherwise the smallest p-value, such as 1/70, would be random, above or below the level.
     """
     old, new = size
     total = math.comb(old + new, new)
@@ -107,7 +116,7 @@ def relabellings(random: np.random.Generator, size: Size, count: int) -> Boolean
 
 
 def median_of_finite(values: Floats) -> Floats:
-    """Return medians over the last axis, without infinite values; +inf where all are."""
+    """Return medians of the finite values over the last axis; +inf if there are none."""
     fine = np.isfinite(values)
     count = fine.sum(-1)
     ordered = np.sort(np.where(fine, values, np.inf), axis=-1)
@@ -121,19 +130,20 @@ def centre_and_spread(values: Floats) -> tuple[Floats, Floats]:
     """Return medians and spreads of finite values over the last axis.
 
     The spread is the mean absolute deviation about the median, scaled to the standard deviation
-    of a normal distribution. It doesn't know labels, so relabellings stay exact.
+    of a normal distribution. It does not depend on labels, so permutation tests are exact.
     """
     fine = np.isfinite(values)
     middle = np.where(fine.any(-1), median_of_finite(values), 0.0)
     count = np.maximum(fine.sum(-1), 2)
     away = np.abs(np.where(fine, values - middle[..., None], 0.0)).sum(-1) / count
-    # Of a normal distribution, 2k + 1 values are as far from their median, on average, as 2k are.
+    # For a normal distribution, the expected mean absolute deviation about the sample median is
+    # equal for 2k and 2k + 1 values.
     even = count - count % 2
     return middle, _NORMAL * np.sqrt(even / (even - 1.0)) * away
 
 
 def scores_of(numbers: Sequence[Floats]) -> Scores:
-    """Return the clipped scores of trials, each in spreads of its number."""
+    """Return the clipped scores of the trials of all numbers."""
     parts = [centre_and_spread(z) for z in numbers]
     raw = np.stack([spread for _, spread in parts], axis=1)
     typical = median_of_finite(np.where(raw > 0.0, raw, np.inf))
@@ -148,20 +158,26 @@ def scores_of(numbers: Sequence[Floats]) -> Scores:
 
 
 def shrunk(spreads: Floats, typical: Floats, degrees: Floats) -> Floats:
-    """Return spreads of few trials, moved towards the typical one."""
+    """Return spreads shrunk towards the typical one: the fewer trials, the more.
+
+    Args:
+        spreads: Spreads, (comparisons, numbers).
+        typical: Typical spread, (comparisons, 1).
+        degrees: Degrees of freedom of the spreads, (numbers,).
+    """
     made: Floats = np.sqrt((PRIOR * typical**2 + degrees * spreads**2) / (PRIOR + degrees))
     return made
 
 
 def contrast(psi: Floats, size: Size) -> Floats:
-    """Return the mean of new scores less that of old ones: (comparisons,)."""
+    """Return the mean of new scores minus the mean of old ones, (comparisons,)."""
     old = size[0]
     made: Floats = psi[:, old:].mean(1) - psi[:, :old].mean(1)
     return made
 
 
 def contrasts(psi: Floats, size: Size, labels: Booleans) -> Floats:
-    """Return the same of all relabellings: (comparisons, relabellings)."""
+    """Return `contrast` for all relabellings, (comparisons, relabellings)."""
     old, new = size
     chosen: Floats = psi @ labels.T.astype(np.float64)
     made: Floats = chosen / new - (psi.sum(1, keepdims=True) - chosen) / old
@@ -169,13 +185,13 @@ def contrasts(psi: Floats, size: Size, labels: Booleans) -> Floats:
 
 
 def studentised(differences: Floats, psi: Floats, size: Size, ratio: Floats) -> Floats:
-    """Return t of contrasts, by a spread that is shrunk to the typical one.
+    """Return t statistics of contrasts, with a spread that is shrunk towards the typical one.
 
     Args:
-        differences: Contrasts, (comparisons, any).
+        differences: Contrasts, (comparisons, K).
         psi: Scores, (comparisons, trials).
         size: Numbers of old and new trials.
-        ratio: Typical spread by the number's, (comparisons,).
+        ratio: Typical spread divided by the spread of the number, (comparisons,).
     """
     old, new = size
     harmonic = old * new / (old + new)
