@@ -33,7 +33,9 @@ class Trial:
     """The summary of a run.
 
     Attributes:
-        algorithm, sequence, trial: Its names.
+        algorithm: Name of the algorithm.
+        sequence: Name of the sequence.
+        trial: Name of the trial; "" if there is only one.
         status: `ok`, `failed` or `missing`.
         reason: Why it has no numbers.
         coverage: Share of the groundtruth's duration that its pairs cover; 0.0 for a failed run.

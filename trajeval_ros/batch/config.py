@@ -156,7 +156,7 @@ def _runs(
     estimates: dict[Name, str] = {}
     for algorithm, pattern in algorithms.items():
         found = pattern.find(folder)
-        if not sequences:  # else it is known which runs there should be
+        if not sequences:  # with a list of sequences, missing runs are reported as failed
             pattern.require(found, folder)
         estimates |= {(algorithm, *run): source for run, source in found.items()}
     return all_runs(
@@ -199,7 +199,7 @@ def _hints(
 
 
 def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
-    """Return the words of a request as the command line would have them."""
+    """Return the settings of a request in the form of the command line."""
     settings: dict[str, Any] = {}
     for key, kind in WORDS.items():
         if key not in config:
@@ -209,7 +209,7 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
             value = ",".join(map(str, value)) or "none"
         if key in (*_NUMBERS, *_LISTS) and type(value) in (int, float):
             value = str(value)
-        if key == "gauge" and value is None:  # YAML's null; `none` is a string to it
+        if key == "gauge" and value is None:  # YAML's null; YAML reads `none` as a string
             value = "none"
         settings[key] = _typed({key: value}, key, kind, target)
     if is_protocol_file(settings.get("protocol", "")):
@@ -220,7 +220,7 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
 
 
 def _request(written: Mapping[str, Any], said: Mapping[str, Any]) -> Request:
-    """Return the request of a file's settings, and of what the command line says instead."""
+    """Return the request of a file's settings; settings of the command line override them."""
     said = {key: value for key, value in said.items() if value is not None}
     if "gauge" in said or "modality" in said:
         written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}

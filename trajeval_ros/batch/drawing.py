@@ -11,7 +11,7 @@ from trajeval_ros.exceptions import InputError
 
 Draw = Callable[[], str]
 Advance = Callable[[int, int], None]
-# So many are drawn in the time that processes take to start.
+# Fewer figures are drawn faster than processes start.
 _FEW = 12
 
 

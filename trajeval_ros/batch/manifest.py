@@ -53,7 +53,7 @@ def runs_in_manifest(target: str, hosts: Collection[str]) -> tuple[PlannedRun, .
         for column, value in row.items():
             if not value and column != _TRIAL:
                 raise InputError(f"{where}: {column} is empty; fill it in or remove the row")
-        # Texts that many rows have in common are held once.
+        # Texts that occur in many rows are stored once.
         run = PlannedRun(
             intern(row["algorithm"]),
             intern(row["sequence"]),

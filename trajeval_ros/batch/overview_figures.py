@@ -37,7 +37,7 @@ class FigureDraft:
 def drafts_of(summary: ComparisonSummary, records: RecordStore) -> Iterator[FigureDraft]:
     """Yield the figures: absolute errors, and by sequence relative errors and trajectories.
 
-    Of the first `MOST_SEQUENCES` and `MOST_ALGORITHMS`.
+    They are limited to the first `MOST_SEQUENCES` sequences and `MOST_ALGORITHMS` algorithms.
 
     Args:
         summary: Results of the comparison.
@@ -87,7 +87,7 @@ def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[Figur
                      for algorithm in algorithms]
             for length in asked
         }  # fmt: skip
-        lengths = [length for length in asked if any(boxes[length])]  # that somebody flew
+        lengths = [length for length in asked if any(boxes[length])]  # that occur
         if lengths:
             by_algorithm = zip(*(boxes[length] for length in lengths), strict=True)
             series = list(zip(algorithms, by_algorithm, strict=True))
@@ -125,7 +125,9 @@ def _overlay(
 
 
 def error_drafts(summary: ComparisonSummary, records: RecordStore) -> Iterator[FigureDraft]:
-    """Yield the figures of errors over time, by sequence, likewise; reports have them by run.
+    """Yield the figures of errors over time, by sequence, with the limits of `drafts_of`.
+
+    Reports show errors over time by run instead.
 
     Args:
         summary: Results of the comparison.
@@ -157,7 +159,7 @@ def _of_several(summary: ComparisonSummary, sequence: str) -> str:
 def _median_records(
     summary: ComparisonSummary, records: RecordStore, sequence: str
 ) -> dict[int, tuple[str, Record]]:
-    """Return by place of the algorithm the trial with the median error: its name and record."""
+    """Return name and record of the trial with the median error, by index of the algorithm."""
     found = {}
     for place, algorithm in enumerate(summary.algorithms[:MOST_ALGORITHMS]):
         trial = _median_trial(summary.of(algorithm, sequence))

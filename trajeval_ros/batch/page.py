@@ -88,7 +88,7 @@ def write_report(
 
 
 def is_drawn(folder: Path) -> bool:
-    """Return whether the report belongs to the tables, by their hash and not by clocks."""
+    """Return whether the report belongs to the tables, by their hash, not by file times."""
     state = state_of(folder / RUNS)
     try:
         with (folder / REPORT).open("rb") as file:

@@ -148,7 +148,7 @@ def _existing(folder: Path, pattern: str) -> Iterator[tuple[re.Match[str], str]]
 
 
 def _existing_at(url: str) -> list[tuple[re.Match[str], str]]:
-    """Return the same of a pattern in a store."""
+    """Return the same as `_existing` for a pattern in a remote store."""
     with open_store(url) as (files, pattern):
         expression = re.compile(_expression(pattern))
         found = sorted(files.glob("*".join(_fixed_parts(pattern))))

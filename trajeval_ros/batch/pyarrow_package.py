@@ -12,7 +12,7 @@ def load_pyarrow() -> tuple[Any, Any]:
     """Return pyarrow and its Parquet part.
 
     Raises:
-        InputError: It is not installed, or wants another numpy.
+        InputError: It is not installed, or needs another version of numpy.
     """
     try:
         import pyarrow

@@ -104,7 +104,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
 
 
 def _integrity(found: dict[str, Any]) -> Iterator[tuple[str, str, float, None]]:
-    """Yield kind, metric and value of the integrity of each part of the pose."""
+    """Yield kind, metric and value of the integrity, by part of the pose."""
     for part in found.get("parts", ()):
         name = part["part"]
         yield INTEGRITY, f"{name}_hazardous", part["areas"]["hazardous"], None

@@ -1,7 +1,7 @@
 """A comparison in shards, for arrays of jobs: each job evaluates a part, then they are merged.
 
-What is merged is the same as what one job makes, byte for byte: the records are the same, and what
-makes tables of them is, too.
+Merged tables are identical, byte for byte, to the tables of a single job: both are made from the
+same records by the same code.
 """
 
 from __future__ import annotations

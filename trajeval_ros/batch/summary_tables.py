@@ -18,7 +18,7 @@ from trajeval_ros.report.matrix import Cell, Matrix
 from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
-_NO_MISTAKES = {"few_pairs", "keyframes"}  # which have a mark of their own, or need none
+_NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
 _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
     "ranked."
@@ -66,7 +66,7 @@ def matrices(summary: ComparisonSummary) -> list[Matrix]:
     return [table for table in tables if table is not None]
 
 
-# Metric: title, and what the number is.
+# By metric: title and definition of the value.
 _VALUES = {
     "time_offset_s": (
         "Clock offset [s]",
