@@ -1,4 +1,4 @@
-"""Alarms: signals over their limits, from when to when."""
+"""Alarms: periods in which signals exceed their limits."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from trajeval_ros.watchdog.limits import WatchLimits
 from trajeval_ros.watchdog.signals import Readings, Signals, source_of
 
-# An alarm ends when its signal has been below this share of the limit for so long.
+# An alarm ends if its signal is below this share of the limit for this time.
 _CALM_SHARE, _CALM_S = 0.7, 5.0
-# An alarm is an error from this multiple of its limit on, when it lasts, or when a signal of
-# another source alarms at the same time.
+# An alarm is an error if it exceeds this multiple of its limit, if it lasts this long, or if a
+# signal of another source has an alarm within this time. Otherwise it is a warning.
 _GRAVE, _LASTING_S, _TOGETHER_S = 1.5, 5.0, 5.0
 
 
 @dataclass
 class WatchAlarm:
-    """A signal over its limit.
+    """A period in which a signal exceeds its limit; times are seconds since the watch started.
 
     Attributes:
-        signal: Its name.
-        limit: In its unit.
-        begin_s: When it exceeded the limit, seconds since the watch began.
-        last_s: When it was last above 0.7 of the limit.
-        peak: Its largest value.
-        peak_s: When that was.
-        is_over: Whether it has ended.
+        signal: Name of the signal.
+        limit: Its limit, in its unit.
+        begin_s: Time at which it exceeded the limit.
+        last_s: Latest time at which it was above 0.7 of the limit.
+        peak: Its largest value, in its unit.
+        peak_s: Time of the largest value.
+        is_over: Whether the alarm has ended.
     """
 
     signal: str
@@ -40,7 +40,7 @@ class WatchAlarm:
 
 
 class AlarmBook:
-    """Compares signals with limits as they come.
+    """Compares signals with limits, reading by reading.
 
     Attributes:
         alarms: All alarms so far, in the order in which they began.
@@ -55,7 +55,7 @@ class AlarmBook:
         self._open: dict[str, WatchAlarm] = {}
 
     def add(self, signals: Signals) -> list[WatchAlarm]:
-        """Take new readings; return the alarms that began by them."""
+        """Add new readings; return the alarms that start in them."""
         before = len(self.alarms)
         for name, readings in signals.items():
             limit = self.limits.limit(name, self.factor)
@@ -92,7 +92,7 @@ class AlarmBook:
             start = end
 
     def end_all(self) -> None:
-        """End all open alarms: the estimate restarted, and its clock with it."""
+        """End all open alarms, because the estimator and its clock restarted."""
         for alarm in self._open.values():
             alarm.is_over = True
         self._open = {}
@@ -102,7 +102,7 @@ class AlarmBook:
         self.alarms = [each for each in self.alarms if not each.is_over or each.last_s >= before_s]
 
     def is_error(self, alarm: WatchAlarm) -> bool:
-        """Return whether an alarm is an error and not a warning, as far as is known."""
+        """Return whether an alarm is an error, by the readings so far; if not, it is a warning."""
         if alarm.peak > _GRAVE * alarm.limit or alarm.last_s - alarm.begin_s >= _LASTING_S:
             return True
         source = source_of(alarm.signal)
@@ -113,5 +113,5 @@ class AlarmBook:
 
     @property
     def standing(self) -> list[WatchAlarm]:
-        """The open alarms, in falling order of the ratio of value and limit."""
+        """The open alarms, in descending order of peak / limit."""
         return sorted(self._open.values(), key=lambda each: -each.peak / each.limit)

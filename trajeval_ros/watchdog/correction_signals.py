@@ -23,10 +23,11 @@ from trajeval_ros.watchdog.signals import WINDOWS_S, Signals, finite
 
 
 class CorrectionSignals:
-    """Compares a transform from the map with the one a window before, at the robot.
+    """Compares the transform from the map with the transform one window earlier, at the robot.
 
-    The estimate has the robot at p, and the map at T p. A correction from T' to T moves it by
-    T p - T' p, and turns it by the angle of T'^-1 T. A transform holds until the next one.
+    If the robot's position in the estimate's frame is p, its position in the map is T p. A
+    correction from T' to T moves the robot by T p - T' p and rotates it by the angle of T'^-1 T. A
+    transform is valid until the next one.
     """
 
     def __init__(self) -> None:
@@ -36,13 +37,13 @@ class CorrectionSignals:
         self._done = -np.inf
 
     def add(self, rows: Floats) -> Signals:
-        """Return the signals at transforms that states (N, 9 or more) have reached."""
+        """Add states (N, 9 or more); return the signals at transforms up to the last state."""
         self._states.append(rows[:, :POSE_WIDTH])
         self._states.forget_until(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
 
     def add_transforms(self, rows: Floats) -> Signals:
-        """Return the signals at transforms (N, 9) that states have reached."""
+        """Add transforms (N, 9); return the signals at transforms up to the last state."""
         self._transforms.append(rows)
         self._transforms.forget_until(rows[-1, TIME] - REMEMBERED_S)
         return self._advance()
@@ -73,6 +74,6 @@ class CorrectionSignals:
 
 
 def _in_map(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (N, 3) of the estimate, moved into the map by transforms (N, 9)."""
+    """Return positions (N, 3) of the estimate, transformed to the map by transforms (N, 9)."""
     moved: Floats = lie.rotate(transforms[:, QUATERNION], positions) + transforms[:, POSITION]
     return moved

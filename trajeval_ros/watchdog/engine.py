@@ -34,7 +34,7 @@ from trajeval_ros.watchdog.twist_signals import TwistSignals
 
 ARMING_S = 30.0
 _MOVING_MPS = 0.1
-# If the stamps of the estimate step back by more, the estimator restarted.
+# If timestamps of the estimate step back by more than this, the estimator has restarted.
 RESTART_S = 1.0
 _BLOCK = 1024
 
@@ -42,8 +42,9 @@ _BLOCK = 1024
 class Watchdog:
     """Watches one estimate.
 
-    Nothing is judged until the robot has moved for 30 s in total. The data until then determines
-    how a twist, an IMU and second estimates relate to the estimate.
+    The watchdog arms when the robot has moved for 30 s in total. The data before arming determine
+    the mounting and clock of the IMU, the lag of the twist, and the body and scale of second
+    estimates. Signals start at arming.
 
     Attributes:
         moved_s: Duration of motion so far, until arming, seconds.
@@ -66,7 +67,7 @@ class Watchdog:
         """Create it without a message.
 
         Args:
-            origin: Stamp, ns, from which seconds are counted; that of the first message if None.
+            origin: Timestamp, ns, from which seconds are counted; None for the first message.
             pairs: The second estimates, as `pair_sources` names them.
         """
         self.restarts = 0
@@ -91,7 +92,7 @@ class Watchdog:
 
     @property
     def origin(self) -> int:
-        """The stamp, ns, from which seconds are counted; 0 before the first message."""
+        """The timestamp, ns, from which seconds are counted; 0 before the first message."""
         return self._origin or 0
 
     @property
@@ -103,7 +104,7 @@ class Watchdog:
 
     @property
     def out_of_order(self) -> int:
-        """Number of states dropped, since their stamps were not later than those before."""
+        """Number of states dropped, because their timestamps did not increase."""
         return self._feeds["states"].out_of_order
 
     @property
@@ -125,14 +126,14 @@ class Watchdog:
         body_velocities: Floats | None = None,
         body_rates: Floats | None = None,
     ) -> Signals:
-        """Take states of the estimate, and return the signals that they determine.
+        """Add states of the estimate; return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
             positions: (N, 3), metres.
             quaternions: (N, 4), xyzw, unit.
-            body_velocities: (N, 3), m/s, in the body; None where the message has none.
-            body_rates: (N, 3), rad/s, in the body, likewise.
+            body_velocities: (N, 3), m/s, in the body frame; None if messages have no twist.
+            body_rates: (N, 3), rad/s, in the body frame; None if messages have no twist.
         """
         if not len(stamps):
             return {}
@@ -170,7 +171,7 @@ class Watchdog:
         return self._judged_from(kept)
 
     def _arms(self) -> bool:
-        """Add up the duration of motion; arm if it is long enough, and return whether it is."""
+        """Sum the duration of motion; arm if it is long enough, and return whether it is."""
         rows = self._states.rows
         begin = int(np.searchsorted(rows[:, TIME], self._counted_s))
         some = rows[begin:]
@@ -188,7 +189,7 @@ class Watchdog:
         return True
 
     def _judged_from(self, kept: Floats) -> Signals:
-        """Start to judge: relate the sources by the data before arming."""
+        """Create the signals from the data before arming; return their first readings."""
         assert self.armed_s is not None
         oldest = self.armed_s - REMEMBERED_S
         kept = kept[kept[:, TIME] >= oldest]
@@ -236,7 +237,7 @@ class Watchdog:
         return found
 
     def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
-        """Take readings of the IMU, and return the signals that they determine.
+        """Add readings of the IMU; return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -248,18 +249,18 @@ class Watchdog:
     def add_partner(
         self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
     ) -> Signals:
-        """Take states of a second estimate, and return the signals that they determine.
+        """Add states of a second estimate; return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
-            positions: (N, 3), in whatever frame and scale.
+            positions: (N, 3), in any frame and scale.
             quaternions: (N, 4), xyzw, unit.
-            source: Which of the second estimates.
+            source: Name of the second estimate, as `pair_sources` returns it.
         """
         return self._add_source(source, stamps, positions, quaternions)
 
     def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Take transforms from the map, and return the signals that they determine.
+        """Add transforms from the map; return the signals that they determine.
 
         Args:
             stamps: (N,), ns.
@@ -275,7 +276,7 @@ class Watchdog:
         if self.armed_s is not None:
             return self._since_armed(self._by_source(name, rows))
         self._waiting[name].append(rows)
-        # No estimate may ever come.
+        # The estimate may never arrive; memory stays bounded.
         latest = max(self.last_s, self._feeds[name].last)
         self._waiting[name].forget_until(latest - REMEMBERED_S)
         return {}

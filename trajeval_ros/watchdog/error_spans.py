@@ -1,4 +1,4 @@
-"""When a watch would have reported errors in a recorded run."""
+"""Periods of a recorded run in which the watchdog reports errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from trajeval_ros.watchdog.recording import WatchedRun, watched
 
 
 def error_spans(run: WatchedRun, limits: WatchLimits) -> list[tuple[int, int]]:
-    """Return first and last stamp, ns, of each alarm that is an error, by the estimate's clock.
+    """Return first and last timestamp of every error, ns, in the estimate's clock.
 
     Raises:
         InputError: The run can't be watched, or the limits are of another robot.

@@ -1,4 +1,4 @@
-"""How an IMU sits on the estimate's body: rotation, clock offset and gyro bias."""
+"""Mounting of an IMU on the estimate's body: rotation, time offset and gyroscope bias."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from trajeval_ros.watchdog.recent import (
 from trajeval_ros.watchdog.rotations_over_time import between, running_products, slerp_at
 from trajeval_ros.watchdog.turning_axis import only_axis
 
-# Columns of a row of the IMU behind time and since: rad/s, m/s^2.
+# Columns of an IMU row after `TIME` and `SINCE`: rad/s, m/s^2.
 GYRO, ACCELERATION = slice(2, 5), slice(5, 8)
 IMU_WIDTH = 8
-FARTHEST_S = 0.5  # of the clock offset
+FARTHEST_S = 0.5  # largest time offset that is searched
 _COARSE_S, _FINE_S, _NEAR_S = 0.05, 0.005, 0.05
 _INCREMENT_S, _BIAS_S = 0.5, 10.0
 _MOST = 2000
 _PASSES = 5
-_SCALE_RAD = 0.01  # larger residuals count linearly
-# Median misfit of increments over their median angle, above which nothing fits, of the share
-# that turned most.
+_SCALE_RAD = 0.01  # the loss is linear for larger residuals
+# IMU and estimate are unrelated if the median misfit of rotations divided by their median angle
+# exceeds this. Only rotations above this quantile of the angle are used.
 _UNRELATED = 0.5
 _MOST_TURNED = 0.75
 _TOLD_OFFSET_S, _TOLD_TURN_DEG = 0.05, 5.0
@@ -37,16 +37,16 @@ _TOLD_OFFSET_S, _TOLD_TURN_DEG = 0.05, 5.0
 
 @dataclass(frozen=True)
 class Mounting:
-    """Where an IMU sits, and what its gyro adds.
+    """Rotation, time offset and gyroscope bias of an IMU on the estimate's body.
 
     Attributes:
-        rotation: (4,), xyzw, of the IMU's axes in the estimate's body.
-        bias: (3,), rad/s, in the IMU's axes.
-        offset_s: Time offset: t of the estimate is t + offset of the IMU.
-        axis: (3,), the only axis in the body that it turned about, which leaves the rotation
-            about it open; None where it turned about several.
-        misfit: Median misfit of rotations in half a second, over their median angle, of the
-            quarter that turned most.
+        rotation: Rotation from the IMU's axes to the estimate's body (4,), xyzw.
+        bias: Bias of the gyroscope (3,), rad/s, in the IMU's axes.
+        offset_s: Time offset: time t of the estimate's clock is t + offset of the IMU's clock.
+        axis: The only axis (3,) about which the robot rotated, in the body; `rotation` is not
+            determined about it. None if the robot rotated about several axes.
+        misfit: Median difference of rotations in 0.5 s divided by their median angle, for the 25 %
+            of them with the largest angles.
     """
 
     rotation: Floats
@@ -57,11 +57,11 @@ class Mounting:
 
     @property
     def is_related(self) -> bool:
-        """Whether IMU and estimate turn together at all."""
+        """Whether the rotations of IMU and estimate agree."""
         return self.misfit < _UNRELATED
 
     def remarks(self) -> list[str]:
-        """Return what a user should know of it, one sentence each."""
+        """Return the remarks for the user, one sentence each."""
         said = []
         turned_deg = math.degrees(float(lie.angle(self.rotation)))
         if self.axis is not None:
@@ -83,7 +83,13 @@ class Mounting:
 
 
 def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
-    """Return orientations (N, 4) at the IMU's rows, from the first row's, by the gyro."""
+    """Integrate the gyroscope to orientations (N, 4), xyzw, at the rows of the IMU.
+
+    Args:
+        imu: Rows of the IMU, (N, 8).
+        bias: Bias of the gyroscope (3,), rad/s.
+        first: Orientation at the first row (4,), xyzw.
+    """
     dt = np.diff(imu[:, TIME])[:, None]
     rate = 0.5 * (imu[1:, GYRO] + imu[:-1, GYRO]) - bias
     steps = lie.from_rotation_vector(rate * dt)
@@ -91,11 +97,11 @@ def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
 
 
 def mounting_of(states: Floats, imu: Floats) -> Mounting:
-    """Find how an IMU sits on a body by their motion.
+    """Estimate the mounting of an IMU from rotations in 0.5 s.
 
     Args:
-        states: (N, 9 or more) of the estimate, before arming.
-        imu: (M, 8), from before the states' first until after their last.
+        states: States of the estimate before arming, (N, 9 or more).
+        imu: Rows of the IMU, (M, 8), which cover the states.
     """
     identity = np.array([0.0, 0.0, 0.0, 1.0])
     raw = turned_by_gyro(imu, np.zeros(3), identity)
@@ -133,7 +139,17 @@ def mounting_of(states: Floats, imu: Floats) -> Mounting:
 def _turn_and_bias(
     own: Floats, gyro: Floats, span: Floats, axis: Floats | None
 ) -> tuple[float, Floats, Floats]:
-    """Return misfit, rotation (3, 3) and bias (3,) that make rotation vectors (N, 3) agree."""
+    """Fit rotation and bias to rotation vectors, as in `Mounting`.
+
+    Args:
+        own: Rotation vectors of the estimate, (N, 3), rad.
+        gyro: Rotation vectors of the gyroscope, (N, 3), rad.
+        span: Durations, (N, 1), s.
+        axis: The only axis (3,) of rotation; None for several.
+
+    Returns:
+        Misfit, rotation (3, 3) and bias (3,), rad/s.
+    """
     bias, rotation = np.zeros(3), np.eye(3)
     for _ in range(_PASSES):
         rotation = closest_rotation(own, gyro - bias * span)
@@ -148,10 +164,11 @@ def _turn_and_bias(
 def _refined(
     states: Floats, imu: Floats, offset_s: float, rotation: Floats, bias: Floats
 ) -> tuple[Floats, Floats]:
-    """Return rotation and bias again, by windows of ten seconds: the bias's error is what grows.
+    """Refine rotation (4,) and bias (3,) on windows of 10 s, where the bias has more effect.
 
-    Gauss-Newton on r = Log((X G X')' A) with dr/db = P' X int G dt and dr/dX = I - P', P = X G X',
-    weighted by a soft l1.
+    With the mounting X, the rotation G by the gyroscope and A by the estimate, the residual is
+    r = Log((X G X')' A). The method is Gauss-Newton with dr/db = P' X int G dt, dr/dX = I - P',
+    P = X G X', and a soft l1 loss. A prime is the transpose.
     """
     times = states[:, TIME]
     begins, known = window_begins(states, 0, _BIAS_S)

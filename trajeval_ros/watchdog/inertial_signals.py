@@ -37,19 +37,19 @@ _LEAST_SLOPE = 0.02  # mean square of the turn rate's slope, (rad/s^2)^2
 _VELOCITY_S = 0.1
 _STILL_S, _STILL_MPS2, _STILL_RADPS = 1.0, 0.25, 0.02
 _KEPT_S = WINDOWS_S[-1] + 12.0
-# Columns of the IMU's rows behind its own: orientation by the gyro, whether it is still, and the
-# integral of the specific force in the estimate's world.
+# Columns of IMU rows after the measurements: orientation integrated from the gyroscope, whether
+# the IMU is at rest, and the integral of the specific force in the estimate's world frame.
 _TRACK, _STILL, _FORCE = slice(8, 12), 12, slice(13, 16)
 _IMU_WIDTH = 16
-# Columns of the states behind the pose: the gyro's orientation of the body, products and squares
-# of the turn rate's slip, velocity, and integral of force.
+# Columns of states after the pose: orientation of the body by the gyroscope, running sums of
+# products and squares for the clock slip, velocity, and integral of the specific force.
 _BODY, _PRODUCT, _SQUARE, _MOVING, _SUMMED = slice(9, 13), 13, 14, slice(15, 18), slice(18, 21)
 _RATE, _OWN_RATE, _AT_REST = 21, 22, 23
 _STATE_WIDTH = 24
 
 
 class InertialSignals:
-    """Compares states with an IMU, as both come.
+    """Compares states with an IMU; both may arrive in any order.
 
     Attributes:
         notices: Findings at the start, one sentence each.
@@ -57,11 +57,11 @@ class InertialSignals:
     """
 
     def __init__(self, period_s: float, armed_s: float) -> None:
-        """Create it; the mounting is found when the IMU has passed the arming.
+        """Create it; the mounting is estimated once the IMU's data reach the time of arming.
 
         Args:
             period_s: Usual time between states.
-            armed_s: When the robot had moved enough; what comes later decides nothing.
+            armed_s: Time of arming; later data are not used for the mounting.
         """
         self.notices: list[str] = []
         self.usable = True
@@ -75,7 +75,7 @@ class InertialSignals:
         self._gravity: dict[float, Floats] = {}
 
     def add_inertial(self, rows: Floats) -> Signals:
-        """Return the signals at states that the IMU has reached by rows (N, 8)."""
+        """Add rows of the IMU (N, 8); return the signals at states that the IMU covers."""
         if not self.usable:
             return {}
         self._raw.append(rows)
@@ -83,7 +83,7 @@ class InertialSignals:
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
-        """Return the signals at states (N, 9 or more) that the IMU has reached."""
+        """Add states (N, 9 or more); return the signals at states that the IMU covers."""
         if not self.usable:
             return {}
         self._waiting.append(rows[:, :POSE_WIDTH])
@@ -103,7 +103,7 @@ class InertialSignals:
         return self._judge()
 
     def _find_mounting(self) -> bool:
-        """Find the mounting by what came before the arming; return whether it could be."""
+        """Estimate the mounting from the data before arming; return whether it succeeded."""
         states, raw = self._waiting.rows, self._raw.rows
         before = states[states[:, TIME] < self._armed_s]
         imu = raw[raw[:, TIME] < self._armed_s + 2.0 * FARTHEST_S]
@@ -128,13 +128,13 @@ class InertialSignals:
         return True
 
     def _judge(self) -> Signals:
-        """Return the signals at the states that both sources have reached."""
+        """Return the signals at the new states that the IMU covers."""
         mounting = self._mounting
         assert mounting is not None
         waiting, raw = self._waiting.rows, self._raw.rows
         done = self._rows.rows[-1, TIME] if len(self._rows.rows) else -np.inf
         first = int(np.searchsorted(waiting[:, TIME], done, side="right"))
-        # A reading needs the orientations around it, and a state the readings around it.
+        # Readings and states are interpolated, so both need data before and after.
         latest = float(waiting[-1, TIME]) + mounting.offset_s
         usable = int(np.searchsorted(raw[:, TIME], latest, side="right"))
         if not usable:
@@ -161,12 +161,12 @@ class InertialSignals:
         return signals
 
     def _add_inertial_rows(self, mounting: Mounting, until: float) -> None:
-        """Turn readings, up to the next one after a time of the estimate, into orientations."""
+        """Integrate the readings until the first one after a time of the estimate's clock."""
         raw, waiting = self._raw.rows, self._waiting.rows
         known = self._imu.rows
         begin = 0
         if len(known):
-            begin = int(np.searchsorted(raw[:, TIME], known[-1, TIME]))  # that row again
+            begin = int(np.searchsorted(raw[:, TIME], known[-1, TIME]))  # the latest known row
         end = int(np.searchsorted(raw[:, TIME], until + mounting.offset_s)) + 1
         part = raw[begin:end]
         if len(part) < 2:
@@ -186,13 +186,13 @@ class InertialSignals:
         self._mark_still(mounting, len(rows) - (1 if len(known) else 0))
 
     def _mark_still(self, mounting: Mounting, count: int) -> None:
-        """Note at which of the latest readings the IMU had been at rest for a second."""
+        """Mark which of the latest `count` readings end a second at rest."""
         rows = self._imu.rows
         first = len(rows) - count
         begins, known = window_begins(rows, first, _STILL_S)
         ends = np.arange(first, len(rows)) + 1
         turn = lengths(rows[:, GYRO] - mounting.bias)
-        # About the mean, so that squares don't cancel.
+        # Deviations from the mean avoid cancellation in the difference of squares.
         force = rows[:, ACCELERATION] - rows[:, ACCELERATION].mean(axis=0)
         sums = np.concatenate(
             [np.zeros((1, 7)), np.cumsum(np.column_stack([force, force**2, turn]), axis=0)]
@@ -215,7 +215,7 @@ class InertialSignals:
         rows[:, _BODY] = lie.multiply(
             lie.multiply(mounting.rotation, track), lie.conjugate(mounting.rotation)
         )
-        # Velocities are of a tenth of a second, whose middle is half of that ago.
+        # A velocity is the mean over 0.1 s, so it is valid in the middle of that time.
         late = at - 0.5 * self._velocity_rows * self._period_s
         rows[:, _SUMMED] = interpolated(times, imu[:, _FORCE], late)
         before = np.maximum(np.searchsorted(times, at, side="right") - 1, 0)
@@ -227,7 +227,7 @@ class InertialSignals:
         return max(1, round(_VELOCITY_S / self._period_s))
 
     def _add_rates(self, first: int) -> None:
-        """Add turn rates by both, sums for the clock's slip, and velocities."""
+        """Fill in the turn rates of both, running sums for the clock slip, and velocities."""
         rows = self._rows.rows
         own = rows[first:]
         begins, known = window_begins(rows, first, _RATE_S)
@@ -253,7 +253,11 @@ class InertialSignals:
         rows[first:, _MOVING] = velocity
 
     def _slip(self, first: int) -> tuple[Floats, Floats]:
-        """Return the clock's slip, s, and the mean square of the slope that it was found by."""
+        """Return the clock slip, s, and the mean square of the turn rate's slope, (rad/s^2)^2.
+
+        The slip is the time offset in addition to that of the mounting. It is the regression
+        coefficient, over 10 s, of the difference of the turn rates on the slope of the turn rate.
+        """
         rows = self._rows.rows
         begins, known = window_begins(rows, first, _SLIP_S)
         product = rows[first:, _PRODUCT] - rows[begins, _PRODUCT]
@@ -263,7 +267,10 @@ class InertialSignals:
         return only(slip, known), only(slope, known)
 
     def _specific_gravity(self, first: int, window_s: float) -> Floats:
-        """Return mean(R a) - dv/dt over windows, (N, 3): gravity, upwards, by both sources."""
+        """Return mean(R a) - dv/dt over windows, (N, 3), m/s^2: minus gravity in the world frame.
+
+        R a is the IMU's specific force in the world frame, v the velocity of the estimate.
+        """
         rows = self._rows.rows
         begins, known = window_begins(rows, first, window_s)
         own = rows[first:]
@@ -274,7 +281,7 @@ class InertialSignals:
         return gravity
 
     def _find_references(self, mounting: Mounting) -> None:
-        """Find slip and gravity before the arming, which later ones are compared with."""
+        """Compute the reference values of slip and gravity from the data before arming."""
         before = self._rows.rows[:, TIME] < self._armed_s
         slip, slope = self._slip(0)
         seen = before & (slope > _LEAST_SLOPE)

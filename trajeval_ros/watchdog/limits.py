@@ -12,7 +12,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.watchdog.signals import Signals, in_order, signal_of, source_of, source_words
 
 DEFAULT_FACTOR = 2.0
-# Typical values of one robot and estimator differ by less from run to run.
+# Between runs of the same robot and estimator, typical values differ by a smaller factor.
 _ANOTHER_ROBOT = 10.0
 _FEWEST = 100
 # No events in n hours: the rate is at most this / n per hour, at 95 %.
@@ -37,9 +37,9 @@ class WatchLimits:
     """Statistics of all signals in a healthy run.
 
     Attributes:
-        healthy: Statistics of each signal, by name.
-        hours: Duration for which they were judged.
-        sources: SOURCE of each: `estimate`, and `imu`, `map`, `pair` or `pair.NAME` if given.
+        healthy: Statistics by name of the signal.
+        hours: Duration since arming, in hours.
+        sources: SOURCE by name: `estimate`, and `imu`, `map`, `pair` or `pair.NAME` if given.
         checked: How the run was found to be healthy.
     """
 
@@ -55,9 +55,9 @@ class WatchLimits:
         """Return the limits of a run that is assumed to be healthy.
 
         Args:
-            signals: All of its values.
-            hours: Duration for which they were judged.
-            sources: SOURCE of each, by name.
+            signals: All values of its signals.
+            hours: Duration since arming, in hours.
+            sources: SOURCE by name, as in `sources`.
             checked: How the run was found to be healthy.
         """
         healthy = {
@@ -86,7 +86,7 @@ class WatchLimits:
             needs: The available sources, such as `twist`, `imu`, `pair`, `pair.wheel`, `map`.
 
         Raises:
-            InputError: One was not there when the limits were learned.
+            InputError: The limits were learned without one of the sources.
         """
         there = {source_of(name) for name in self.healthy}
         for each in needs:
@@ -109,7 +109,7 @@ class WatchLimits:
             values, learned = signals[name].values, self.healthy[name].typical
             if len(values) < _FEWEST or not learned:
                 continue
-            # A fault is in a part of the run, and another robot in all of it.
+            # A fault affects a part of the run, another robot all of it.
             quarters = [float(np.median(part)) for part in np.array_split(values, 4)]
             if max(quarters) > 0.0:
                 compared += 1

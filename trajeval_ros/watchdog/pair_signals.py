@@ -1,4 +1,4 @@
-"""Signals of two estimates of one robot: relative motions, whatever their gauges and bodies."""
+"""Signals of two estimates of one robot: relative motions, independent of gauge and body frame."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from trajeval_ros.watchdog.turning_axis import only_axis
 
 _CALIBRATION_S = 2.0
 _PASSES = 10
-_TRIM = 4.0  # medians
+_TRIM = 4.0  # residuals above this multiple of their median are outliers
 _LEAST_M, _LEAST_RAD = 1e-3, 1e-3
-# A robot that hardly turns shows no lever arm: median angle in 2 s, rad.
+# Without rotation the lever arm is not observable: least median angle in 2 s, rad.
 _LEAST_TURN = 0.1
 _FEWEST = 20
 _SCALE_S = 10.0
@@ -41,12 +41,12 @@ _WIDTH = 18
 
 @dataclass(frozen=True)
 class BodyDifference:
-    """How one estimate's body is on the other's: T_own T_other^-1 but for the other's scale.
+    """The pose of the second estimate's body in the body of the estimate, and its scale.
 
     Attributes:
-        rotation: (4,), xyzw, of the other's axes in the own body.
-        lever_m: (3,), the other's origin in the own body.
-        scale: Own metres per metre of the other.
+        rotation: Rotation from the axes of the second body to the axes of the body (4,), xyzw.
+        lever_m: Origin of the second body in the body (3,), metres.
+        scale: Metres of the estimate per metre of the second estimate.
     """
 
     rotation: Floats
@@ -63,12 +63,12 @@ class PairSignals:
     """
 
     def __init__(self, source: str, period_s: float, armed_s: float) -> None:
-        """Create it; the body difference is found when the partner has reached the arming.
+        """Create it; the body difference is estimated once the partner reaches the arming.
 
         Args:
-            source: The second estimate, `pair` or `pair.NAME`; its signals are named likewise.
+            source: The second estimate, `pair` or `pair.NAME`; NAME is appended to signals.
             period_s: Usual time between states of the estimate.
-            armed_s: When the robot had moved enough; what comes later decides nothing.
+            armed_s: Time of arming; later data are not used for the body difference.
         """
         self._source, self._suffix = source, source.removeprefix(PAIR)
         self.notices: list[str] = []
@@ -82,7 +82,7 @@ class PairSignals:
         self._done = -np.inf
 
     def add_partner(self, rows: Floats) -> Signals:
-        """Return the signals at states that the partner has reached by rows (N, 9)."""
+        """Add states of the partner (N, 9); return the signals at states that it covers."""
         if not self.usable:
             return {}
         self._partner.append(rows)
@@ -90,7 +90,7 @@ class PairSignals:
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
-        """Return the signals at states (N, 9 or more) that the partner has reached."""
+        """Add states (N, 9 or more); return the signals at states that the partner covers."""
         if not self.usable:
             return {}
         self._states.append(rows[:, :POSE_WIDTH])
@@ -122,7 +122,7 @@ class PairSignals:
         return signals
 
     def _find_body(self) -> bool:
-        """Find the body difference from the data before arming; return whether it is found."""
+        """Estimate the body difference from the data before arming; return whether it worked."""
         rows = self._rows.rows
         rows = rows[rows[:, TIME] < self._armed_s]
         if len(rows) >= _FEWEST:
@@ -139,7 +139,7 @@ class PairSignals:
         return False
 
     def _add_paths(self, first: int) -> None:
-        """Sum up the chords of 1 s of both, for their ratio."""
+        """Fill in the running sums of the displacements in 1 s of both, for the scale signal."""
         rows = self._rows.rows
         assert self._body is not None
         begins, known = window_begins(rows, first, 1.0)
@@ -184,7 +184,7 @@ class PairSignals:
 
 
 def _matched(states: Floats, partner: Floats) -> Floats:
-    """Return states (N, 9) with the partner's poses then, (M, 18), where it has no gap."""
+    """Return states (N, 9) with the partner's interpolated poses, (M, 18), outside its gaps."""
     times = states[:, TIME]
     after = np.searchsorted(partner[:, TIME], times)
     inside = (after > 0) | (times == partner[0, TIME])
@@ -199,7 +199,10 @@ def _matched(states: Floats, partner: Floats) -> Floats:
 
 
 def _motions(rows: Floats, begins: Indices, ends: Indices) -> tuple[Floats, ...]:
-    """Return turns (N, 4) and steps (N, 3) in the body at the start, of both."""
+    """Return rotations (N, 4) and displacements (N, 3) of both estimates, in the first body.
+
+    The first body is the body frame at the start of the motion.
+    """
     found = []
     for position, quaternion in (
         (POSITION, QUATERNION),
@@ -215,21 +218,21 @@ def _motions(rows: Floats, begins: Indices, ends: Indices) -> tuple[Floats, ...]
 def body_difference(
     turns: Floats, steps: Floats, other_turns: Floats, other_steps: Floats
 ) -> BodyDifference:
-    """Return the body difference that makes relative motions agree, by trimmed least squares.
+    """Estimate the body difference from relative motions, by trimmed least squares.
 
-    Rotations determine how the bodies are turned: A X = X B. Displacements determine the lever arm
-    and the scale, t_A = s X t_B + (I - R_A) l. If a robot turns about one axis alone, they also
-    determine the turn about this axis.
+    Rotations determine the rotation X between the bodies: A X = X B. Displacements determine the
+    lever arm l and the scale s: t_A = s X t_B + (I - R_A) l. If the robot rotates about only one
+    axis, displacements also determine X about this axis.
 
     Args:
-        turns: (N, 4), xyzw, A.
-        steps: (N, 3), t_A, metres.
-        other_turns: (N, 4), B.
-        other_steps: (N, 3), t_B.
+        turns: Rotations A of the estimate, (N, 4), xyzw.
+        steps: Displacements t_A of the estimate, (N, 3), metres.
+        other_turns: Rotations B of the second estimate, (N, 4), xyzw.
+        other_steps: Displacements t_B of the second estimate, (N, 3), in its scale.
     """
     a, b = lie.rotation_vector(turns), lie.rotation_vector(other_turns)
     left = np.eye(3) - lie.to_matrix(turns)
-    # Angles are the same for any body difference. Where they differ, one of the two is an outlier.
+    # Angles do not depend on the body difference. If they differ, one of the two is an outlier.
     off_angle = np.abs(lengths(a) - lengths(b))
     kept: Booleans = off_angle < _TRIM * np.median(off_angle) + _LEAST_RAD
     sees_lever = float(np.median(lengths(a))) > _LEAST_TURN
@@ -238,7 +241,8 @@ def body_difference(
     for _ in range(_PASSES):
         targets, vectors = a[kept], b[kept]
         if one_axis:
-            # Metres and radians together: only displacements determine the turn about the axis.
+            # Metres and radians have equal weights: only displacements determine the rotation
+            # about the axis.
             moved = steps - left @ lever
             targets = np.concatenate([targets, moved[kept]])
             vectors = np.concatenate([vectors, scale * other_steps[kept]])

@@ -1,4 +1,4 @@
-"""Signals of one stream of poses alone: jumps, lost tracking, stamps and speed."""
+"""Signals of the poses of the estimate: jumps, freezes, timestamps and speed."""
 
 from __future__ import annotations
 
@@ -27,17 +27,22 @@ _BEFORE_S = 5.0
 _SLOWEST_TOP_MPS = 0.5
 _SAME = 1e-9  # m, rad
 
-# Columns of each step after time and since.
+# Columns of a step, from one state to the next, after `TIME` and `SINCE`: differences from motion
+# at constant velocity (m, deg), speed (m/s), duration (s), and largest speed so far (m/s).
 _INNOVATION, _TURN_INNOVATION, _SPEED, _DT, _TOP = range(2, 7)
 _STOP_T, _STOP_HARD = 7, 8
 _WIDTH = 9
 
 
 class PoseSignals:
-    """Jumps, smoothness, freezes, stamps and speed of poses, as they come."""
+    """Computes signals of jumps, smoothness, freezes, timestamps and speed, state by state."""
 
     def __init__(self, period_s: float) -> None:
-        """Create it knowing the usual time between poses, s."""
+        """Create it without states.
+
+        Args:
+            period_s: Usual time between states.
+        """
         self._period_s = period_s
         self._usual = max(3, int(_USUAL_S / period_s))
         self._lately = max(3, int(_LATELY_S / period_s))
@@ -45,7 +50,7 @@ class PoseSignals:
         self._steps = Recent(_WIDTH)
 
     def add(self, rows: Floats) -> Signals:
-        """Return the signals at new rows of states, (N, 9 or more)."""
+        """Add states (N, 9 or more); return the signals at them."""
         old = len(self._states.rows)
         self._states.append(rows[:, :POSE_WIDTH])
         states = self._states.rows
@@ -60,7 +65,7 @@ class PoseSignals:
         return signals
 
     def _new_steps(self, states: Floats, old: int) -> Floats:
-        """Return the rows of the steps to the states from `old` on."""
+        """Return the steps that end at the states from index `old` on, (N, 9)."""
         begin = max(old - 2, 0)
         some = states[begin:]
         times = some[:, TIME]
@@ -86,7 +91,10 @@ class PoseSignals:
         return fresh
 
     def _speeds(self, states: Floats, old: int) -> Floats:
-        """Return the largest mean speed over half a second until each state, m/s."""
+        """Return the largest speed so far, at the states from index `old` on, m/s.
+
+        The speed is the mean over 0.5 s.
+        """
         speeds = np.nan_to_num(self._mean_speed(states, old), nan=0.0)
         known = self._steps.rows
         largest = known[-1, _TOP] if len(known) else 0.0
@@ -101,7 +109,7 @@ class PoseSignals:
         return only(moved / np.where(span > 0.0, span, np.nan), known)
 
     def _mark_stops(self, first: int) -> None:
-        """Note, for each new step, when the robot last moved, and whether it then stopped hard."""
+        """Fill in, for new steps, the time of the last motion and whether it ended abruptly."""
         steps = self._steps.rows
         new = np.arange(first, len(steps))
         same = steps[new, _STOP_HARD] == 1.0
@@ -143,7 +151,10 @@ class PoseSignals:
         return jitter
 
     def _speed_ratio(self, first: int) -> Floats:
-        """Return the speed over the largest until 5 s before, at steps from `first` on."""
+        """Return the speed divided by the largest speed until 5 s earlier.
+
+        The ratios are at the steps from index `first` on.
+        """
         steps, states = self._steps.rows, self._states.rows
         new = steps[first:, TIME]
         speed = self._mean_speed(states, len(states) - len(new))
@@ -152,9 +163,9 @@ class PoseSignals:
         return only(speed / top, before >= 0)
 
     def _window(self, column: int, last: Indices, count: int) -> Floats:
-        """Return the values of a column in the `count` rows that end at each of some, (N, count).
+        """Return the values of a column in the `count` rows up to the given ones, (N, count).
 
-        NaN where there are not so many.
+        Rows before the first one are NaN.
         """
         values = self._steps.rows[:, column]
         places = last[:, None] + np.arange(1 - count, 1)

@@ -1,4 +1,4 @@
-"""Rows that a watchdog still needs: one source's latest states, in order of time."""
+"""The latest rows of a source, in order of time, and windows over them."""
 
 from __future__ import annotations
 
@@ -7,39 +7,40 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
-# Columns of every row: seconds since the watch began, and since when there was no gap.
+# First columns of all rows: seconds since the watch started, and time of the first row after the
+# latest gap.
 TIME, SINCE = 0, 1
-# Columns of a state behind them: position, quaternion xyzw, and the twist in the body, NaN where
-# the message has none.
+# Further columns of a state: position, quaternion xyzw, and twist in the body frame, NaN if the
+# message has none.
 POSITION, QUATERNION, VELOCITY, RATE = slice(2, 5), slice(5, 9), slice(9, 12), slice(12, 15)
 POSE_WIDTH, STATE_WIDTH = 9, 15
 # Sources wait for each other for at most this time, s. Older data before arming is not used.
 REMEMBERED_S = 600.0
-# Longer silences, s, end all windows: nothing is compared across them.
+# No window contains a longer gap, s.
 GAP_S = 2.0
-# Half a nanosecond, so that comparisons of seconds decide as those of whole nanoseconds do.
+# Half a nanosecond: tolerance with which comparisons of seconds equal those of nanoseconds.
 HALF_NS = 0.5 / NANOSECONDS
 _FEWEST = 1024
 
 
 class Recent:
-    """Rows of numbers in order of time, of which the oldest may be forgotten.
+    """Rows of numbers in order of time; the oldest ones can be removed.
 
-    A row is added in constant time on average, whatever is kept.
+    Adding a row takes constant time on average.
     """
 
     def __init__(self, width: int) -> None:
-        """Create it without rows of that many numbers each."""
+        """Create it for rows of `width` numbers."""
         self._store = np.empty((_FEWEST, width))
         self._begin = self._end = 0
 
     @property
     def rows(self) -> Floats:
-        """All rows that are kept, (N, width); a view that the next `append` ends."""
+        """All rows, (N, width); a view that is valid until the next `append`."""
         return self._store[self._begin : self._end]
 
     def append(self, rows: Floats) -> None:
-        """Add rows (N, width), later than those before."""
+        """Add rows (N, width), later than the existing ones."""
         if self._end + len(rows) > len(self._store):
             kept = self.rows
             self._store = np.empty((2 * (len(kept) + len(rows)) + _FEWEST, kept.shape[1]))
@@ -49,11 +50,11 @@ class Recent:
         self._end += len(rows)
 
     def forget(self, before: float) -> None:
-        """Forget the rows before a time, s."""
+        """Remove the rows before a time, s."""
         self._begin += int(np.searchsorted(self.rows[:, TIME], before))
 
     def forget_until(self, time: float) -> None:
-        """Forget the rows before the latest one that is not after a time, s."""
+        """Remove the rows before a time, s, except the last of them, for interpolation."""
         latest = int(np.searchsorted(self.rows[:, TIME], time, side="right")) - 1
         self._begin += max(latest, 0)
 
@@ -63,7 +64,7 @@ class Feed:
 
     Attributes:
         last: Time of the latest row, s.
-        out_of_order: Number of rows dropped, since they were not later than those before.
+        out_of_order: Number of rows dropped, because their times did not increase.
     """
 
     def __init__(self) -> None:
@@ -73,7 +74,12 @@ class Feed:
         self._since = -np.inf
 
     def rows(self, seconds: Floats, *columns: Floats) -> Floats:
-        """Return the rows (M, 2 + width) of columns (N, ...), M <= N."""
+        """Return rows (M, 2 + width), M <= N.
+
+        Args:
+            seconds: Times (N,), s.
+            columns: Values, (N, k) each; width is the sum of k.
+        """
         latest = np.maximum.accumulate(np.concatenate([[self.last], seconds]))
         kept = seconds > latest[:-1]
         self.out_of_order += int(np.count_nonzero(~kept))
@@ -87,16 +93,16 @@ class Feed:
 
 
 def window_begins(rows: Floats, first: int, window_s: float) -> tuple[Indices, Booleans]:
-    """Return where windows begin that end at each of the rows from `first` on.
+    """Return the starts of the windows that end at the rows from `first` on.
 
     Args:
-        rows: (N, ...), the first two columns as above.
-        first: Index of the first row asked about.
-        window_s: Length of the windows.
+        rows: (N, ...), with `TIME` and `SINCE` as first columns.
+        first: Index of the first row at which a window ends.
+        window_s: Length of the windows, s.
 
     Returns:
-        For each of the N - first rows the first row within its window, and whether the window
-        lies within the recording, without a gap.
+        Indices (N - first,) of the first row in the window, and whether the window is valid: it
+        has no gap and does not start before the first row.
     """
     asked = rows[first:]
     wanted = asked[:, TIME] - window_s - HALF_NS
@@ -108,9 +114,10 @@ def window_begins(rows: Floats, first: int, window_s: float) -> tuple[Indices, B
 
 
 def change_within(rows: Floats, first: int, window_s: float, columns: slice) -> Floats:
-    """Return how columns (N, k) changed within windows that end at the rows from `first` on.
+    """Return the change of columns over the windows of `window_begins`, (N - first, k).
 
-    Between rows they are linear; see `window_begins` for which windows are known.
+    Values at the start of a window are interpolated linearly. Windows that are not valid have a
+    change, too; mask them.
     """
     asked = rows[first:]
     begin = interpolated(rows[:, TIME], rows[:, columns], asked[:, TIME] - window_s)
@@ -119,7 +126,7 @@ def change_within(rows: Floats, first: int, window_s: float, columns: slice) -> 
 
 
 def only(values: Floats, known: Booleans) -> Floats:
-    """Return the values where they are known, and NaN elsewhere."""
+    """Return the values with NaN where they are not known."""
     return np.where(known, values, np.nan)
 
 
@@ -130,5 +137,5 @@ def lengths(vectors: Floats) -> Floats:
 
 
 def interpolated(times: Floats, values: Floats, at: Floats) -> Floats:
-    """Return columns (N, k) at other times (M,), linearly, (M, k)."""
+    """Interpolate columns (N, k) linearly at other times (M,); return (M, k)."""
     return np.stack([np.interp(at, times, column) for column in values.T], axis=-1)

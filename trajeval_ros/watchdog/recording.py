@@ -28,7 +28,7 @@ class WatchedRun:
 
     Attributes:
         estimate: The states that are watched, in order of arrival.
-        twist: Angular velocities of the estimate's own messages, where they have them.
+        twist: Angular velocities in the estimate's messages; None if they have none.
         imu: Readings of the robot's IMU.
         partners: Second estimates of the same robot, of any frame, body and scale, by source (see
             `pair_sources`).
@@ -43,7 +43,7 @@ class WatchedRun:
 
     @property
     def others(self) -> list[Trajectory]:
-        """The trajectories beside the estimate."""
+        """Second estimates and corrections."""
         corrections = [] if self.corrections is None else [self.corrections]
         return [*self.partners.values(), *corrections]
 
@@ -53,10 +53,10 @@ class Watched:
     """Signals of a recording.
 
     Attributes:
-        origin: Stamp, ns, from which seconds are counted.
-        signals: Values since the arming, by name.
-        armed_s: When judging began.
-        end_s: Time of the last state.
+        origin: Timestamp, ns, from which seconds are counted.
+        signals: Values since arming, by name.
+        armed_s: Time of arming, s.
+        end_s: Time of the last state, s.
         notices: Findings about the sources, one sentence each.
     """
 
@@ -68,7 +68,7 @@ class Watched:
 
     @property
     def hours(self) -> float:
-        """Duration for which signals were judged, hours."""
+        """Duration since arming, hours."""
         return (self.end_s - self.armed_s) / 3600.0
 
 
@@ -132,7 +132,7 @@ def feed(watchdog: Watchdog, run: WatchedRun) -> dict[str, Readings]:
 
 
 def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
-    """Feed all sources slice by slice of time, as they came, and yield the signals."""
+    """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
     velocities = _body_velocities(estimate)
     rates = None if run.twist is None else rates_at(estimate.stamps, run.twist)
@@ -167,7 +167,10 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
 
 
 def _slices(stamps: Stamps, first: int) -> list[Stamps]:
-    """Return the rows of each slice of time, in their order; what steps back stays behind."""
+    """Return the row indices by slice of time, in order of arrival.
+
+    A timestamp that steps back belongs to the slice of the latest timestamp before it.
+    """
     latest = np.maximum.accumulate(stamps) - first
     number = latest // round(_SLICE_S * NANOSECONDS)
     places = np.searchsorted(number, np.arange(int(number[-1]) + 2))
@@ -183,7 +186,12 @@ def _body_velocities(estimate: Trajectory) -> Floats | None:
 
 
 def rates_at(stamps: Stamps, twist: InertialReadings) -> Floats:
-    """Return the twist's angular velocities (N, 3) at states of the same messages, else NaN."""
+    """Return angular velocities (N, 3), rad/s, at states.
+
+    Args:
+        stamps: Timestamps of the states (N,), ns.
+        twist: Angular velocities in the same messages; a state without one has NaN.
+    """
     order = np.argsort(twist.stamps, kind="stable")
     place = np.minimum(np.searchsorted(twist.stamps[order], stamps), len(order) - 1)
     rows = order[place]

@@ -9,7 +9,7 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 def running_products(first: Floats, steps: Floats) -> Floats:
-    """Return first * steps[0] * ... * steps[n] for each n, (N, 4), in log2 N passes.
+    """Return first * steps[0] * ... * steps[n] for n = 0 ... N - 1, (N, 4), in log2 N passes.
 
     Args:
         first: (4,), xyzw.
@@ -26,7 +26,7 @@ def running_products(first: Floats, steps: Floats) -> Floats:
 
 
 def slerp_at(times: Floats, quaternions: Floats, at: Floats) -> Floats:
-    """Return orientations (N, 4) known at rising times (N,), at other times (M,), (M, 4)."""
+    """Interpolate orientations (N, 4) at increasing times (N,) to other times (M,): (M, 4)."""
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
     before = after - 1
     fraction = (at - times[before]) / (times[after] - times[before])
@@ -34,12 +34,12 @@ def slerp_at(times: Floats, quaternions: Floats, at: Floats) -> Floats:
 
 
 def between(start: Floats, end: Floats) -> Floats:
-    """Return the rotations start^-1 end of unit quaternions (N, 4)."""
+    """Return the rotations start^-1 * end of unit quaternions, (N, 4)."""
     return lie.multiply(lie.conjugate(start), end)
 
 
 def angles_deg(quaternions: Floats, axis: Floats | None = None) -> Floats:
-    """Return rotation angles (N,), degrees; about an axis (3,) alone where one is given."""
+    """Return rotation angles (N,), degrees; with an axis (3,) the angles about this axis."""
     if axis is None:
         return np.degrees(lie.angle(quaternions))
     about = 2.0 * np.arctan2(quaternions[:, :3] @ axis, quaternions[:, 3])

@@ -13,14 +13,14 @@ _KEPT_S = 60
 
 
 class SignalHistory:
-    """Keeps the largest value of each signal in each of the latest seconds that had one."""
+    """Keeps the largest value of every signal per second, for the latest seconds with values."""
 
     def __init__(self) -> None:
         """Create it empty."""
         self._seconds: dict[str, deque[tuple[int, float]]] = {}
 
     def add(self, signals: Signals) -> None:
-        """Take new readings."""
+        """Add new readings."""
         for name, (seconds, values) in signals.items():
             kept = self._seconds.setdefault(name, deque(maxlen=_KEPT_S))
             whole = np.floor(seconds).astype(np.int64)
@@ -33,10 +33,10 @@ class SignalHistory:
 
     @property
     def latest(self) -> dict[str, float]:
-        """The largest value in the newest second of each signal, in its unit."""
+        """The largest value in the latest second, by signal, in its unit."""
         return {name: kept[-1][1] for name, kept in self._seconds.items() if kept}
 
     @property
     def by_second(self) -> dict[str, list[tuple[int, float]]]:
-        """Seconds since the watch began and the largest values then, of each signal."""
+        """Seconds since the watch started and the largest value in each, by signal."""
         return {name: list(kept) for name, kept in self._seconds.items()}

@@ -11,7 +11,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats
 
 WINDOWS_S = (1.0, 5.0, 20.0)
-# A second estimate, and what stands before its name where there are several.
+# Source of a second estimate, and the separator before its name if there are several.
 PAIR, _OF = "pair", "."
 _SOURCES = {
     "twist": "twist",
@@ -22,12 +22,12 @@ _SOURCES = {
 
 
 class Signal(NamedTuple):
-    """A quantity that a healthy estimate keeps small.
+    """A quantity that is small for a healthy estimate.
 
     Attributes:
-        name: As in limits, tables and topics.
-        unit: Of its values; "" for ratios.
-        needs: The source it needs beside poses: "", `twist`, `imu`, `pair` or `map`.
+        name: Name in limits, tables and topics.
+        unit: Unit of the values; "" for ratios.
+        needs: The source that it needs in addition to poses: "", `twist`, `imu`, `pair` or `map`.
         floor: Minimum healthy value for a limit, for runs in which the robot is idle.
         least_factor: Minimum ratio of its limit to the healthy value.
         words: Description for messages.
@@ -45,7 +45,7 @@ class Readings(NamedTuple):
     """Values of one signal.
 
     Attributes:
-        seconds: (N,) since the watch began; rising.
+        seconds: (N,), since the watch started; increasing.
         values: (N,), finite, in the signal's unit.
     """
 
@@ -57,7 +57,7 @@ Signals = Mapping[str, Readings]
 
 
 def _windowed(stem: str, needs: str, words: str, windows: tuple[float, ...]) -> list[Signal]:
-    """Return the same signal over several windows; longer ones may drift further."""
+    """Return one signal per window; the floor increases with the window."""
     in_metres = stem.endswith("_m")
     return [
         Signal(
@@ -107,10 +107,10 @@ SIGNAL_NAMED = {signal.name: signal for signal in SIGNALS}
 
 
 def pair_sources(names: Sequence[str]) -> list[str]:
-    """Return the second estimates as sources: one has no name, several have their own.
+    """Return the sources of second estimates: `pair` for one, `pair.NAME` for several.
 
     Args:
-        names: Of the second estimates, of letters, digits and underscores.
+        names: Names of the second estimates: letters, digits and underscores.
 
     Raises:
         SettingsError: Two have the same name.
@@ -138,7 +138,7 @@ def source_of(name: str) -> str:
 
 
 def source_words(source: str) -> str:
-    """Return a source in words: `IMU`, `second estimate`, `second estimate wheel`."""
+    """Return a source for messages: `IMU`, `second estimate`, `second estimate wheel`."""
     kind, _, partner = source.partition(_OF)
     return f"{_SOURCES[kind]} {partner}".rstrip()
 
@@ -150,13 +150,13 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def finite(seconds: Floats, values: Floats) -> Readings:
-    """Return the values that are known."""
+    """Return the readings without values that are not finite."""
     known = np.isfinite(values)
     return Readings(seconds[known], values[known])
 
 
 def joined(parts: list[Signals]) -> dict[str, Readings]:
-    """Return signals that came one after the other as one."""
+    """Concatenate signals that follow each other in time."""
     names = dict.fromkeys(name for part in parts for name in part)
     return {
         name: Readings(

@@ -1,4 +1,4 @@
-"""Whether a body turned about several axes, so that the rotation of another one to it is known."""
+"""Test whether a body rotated about several axes, so that a hand-eye rotation is observable."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 def only_axis(turns: Floats, others: Floats) -> Floats | None:
-    """Return the axis (3,) about which alone a body turned; None if it turned about several.
+    """Return the only axis (3,) about which a body rotated; None if there are several.
 
-    Rotation about other axes may be noise. If it is not, it is in the other source, too, whose
-    noise is independent: the two must correlate, as `calibration.observability` asks of
-    every parameter.
+    Rotations about other axes may be noise. Real rotations are measured by both sources, and
+    their noise is independent. So these rotations must correlate between the sources, by the
+    criterion of `calibration.observability`.
 
     Args:
-        turns: (N, 3), rotation vectors of the body's motion.
-        others: (N, 3), of the same motion by another source, in axes of its own.
+        turns: Rotation vectors of the body, (N, 3), rad.
+        others: Rotation vectors of the same motion by another source, in its own axes, (N, 3).
     """
     axis: Floats = np.linalg.svd(turns, full_matrices=False)[2][0]
     turned = others @ closest_rotation(turns, others).T

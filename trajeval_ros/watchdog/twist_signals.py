@@ -1,4 +1,4 @@
-"""Signals of a pose against its own message's twist: motion of the pose, less the integral."""
+"""Signals of the twist: displacements of the pose minus the integral of the twist."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.signals import WINDOWS_S, Signals, finite
 
 _LAGS_S = np.arange(-0.5, 1.001, 0.025)
-# A smaller one is noise of the search.
+# A smaller lag is within the noise of its estimate.
 _LEAST_LAG_S = 0.03
 _TOLD_LAG_S = 0.05
 _LEAST_SPREAD = 1e-6  # m/s, rad/s
@@ -38,16 +38,16 @@ _PRODUCT, _SQUARE = STATE_WIDTH + 3, STATE_WIDTH + 4
 
 
 class TwistSignals:
-    """Compares displacements with the integral of the twist, by the twist's lag.
+    """Compares displacements with the integral of the twist, corrected for its lag.
 
     Attributes:
-        lag_s: By which the twist is later than the pose.
+        lag_s: Lag of the twist relative to the pose, s.
         notices: Findings at the start, one sentence each.
-        usable: Whether there is anything to compare: a twist in the body's axes.
+        usable: Whether the twist is in the body frame, so that it can be compared.
     """
 
     def __init__(self, before: Floats, period_s: float) -> None:
-        """Find lag and axes.
+        """Estimate the lag, and test in which frame the twist is.
 
         Args:
             before: (N, 15) states before arming, with velocities in the body.
@@ -79,7 +79,7 @@ class TwistSignals:
         return False
 
     def add(self, rows: Floats) -> Signals:
-        """Return the signals at the states that the twist has reached; rows are (N, 15)."""
+        """Add states (N, 15); return the signals at states whose lagging twist has arrived."""
         self._waiting.append(rows)
         waiting = self._waiting.rows
         ready = int(
@@ -104,7 +104,10 @@ class TwistSignals:
         return signals
 
     def _integrate(self, first: int, velocities: Floats) -> None:
-        """Sum up the velocities, by the trapezoidal rule, in the estimate's world."""
+        """Integrate the velocities in the estimate's world frame, by the trapezoidal rule.
+
+        Also fill in the running sums for the scale signal.
+        """
         rows = self._rows.rows
         rows[first:, VELOCITY] = lie.rotate(rows[first:, QUATERNION], velocities)
         begin = max(first - 1, 0)
@@ -143,7 +146,7 @@ class TwistSignals:
 
 
 def _steps_of(states: Floats) -> tuple[Floats, Floats, Indices]:
-    """Return times in the middle of steps, velocities there, and which are without a gap."""
+    """Return the steps without a gap: middle times (M,), velocities (M, 3) and indices (M,)."""
     dt = np.diff(states[:, TIME])
     whole = states[1:, SINCE] <= states[:-1, TIME]
     velocity = np.diff(states[:, POSITION], axis=0)[whole] / dt[whole, None]
@@ -152,10 +155,10 @@ def _steps_of(states: Floats) -> tuple[Floats, Floats, Indices]:
 
 
 def _lag_of(states: Floats) -> float:
-    """Return how much later than the pose the twist is, s: where speeds and turn rates fit best.
+    """Return the lag of the twist, s, at which speeds and turn rates agree best.
 
-    Each counts by the spread of its difference over its own spread, so that a speed that is kept
-    says little.
+    The cost is the standard deviation of the difference divided by that of the quantity itself,
+    summed over both. A constant speed, which does not depend on the lag, then has little effect.
     """
     middle, velocity, rows = _steps_of(states)
     dt = (states[1:, TIME] - states[:-1, TIME])[rows]
@@ -175,7 +178,7 @@ def _lag_of(states: Floats) -> float:
 
 
 def _misfit(states: Floats, velocities: Floats, lag_s: float) -> float:
-    """Return the median difference of the poses' velocities and the twist's, m/s."""
+    """Return the median difference between velocities of the poses and of the twist, m/s."""
     middle, velocity, rows = _steps_of(states)
     told = interpolated(states[:, TIME], velocities, middle + lag_s)
     in_world = lie.rotate(states[rows, QUATERNION], told)

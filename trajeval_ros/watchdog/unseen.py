@@ -17,8 +17,8 @@ def unseen(
 
     Args:
         needs: The sources that were given: `twist`, `imu`, `pair`, `pair.NAME`, `map`.
-        there: The sources that gave signals.
-        notices: Findings about the sources, which may explain why one gave none.
+        there: The sources with signals.
+        notices: Findings about the sources. A source that they name has no further sentence.
     """
     if "twist" not in needs:
         yield "no twist: disagreement of pose and velocity is not detected"
