@@ -23,7 +23,8 @@ app = typer.Typer(
 )
 
 _COMPLETION = "_TRAJEVAL_COMPLETE"
-# click's class of usage errors, which newer typer bundles and older typer imports.
+# click's class of usage errors: newer versions of typer contain a copy of click, older ones import
+# it.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 

@@ -1,4 +1,4 @@
-"""`trajeval compare`: algorithms x sequences x trials, and today against yesterday."""
+"""`trajeval compare`: algorithms x sequences x trials, and tests against a baseline."""
 
 from __future__ import annotations
 
@@ -283,7 +283,7 @@ def compare(
             allow_remote=allow_remote or (),
         )
         settings = plan.settings
-    # Read before anything is written: it may be the table of the same folder.
+    # The baseline may be the table in the output folder, so it is read before anything is written.
     gates = gating.gates_of(
         baseline, fail_if or [], undecided, false_alarms, settings, paired=paired
     )

@@ -1,4 +1,4 @@
-"""The last lines of `trajeval compare`: what was evaluated, fetched and failed."""
+"""The last lines of `trajeval compare`: evaluated runs, downloaded bytes and failures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def print_shard(shard: Shard, progress: Progress, folder: Path, *, quiet: bool) -> None:
-    """Print what a shard evaluated, and on stderr how many runs failed."""
+    """Print the number of evaluated runs of a shard, and on stderr the number of failed ones."""
     if progress.failed:
         print(
             f"warning: {progress.failed} of {progress.total} runs of shard {shard} failed; the "
@@ -32,7 +32,7 @@ def print_shard(shard: Shard, progress: Progress, folder: Path, *, quiet: bool) 
 
 
 def print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
-    """Print the tables and what was evaluated, and on stderr the runs that failed."""
+    """Print the tables and the number of evaluated runs, and on stderr the failed runs."""
     from trajeval_ros.batch.comparison_summary import failures
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import matrices

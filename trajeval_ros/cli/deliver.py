@@ -42,17 +42,22 @@ def deliver(
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     Args:
-        outcome: What was found.
-        requirements: To hold for every run.
-        json: File for the result, `-` for stdout.
-        output: Folder for everything.
-        quiet: Print nothing.
-        pictures: For Rerun.
-        mcap: File for the errors as ROS 2 messages.
-        look: Of the figures in the folder.
+        outcome: The evaluated runs.
+        requirements: Requirements that every run must meet.
+        json: File for result.json, `-` for stdout; None for no file.
+        output: Folder for the result, errors and figures; None for no folder.
+        quiet: Whether to print only missing data and unmet requirements.
+        pictures: Output for Rerun.
+        mcap: File for the errors as ROS 2 messages; None for no file.
+        look: Style of the figures in the folder.
+
+    Raises:
+        InputError: A file can't be written.
+        SettingsError: A requirement names a number that the result does not have.
+        typer.Exit: A requirement is not met.
     """
     result, runs = result_of(outcome), outcome.runs
-    # A requirement that names nothing is a mistake to be told before anything is written.
+    # A requirement with an unknown name is an error; it is raised before anything is written.
     lengths = result["provenance"]["settings"]["lengths"]
     unmet = [
         f"{run['estimate']['name']}: {why}"
@@ -107,7 +112,7 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
     inputs = [str(parse_source(source).path) for source in sources]
     for output in filter(None, outputs):
         for path in inputs:
-            with contextlib.suppress(OSError):  # a URL, or nothing there yet
+            with contextlib.suppress(OSError):  # a URL, or a file that does not exist
                 if output.samefile(path):
                     raise InputError(f"output {output} is also an input; choose another output")
 
@@ -176,7 +181,7 @@ def _print(outcome: Outcome, output: Path | None) -> None:
                 f"note: {trajectory.name}: {'; '.join(trajectory.notes)}", soft_wrap=True
             )
     for run in runs:
-        told = {each.text for each in run.diagnosis.findings}  # under the headline
+        told = {each.text for each in run.diagnosis.findings}  # printed below the headline
         for warning in run.evaluation.warnings:
             if warning not in told:
                 remarks.print(f"warning: {run.estimate.name}: {warning}", soft_wrap=True)

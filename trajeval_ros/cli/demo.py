@@ -23,7 +23,7 @@ from trajeval_ros.viewer.sdk import is_installed as has_rerun
 
 _MODALITY = "stereo-inertial"
 _RATE = 5
-_PATIENCE_S = 600  # for nodes to find each other, and for the last figures
+_PATIENCE_S = 600  # timeout for discovery of the nodes, and for the end of the evaluator
 _INTERRUPTED = 130
 _COMPARED: dict[str, tuple[str | int, ...]] = {
     "pairs": ("association", "pairs"),
@@ -96,10 +96,10 @@ def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
 
 
 def _evaluate_live(bag: Path, output: Path) -> None:
-    """Replay the bag to the live evaluator, and end that in order.
+    """Replay the bag to the live evaluator, and stop the evaluator with Ctrl-C.
 
     Raises:
-        InputError: The evaluator fails, or doesn't end.
+        InputError: The replay or the evaluator fails, or the evaluator does not end.
     """
     node = _begin(
         "evaluator", "--ros-args",
@@ -110,9 +110,9 @@ def _evaluate_live(bag: Path, output: Path) -> None:
         "-p", f"rerun:={'file' if has_rerun() else 'none'}",
     )  # fmt: skip
     try:
-        # Without its own lines: those of the node are enough.
+        # The output of the replay is hidden; the output of the evaluator is shown.
         waiting = ("--wait-for-subscribers", str(_PATIENCE_S))
-        # Nobody listens to the flight's IMU.
+        # The IMU topic has no subscriber, and the replay waits for subscribers.
         topics = ("--topic", GROUNDTRUTH_TOPIC, "--topic", ESTIMATE_TOPIC)
         _quietly("replay", str(bag), "--rate", str(_RATE), *waiting, *topics)
         node.send_signal(signal.SIGINT)
@@ -136,20 +136,20 @@ def _evaluate(bag: Path, output: Path, *options: str) -> None:
 
 
 def _judge(bag: Path, output: Path) -> None:
-    """Evaluate an estimator that states covariances, those included."""
+    """Evaluate an estimator with covariances, and their consistency."""
     _quietly("simulate", str(bag), "--profile", "euroc", "--duration", "30", "--overwrite")
     _evaluate(bag, output, "--covariance", f"{bag}.npz", "--lengths", "none")
 
 
 def _compare(live: Path, recorded: Path) -> None:
-    """Print numbers of both results side by side, and why they differ if they do."""
+    """Print the numbers of both results, and the reason of a difference."""
     results = [json.loads(each.read_text(encoding="utf-8")) for each in (live, recorded)]
     for line in comparison(*results):
         print(line)
 
 
 def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
-    """Return lines that compare two results of the same bag, and say why they differ.
+    """Return lines that compare two results of the same bag, with the reason of a difference.
 
     Args:
         live: Result of the live evaluator.
@@ -189,7 +189,10 @@ def _row(label: str, values: list[float]) -> str:
 
 
 def _agree(one: float, other: float) -> bool:
-    """Return whether two numbers are the same but for the order of sums: 1e-9, as documented."""
+    """Return whether two numbers agree to 1e-9, the documented tolerance.
+
+    Sums in another order differ by less.
+    """
     return abs(one - other) <= 1e-9 * max(abs(one), abs(other))
 
 
@@ -202,7 +205,7 @@ def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
 
 
 def _draw(recording: Path, png: Path) -> str:
-    """Draw the picture; returns why there is none, empty if there is one."""
+    """Draw the picture; return the reason if that is not possible, else ""."""
     if not has_rerun():
         return f"rerun-sdk is not installed: {extra_command('rerun')}"
     if not recording.exists():
@@ -217,7 +220,7 @@ def _draw(recording: Path, png: Path) -> str:
 
 
 def _tell(shown: Path, picture: Path, why_none: str) -> None:
-    """Print where everything is, and what to type next."""
+    """Print the paths of the results and the next command."""
     from trajeval_ros.viewer.show import has_display
 
     recording, report, figure = shown / PICTURE, shown / "result.json", shown / _FIGURE
@@ -233,7 +236,7 @@ def _tell(shown: Path, picture: Path, why_none: str) -> None:
 
 
 def _command() -> str:
-    """Return what to type for `trajeval`."""
+    """Return the command that runs `trajeval` from here."""
     beside = Path(sys.executable).with_name("trajeval")
     if not beside.exists():
         return f"{_quoted(Path(sys.executable))} -m trajeval_ros"
@@ -242,7 +245,7 @@ def _command() -> str:
 
 
 def _near(path: Path) -> str:
-    """Return a path as it is shortest from here."""
+    """Return a path relative to the current folder if it is in it."""
     here = Path.cwd()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
@@ -261,7 +264,7 @@ def _run(*arguments: str) -> None:
 
 
 def _quietly(*arguments: str) -> str:
-    """Run a verb, and return what it would print.
+    """Run a verb without output, and return its stdout.
 
     Raises:
         InputError: It fails.
@@ -285,11 +288,11 @@ def _refuse(arguments: tuple[str, ...], status: int) -> None:
 
 
 def _begin(*arguments: str, **options: Any) -> subprocess.Popen[Any]:
-    """Start a verb in a process of its own."""
+    """Start a verb in a new process."""
     sys.stdout.flush()
     return subprocess.Popen([sys.executable, "-m", "trajeval_ros", *arguments], **options)
 
 
 def _heading(words: str) -> None:
-    """Print a line that stands out."""
+    """Print a heading."""
     print(f"\n--- {words}", flush=True)

@@ -81,7 +81,7 @@ def diagnose(
 
 
 def _of(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> tuple[Diagnosis, str]:
-    """Return the diagnosis, and why there is no evaluation, if there is none."""
+    """Return the diagnosis, and the reason if an evaluation is not possible, else ""."""
     try:
         evaluation = evaluate(truth, estimate, protocol)
     except TrajevalError as error:

@@ -285,10 +285,10 @@ def trajectory(
         FigureStyle.parse(figure_format, figure_width, style, has_titles=True),
     )
     if save_as is not None:
-        files_of(output, ["any"], save_as)  # a format that is none is told before reading
+        files_of(output, ["any"], save_as)  # raises an error for an unknown format before reading
     hints = TextHints.of(columns, frame_rate)
     wanted = [each for source in sources for each in each_topic(source)]
-    # In one call, which opens a bag once for all that is in it.
+    # One call reads all sources of a bag in one pass.
     others = [] if reference is None else [reference]
     names = [*names_of(wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
@@ -310,10 +310,10 @@ def trajectory(
 
 
 def parse_motion(text: str) -> tuple[float, float]:
-    """Read "0.1,5": metres and degrees, and return metres and radians.
+    """Parse "0.1,5", metres and degrees; return metres and radians.
 
     Raises:
-        SettingsError: It isn't two numbers.
+        SettingsError: The text is not two numbers.
     """
     try:
         distance_m, angle_deg = (float(part) for part in text.split(","))
@@ -333,7 +333,7 @@ def _read(
 
 
 def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
-    """Return what is shown and saved: trajectories, and the reference's states in their rows."""
+    """Return the trajectories to print and save, with the references of synchronised ones."""
     found: list[Trajectory] = []
     for each in edited:
         found.append(each.trajectory)
@@ -374,7 +374,7 @@ def _row(trajectory: Trajectory) -> tuple[str, ...]:
 
 
 def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool) -> None:
-    """Print notes and warnings on stderr; with `quiet` only those about missing data."""
+    """Print notes and warnings on stderr; with `quiet` only warnings of missing data."""
     from trajeval_ros.report.console import console
 
     remarks = console(sys.stderr)

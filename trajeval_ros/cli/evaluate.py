@@ -229,7 +229,7 @@ def _sources(by_position: list[str], groundtruth: str | None, estimates: list[st
     """Return the groundtruth and the estimates, from arguments or options.
 
     Raises:
-        SettingsError: They were named in two ways, or one is missing.
+        SettingsError: They are given as arguments and as options, or one is missing.
     """
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(

@@ -75,7 +75,7 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         (folder / _RESULT).unlink(missing_ok=True)
         # Remove files of an earlier evaluation.
         (folder / TABLE).unlink(missing_ok=True)
-        if not any(folder.glob(f"*{SUFFIX}")):  # that of a live run was drawn by the node
+        if not any(folder.glob(f"*{SUFFIX}")):  # in the folder of a live run, the node wrote it
             (folder / PICTURE).unlink(missing_ok=True)
         for old in folder.iterdir():
             if _OURS.fullmatch(old.name):

@@ -1,6 +1,6 @@
 """`ros2 run trajeval_ros evaluator` on machines with only the ROS packages.
 
-Ubuntu's package of typer is too old or missing. The program of the node does not need it: it takes
+Ubuntu's package of typer is too old or missing. This program does not import typer, because it has
 only ROS arguments and `--help`.
 """
 
@@ -20,7 +20,7 @@ def evaluator_main(arguments: Sequence[str]) -> int:
 
 
 def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return a program's own arguments, and those from `--ros-args` on, which are ROS's."""
+    """Return the arguments before `--ros-args`, and the ROS arguments from there on."""
     words = list(arguments)
     cut = words.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in words else len(words)
     return words[:cut], words[cut:]

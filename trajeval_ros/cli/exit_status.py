@@ -1,6 +1,6 @@
-"""How programs end: with a status, and one line instead of a traceback for a user's mistake.
+"""Exit status of programs, and errors as one line instead of a traceback.
 
-The library of the command line isn't imported: the node starts without it.
+This module does not import typer, because the live evaluator runs without it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,13 @@ INTERRUPTED = 130
 def exit_status(work: Callable[[], int | None]) -> int:
     """Run a program and return its exit status.
 
+    The status is 2 after an error of the input or of a file, and 130 after Ctrl-C.
+
     Args:
-        work: Does it, and returns a status or None for 0.
+        work: The program. It returns its status, or None for 0.
     """
     if sys.stdout is None:  # closed, as by `>&-`
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - till the end
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until exit
     status = None
     try:
         with may_break():
@@ -36,7 +38,7 @@ def exit_status(work: Callable[[], int | None]) -> int:
         return _fail(f"{where}{reason_of(error)}")
     except KeyboardInterrupt:
         status = INTERRUPTED
-    if status == INTERRUPTED:  # or so says the command line's library, which catches Ctrl-C itself
+    if status == INTERRUPTED:  # also returned by `cli.app`, because typer catches Ctrl-C
         print("trajeval: interrupted", file=sys.stderr)
     return status or 0
 

@@ -68,11 +68,11 @@ class Gates:
     """Gates and their baseline.
 
     Attributes:
-        gates: What may not get worse.
-        baseline: The older comparison.
-        undecided_fails: Whether the exit status asks for evidence that nothing got worse.
-        false_alarms: Chance of an alarm without a change.
-        paired: Whether trials of a name share a seed.
+        gates: The gates.
+        baseline: Values of the older comparison.
+        undecided_fails: Whether an inconclusive verdict causes exit status 1.
+        false_alarms: Probability of a false alarm.
+        paired: Whether trials of the same name have the same seed.
     """
 
     gates: list[Gate]
@@ -91,7 +91,20 @@ def gates_of(
     *,
     paired: bool,
 ) -> Gates | None:
-    """Return the gates and their baseline; refuse comparisons that are not possible."""
+    """Return the gates and their baseline; None without gates.
+
+    Args:
+        path: Table of the baseline.
+        texts: Gates in the notation of the command line.
+        undecided: `pass` or `fail`: the result of an inconclusive verdict.
+        false_alarms: Probability of a false alarm, percent.
+        settings: Settings of this comparison.
+        paired: Whether trials of the same name have the same seed.
+
+    Raises:
+        InputError: The baseline can't be read, or its settings differ.
+        SettingsError: An option is not valid or is missing.
+    """
     from trajeval_ros.batch.gate import Gate
     from trajeval_ros.batch.gate_values import GateValues, require_same_settings
     from trajeval_ros.batch.results_table import ResultsTable
@@ -123,7 +136,7 @@ def gates_of(
 
 
 def judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
-    """Write and print the verdicts; exit with status 1 if something is worse."""
+    """Write and print the verdicts; exit with status 1 if the gates fail."""
     from trajeval_ros.batch import gates
     from trajeval_ros.batch.finished_comparison import GATES as GATES_FILE
     from trajeval_ros.batch.finished_comparison import GATES_JSON, RUNS

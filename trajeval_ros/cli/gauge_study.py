@@ -202,7 +202,7 @@ def _bias_noise(words: str) -> BiasNoise:
 
 
 def _numbers(option: str, words: str, example: str) -> list[float]:
-    """Return as many numbers above zero as the example has."""
+    """Parse positive numbers; the example states their number."""
     count = len(example.split(","))
     try:
         values = [float(word) for word in words.split(",")]
@@ -214,7 +214,7 @@ def _numbers(option: str, words: str, example: str) -> list[float]:
 
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:
-    """Return the configuration's name and what was found of it; "" and None without a folder."""
+    """Return the name and the examination of measured tracks; "" and None without a folder."""
     from trajeval_ros.io.tracks.tracks_folder import read_tracks_folder
     from trajeval_ros.visual_inertial.examination import examine
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Row = tuple[str, ...]
 _COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "frame", "likely role")
-# What a narrow terminal doesn't show of several topics; that of one shows all.
+# Columns that are omitted on a narrow terminal, in this order. A single topic has all of them.
 _LEFT_OUT_FIRST = ("last s", "first s", "frame", "path m", "type")
 
 
@@ -96,10 +96,10 @@ def info(
 
 
 def _list_folder(folder: Path) -> None:
-    """Print the sources in a folder, and what was skipped.
+    """Print the sources in a folder, and the skipped files.
 
     Raises:
-        InputError: There is none.
+        InputError: The folder has no source.
     """
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.io.find_sources import find_sources
@@ -165,7 +165,7 @@ def _details(summary: TrajectorySummary) -> list[Row]:
 
 
 def _gaps(summary: TrajectorySummary) -> str:
-    """Return how many gaps there are, and the longest."""
+    """Return the number of gaps and the longest gap."""
     return f"{summary.gaps}, longest {summary.longest_gap_s:.2f} s" if summary.gaps else "none"
 
 
@@ -175,7 +175,7 @@ def _frames(summary: TrajectorySummary) -> str:
 
 
 def _seconds(stamp: int) -> str:
-    """Return a stamp in seconds, cut to milliseconds."""
+    """Return a timestamp in seconds, truncated to milliseconds."""
     sign = "-" if stamp < 0 else ""
     whole, rest = divmod(abs(stamp), NANOSECONDS)
     return f"{sign}{whole}.{rest // 1_000_000:03d}"

@@ -1,4 +1,4 @@
-"""The pictures for Rerun that a verb writes and shows beside its other files."""
+"""Recordings for Rerun's viewer that a verb writes or shows."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ PICTURE = "run.rrd"
 
 @dataclass(frozen=True)
 class Pictures:
-    """What is to be made of it.
+    """The requested output for Rerun's viewer.
 
     Attributes:
-        rrd: A file; None for none.
-        viewer: Whether to show it.
+        rrd: File to write; None for no file.
+        viewer: Whether to open the viewer.
     """
 
     rrd: Path | None = None
     viewer: bool = False
 
     def check(self) -> None:
-        """Refuse what can't be done, before anything is computed or written.
+        """Check that rerun-sdk is installed if it is needed, before anything is computed.
 
         Raises:
             InputError: rerun-sdk is needed and not installed.
@@ -35,12 +35,12 @@ class Pictures:
             sdk()
 
     def write(self, runs: Sequence[RunOutcome]) -> None:
-        """Write the file that was asked for by name."""
+        """Write the file if one is requested."""
         if self.rrd is not None:
             _write(self.rrd, runs)
 
     def show(self, runs: Sequence[RunOutcome]) -> None:
-        """Show it if that was asked for, and wait until the viewer is closed."""
+        """Open the viewer if requested, and wait until it is closed."""
         if not self.viewer:
             return
         from trajeval_ros.viewer.show import show

@@ -1,4 +1,4 @@
-"""Output that nobody reads to its end."""
+"""Output to a pipe that its reader closes early."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from contextlib import contextmanager
 
 @contextmanager
 def may_break() -> Iterator[None]:
-    """Print in the block, and go on where whoever reads has seen enough, as `head` does.
+    """Continue after the block if the reader of its output closes the pipe, as `head` does.
 
-    What is said on stderr may end there as well, as with `2>&1 | head`.
+    Then stdout, and stderr if it has the same reader (`2>&1 | head`), are redirected to /dev/null.
     """
     try:
         yield
         sys.stdout.flush()
     except (BrokenPipeError, SystemExit) as error:
-        # rich, which prints tables and help, makes the one into the other.
+        # rich, which prints tables and help, raises SystemExit after a BrokenPipeError.
         if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
             raise
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -57,13 +57,13 @@ MapBoundsOption = Annotated[
 
 @dataclass(frozen=True, eq=False)
 class Plotting:
-    """What to draw.
+    """The requested figures.
 
     Attributes:
-        kinds: Of `PLOTS`; none for no figures.
-        colour_by: What paths are coloured by; None for a colour each.
-        ground: What lies below; None for nothing.
-        style: Formats and look.
+        kinds: Names of figures in `PLOTS`; empty for no figures.
+        colour_by: Quantity for the colour along paths; None for one colour per trajectory.
+        ground: Map below the paths; None for no map.
+        style: File formats and style.
     """
 
     kinds: tuple[str, ...]
@@ -80,10 +80,10 @@ class Plotting:
         map_bounds: str | None,
         style: FigureStyle,
     ) -> Plotting:
-        """Read what was said, and the map.
+        """Parse the options and read the map.
 
         Raises:
-            SettingsError: It can't be meant.
+            SettingsError: An option is not valid.
             InputError: The map or the style sheet can't be read.
         """
         more = (colour_by, map_file, map_bounds)
@@ -108,7 +108,7 @@ class Plotting:
     def write(
         self, folder: Path, trajectories: Sequence[Trajectory], reference: Trajectory | None
     ) -> list[Path]:
-        """Draw into a folder; what exists there is never overwritten.
+        """Draw the figures into a folder, and return their files. Files are never overwritten.
 
         Raises:
             InputError: A file exists or can't be written, or a figure can't be drawn.

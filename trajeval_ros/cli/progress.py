@@ -16,7 +16,7 @@ PATIENCE_S = 1.0
 
 @contextmanager
 def progress(description: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function `advance(done, total)`; silent in a pipe and for quick work."""
+    """Yield a function `advance(done, total)`; it prints nothing in a pipe or for quick work."""
     if not sys.stderr.isatty():
         yield _ignore
         return
@@ -43,7 +43,7 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def progress_of_runs() -> Iterator[Callable[[RunProgress], None]]:
-    """Yield a function that shows how many runs are done, have failed and are in progress."""
+    """Yield a function that shows the numbers of finished, failed and running evaluations."""
     if not sys.stderr.isatty():
         yield lambda progress: None
         return

@@ -25,14 +25,14 @@ RECEIVERS = ("rtk", "consumer")
 IMU_TOPIC = "/imu"
 _DRIFT = "drift"
 _FAULTS = ("yaw", "jump", "freeze", "divergence")
-# What a marker differs by from the body that it is on: m, rad, s.
+# Lever arm (m), rotation (rad) and time offset (s) of the marker relative to the body.
 _LEVER_M = (0.1, -0.05, 0.2)
 _TURN = (0.6, -1.0, 1.5)
 _AHEAD_S = 0.1
 
 
 class Storage(str, Enum):
-    """The storage plugins of rosbag2 that a bag can be written with."""
+    """The storage plugins of rosbag2 for the bag."""
 
     MCAP = "mcap"
     SQLITE3 = "sqlite3"
@@ -170,7 +170,7 @@ def _write_runs(
     *,
     overwrite: bool,
 ) -> None:
-    """Write runs of the estimator: a bag and a joint covariance each."""
+    """Write runs of the estimator: one bag and one joint covariance per run."""
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.consistency.joint_covariance import JointCovariance
     from trajeval_ros.io.bags.write_bag import write_bag
@@ -228,7 +228,7 @@ def _write_runs(
 
 
 def _covariance_of(bag: Path) -> Path:
-    """Return where the joint covariance of a bag's odometry is."""
+    """Return the file with the joint covariance of a bag's odometry."""
     return bag.with_name(f"{bag.name}.npz")
 
 
@@ -292,7 +292,7 @@ def _write_drift(
 
 
 def _with_fault(estimate: Trajectory, fault: str, seed: int) -> tuple[Trajectory, str]:
-    """Return the estimate with a fault after two thirds of the time, and words about it."""
+    """Return the estimate with a fault after two thirds of the time, and its description."""
     import numpy as np
 
     from trajeval_ros.visual_inertial.odometry_faults import FAULTS
@@ -305,7 +305,7 @@ def _with_fault(estimate: Trajectory, fault: str, seed: int) -> tuple[Trajectory
 
 
 def _marked(groundtruth: Trajectory) -> Trajectory:
-    """Return groundtruth of the body as a motion capture system sees it."""
+    """Return the groundtruth of a marker on the body, in the clock of a motion capture system."""
     import numpy as np
 
     from trajeval_ros.geometry.marker import HandEye
@@ -322,7 +322,7 @@ def _say(
     options: str = "",
     measured_by: str = GROUNDTRUTH_TOPIC,
 ) -> None:
-    """Print what was written, and what to do with it."""
+    """Print the written bags and the next command."""
     what = "a drive" if measured_by == FIX_TOPIC else "flight"
     names = f"{bags[0]} to {bags[-1]}" if len(bags) > 1 else str(bags[0])
     print(
@@ -338,7 +338,7 @@ def _say(
 
 
 def _make_way(output: Path, *, overwrite: bool) -> None:
-    """Remove an earlier simulation's bag if asked to, and nothing else ever."""
+    """Remove the bag of an earlier simulation if `overwrite` is set; never remove other files."""
     if not output.exists() and not output.is_symlink():
         return
     if not overwrite:
@@ -348,13 +348,17 @@ def _make_way(output: Path, *, overwrite: bool) -> None:
             f"{output} is not a bag from trajeval simulate and is not overwritten; choose another "
             "folder"
         )
-    # A kill must not leave half of it, which nobody would take for a simulation's.
+    # After a kill, a partly removed bag would not be recognised as a simulation.
     with temporary_folder(output.name, output.parent) as going:
         output.rename(going / output.name)
 
 
 def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
-    """Refuse to replace a file beside a bag, unless asked to and it is a joint covariance."""
+    """Check that a file may be replaced: `overwrite` is set, and it is a joint covariance.
+
+    Raises:
+        InputError: It exists and may not be replaced.
+    """
     from trajeval_ros.io.requests.covariance_file import read_joint_covariance
 
     if not file.exists() and not file.is_symlink():
@@ -371,7 +375,7 @@ def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
 
 
 def is_simulated(folder: Path) -> bool:
-    """Whether a folder holds a bag with the simulated topics alone, and no other file."""
+    """Return whether a folder contains a bag with only the simulated topics, and no other file."""
     metadata = folder / "metadata.yaml"
     if folder.is_symlink() or not metadata.is_file():
         return False

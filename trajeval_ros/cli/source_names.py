@@ -1,4 +1,4 @@
-"""Short names for the sources that a user named."""
+"""Short, unique names for sources."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from trajeval_ros.io.sources import STDIN
 
 
 def names_of(sources: Sequence[str]) -> list[str]:
-    """Return a short name for each source, told apart by as many folders as it takes.
+    """Return a unique short name per source, with as few parent folders as possible.
 
-    Topics are called as the live evaluator calls them.
+    Topics have the same names as in the live evaluator.
     """
     parts = [_parts(source) for source in sources]
     depth = 1

@@ -1,4 +1,4 @@
-"""How the verbs and their options are read and shown: a flag takes no value, so has no type."""
+"""Classes of the verbs: the help of flags, and ROS arguments."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class VerbCommand(TyperCommand):
 
 
 class RosCommand(VerbCommand):
-    """A verb that hands what follows `--ros-args` to ROS, as `ros2 run` has it."""
+    """A verb that passes the arguments after `--ros-args` to ROS, as with `ros2 run`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Keep the ROS arguments in the context; the others are the verb's."""
+        """Store the ROS arguments in the context, and parse the others."""
         own, ctx.obj = split_ros_arguments(args)
         return super().parse_args(ctx, own)
 
 
 def without_types_of_flags(parameters: list[Any]) -> list[Any]:
-    """Newer typer shows `<bool>` behind each flag, as if one were to be typed."""
+    """Return the parameters without the `<bool>` that newer versions of typer add to flags."""
     for each in parameters:
         if getattr(each, "is_flag", False):
             each.metavar = ""

@@ -1,4 +1,4 @@
-"""The verbs. Each is imported when it is asked for: none waits for the libraries of another."""
+"""The verbs. A verb is imported only if it is requested, because its libraries load slowly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typer.main import get_command
 
 from trajeval_ros.cli.verb_classes import RosCommand, VerbCommand, without_types_of_flags
 
-# By name, in the order of the help: the file whose function of that name it is, and its class.
+# Verbs in the order of the help: module of `cli` with a function of the verb's name, and class.
 VERBS: dict[str, tuple[str, type[VerbCommand]]] = {
     "compare": ("compare", VerbCommand),
     "evaluate": ("evaluate", VerbCommand),
@@ -34,7 +34,7 @@ MARKUP: Final = "markdown"
 
 @cache
 def verb(name: str) -> Any:
-    """Import a verb of the table, and return its command."""
+    """Import a verb of `VERBS` and return its command."""
     file, command_class = VERBS[name]
     function = getattr(import_module(f"trajeval_ros.cli.{file}"), name.replace("-", "_"))
     alone = typer.Typer(add_completion=False, rich_markup_mode=MARKUP)
@@ -47,7 +47,7 @@ class VerbGroup(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        # The names are what a misspelt one is compared with; `get_command` has the verbs.
+        # click suggests names from this dictionary for a misspelt one; `get_command` imports.
         self.commands: Any = dict.fromkeys(VERBS)
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
@@ -55,9 +55,9 @@ class VerbGroup(TyperGroup):
         return list(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
-        """Return a verb; None if there is none of that name."""
+        """Return the verb of a name; None if there is none."""
         return verb(cmd_name) if cmd_name in VERBS else None
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters before the verb."""
+        """Return the parameters of the program, which precede the verb."""
         return without_types_of_flags(super().get_params(ctx))

@@ -149,7 +149,7 @@ def watch(
     if rrd is not None:
         from trajeval_ros.viewer.sdk import sdk
 
-        sdk()  # refuses at once where there is none
+        sdk()  # raises at once if it is not installed
     refuse_inputs([learn, figure, rrd, None if json in (None, "-") else Path(json)], sources)
     if is_clip(estimate):
         if len(sources) > 1 or learn is not None or limits is not None:
@@ -214,7 +214,7 @@ def _of_clip(
 
 
 def _check_limits(learn: Path | None, limits: Path | None, groundtruth: str | None) -> None:
-    """Refuse options that contradict each other, before anything is read."""
+    """Raise SettingsError if options contradict each other, before anything is read."""
     if (learn is None) == (limits is None):
         raise SettingsError(
             "watch needs limits of the same robot and estimator; give either --limits FILE, or "
@@ -225,7 +225,7 @@ def _check_limits(learn: Path | None, limits: Path | None, groundtruth: str | No
 
 
 def _check(factor: float | None, fail_on: str | None) -> None:
-    """Refuse values that are not valid."""
+    """Raise SettingsError if a value is not valid."""
     if factor is not None and not 1.0 <= factor < float("inf"):
         raise SettingsError(f"--factor must be at least 1, not {factor:g}")
     if fail_on is not None and fail_on not in _FAILS:
@@ -235,7 +235,7 @@ def _check(factor: float | None, fail_on: str | None) -> None:
 def _named_sources(
     estimate: str, imu: str | None, partners: Sequence[str], corrections: str | None
 ) -> dict[str, str]:
-    """Return the given sources, by their names in limits.
+    """Return the given sources by their names in limit files.
 
     Raises:
         SettingsError: Two second estimates have the same name.
@@ -273,10 +273,10 @@ def _read(
 
 
 def _require_healthy(truth: Trajectory, estimate: Trajectory) -> None:
-    """Refuse a run to learn from whose relative errors of 1 s are large.
+    """Check that the relative errors over 1 s of a run to learn from are small.
 
     Raises:
-        InputError: They are.
+        InputError: They are too large.
     """
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.pipeline.pipeline import evaluate
