@@ -1,1 +1,1 @@
-"""What is shown in Rerun: the only subpackage that imports `rerun`."""
+"""Output for Rerun's viewer. Only this subpackage imports `rerun`."""

@@ -41,9 +41,9 @@ _ON_MAP = 2.0
 def declare(
     recording: Any, estimates: Sequence[EstimateEntities], gauge: Gauge, up: UpAxis
 ) -> None:
-    """Log once how everything looks, in a world in which this axis is up.
+    """Log the styles of all entities, and the up axis of the world.
 
-    Entities that only some runs have are declared with their data, since each costs a kilobyte.
+    A style takes a kilobyte, so entities that only some runs have are declared with their data.
     """
     rerun, _ = sdk()
     way = "DOWN" if up.name.startswith("-") else "UP"
@@ -56,7 +56,7 @@ def declare(
     )
     for each in estimates:
         _declare_path(recording, each.path, each.colour, 1.0 if len(estimates) == 1 else 1.6)
-        # Of several that are close their names would lie on each other; the legend has them.
+        # Labels of several estimates overlap; their names are in the legend.
         label = each.name if len(estimates) == 1 else ""
         looks = marker(np.zeros(3), each.colour, label), rerun.TransformAxes3D(_AXES_M)
         recording.log(each.pose, *looks, static=True)
@@ -69,13 +69,13 @@ def declare(
 
 
 def declare_revised(recording: Any, estimate: EstimateEntities) -> None:
-    """Log once how the error of a path's newest version looks."""
+    """Log the style of the error of a path's newest version."""
     label = f"{estimate.name}, ATE of the revised path"
     _series(recording, estimate.metric(REVISED_ATE_POSITION), label, _pale(estimate.colour))
 
 
 def declare_length(recording: Any, estimate: EstimateEntities, length: str, place: int) -> None:
-    """Log once how the relative error of a length looks: the longer, the brighter."""
+    """Log the style of the relative error of a length: longer lengths are brighter."""
     shade = 0.45 + 0.55 * min(place, 4) / 4.0
     colour = tuple(round(shade * each) for each in estimate.colour)
     _series(
@@ -87,7 +87,7 @@ def declare_length(recording: Any, estimate: EstimateEntities, length: str, plac
 
 
 def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
-    """Log once how errors and their uncertainty look."""
+    """Log the styles of errors and their uncertainty."""
     rerun, _ = sdk()
     name, colour = estimate.name, estimate.colour
     _declare_ellipsoids(recording, estimate.uncertainty, colour)
@@ -104,7 +104,7 @@ def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
 
 
 def declare_map(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
-    """Log once how fixes and estimates look on the map."""
+    """Log the styles of fixes and estimates on the map."""
     rerun, _ = sdk()
     radii = [rerun.Radius.ui_points(_ON_MAP)]
     recording.log(MAP_FIXES, rerun.GeoPoints.from_fields(radii=radii), static=True)

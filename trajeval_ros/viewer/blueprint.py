@@ -31,8 +31,8 @@ def blueprint(
     Args:
         estimates: Entities of the estimates.
         gauge: Gauge of the alignments.
-        is_live: Whether data arrive during the display.
-        has_consistency: Whether errors are drawn with their bands.
+        is_live: Whether data arrive while the viewer is open.
+        has_consistency: Whether errors are drawn with bands of three standard deviations.
         has_map: Whether latitudes and longitudes are known.
         bounds: Smallest and largest coordinates (3,), (3,) of all paths, if known.
     """
@@ -131,7 +131,7 @@ def _space(
     overrides: dict[str, list[Any]] = {each: [until_now()] for each in growing}
     if len(estimates) > _MOST_COLOURED:
         hidden = [each.by_error for each in estimates]
-    else:  # live, the colours come later than the path
+    else:  # live, colours are drawn later than the path
         hidden = [] if is_live else [each.path.past for each in estimates]
     for each in hidden:
         overrides.setdefault(each, []).append(layout.EntityBehavior(visible=False))
@@ -157,7 +157,7 @@ def _plot(name: str, *quantities: str, legend: bool = False) -> Any:
 
 
 def _spacing(bounds: tuple[Floats, Floats] | None) -> float:
-    """Return a round width of the grid's squares, about twenty of them across the picture."""
+    """Return the grid spacing, a round number of about 1/20 of the picture's width."""
     if bounds is None:
         return 1.0
     rough = max(float((bounds[1] - bounds[0]).max()), 1e-3) / 20.0
@@ -166,7 +166,7 @@ def _spacing(bounds: tuple[Floats, Floats] | None) -> float:
 
 
 def _eye(bounds: tuple[Floats, Floats] | None, distance: float) -> Any:
-    """Return a view of everything from the south, from above at an angle, so far away."""
+    """Return the initial view from the south and above; the distance is in sizes of the scene."""
     if bounds is None:
         return None
     _, layout = sdk()

@@ -20,7 +20,7 @@ _RAMP = np.array([palette.rgb(each) for each in palette.RAMP])
 
 
 def of_estimate(place: int) -> Colour:
-    """Return the colour of the estimate at a place in the list."""
+    """Return the colour of the estimate at an index of the list."""
     return ESTIMATES[place % len(ESTIMATES)]
 
 
@@ -39,7 +39,7 @@ def of_errors(errors: Floats, full_m: float) -> Colours:
 
 
 def scale_for(errors: Floats) -> float:
-    """Return where the scale ends: a round number that nearly all errors (N,) stay below, m."""
+    """Return the end of the colour scale, m: a round number above nearly all errors (N,)."""
     most = float(np.percentile(errors, 98)) if len(errors) else 0.0
     if not most > 1e-6:
         return 1e-3
@@ -49,5 +49,5 @@ def scale_for(errors: Floats) -> float:
 
 
 def in_words(full_m: float) -> str:
-    """State what the colours of errors mean."""
+    """Return a sentence about the colours of errors."""
     return f"{palette.RAMP_WORDS}: position error from 0 to {full_m:g} m"

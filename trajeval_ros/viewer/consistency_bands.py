@@ -1,4 +1,4 @@
-"""Whether an estimate is as sure as it should be: errors in their bands, NEES, and ellipsoids."""
+"""Consistency of an estimate: errors with their bands, NEES, and ellipsoids."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def send_consistency(
     entities: scene_entities.EstimateEntities,
     origin: Floats,
 ) -> float:
-    """Draw errors with three sigma on both sides, NEES with its limit, and ellipsoids.
+    """Draw errors with bands of three standard deviations, NEES with its limit, and ellipsoids.
 
     Args:
-        recording: Where.
-        evaluation: Of the estimate.
-        consistency: Of the same, with covariances of single poses.
-        entities: Of the estimate.
-        origin: (3,), metres, what is subtracted from the groundtruth's coordinates.
+        recording: The recording to draw on.
+        evaluation: Evaluation of the estimate.
+        consistency: Its consistency, with covariances of single poses.
+        entities: Entities of the estimate.
+        origin: Offset (3,), metres, that is subtracted from the groundtruth's coordinates.
 
     Returns:
-        How many times the ellipsoids are enlarged.
+        Factor by which the ellipsoids are enlarged.
     """
     appearance.declare_consistency(recording, entities)
     assert consistency.sigmas is not None
@@ -68,7 +68,7 @@ def send_consistency(
 def _send_ellipsoids(
     recording: Any, entity: str, evaluation: Evaluation, covariances: Floats, origin: Floats
 ) -> float:
-    """Draw them evenly along the way, in the gauge of the alignment, where errors are."""
+    """Draw ellipsoids evenly along the path, in the gauge of the alignment, like the errors."""
     truth, aligned = evaluation.association.groundtruth, evaluation.aligned
     along = truth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))

@@ -24,8 +24,8 @@ class EntityData:
     """Elements of one kind.
 
     Attributes:
-        archetype: The kind, a class of Rerun's.
-        fields: N of each of its parts, by name.
+        archetype: The kind, a class of rerun-sdk.
+        fields: Values of the N elements, by name of the argument.
     """
 
     archetype: Any
@@ -48,7 +48,7 @@ class EntityData:
 
 
 def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
-    """Log one row at a stamp."""
+    """Log one row at a timestamp."""
     recording.set_time(TIMELINE, timestamp=np.datetime64(stamp, "ns"))
     recording.log(entity, row)
 
@@ -84,7 +84,13 @@ def poses(positions: Floats, quaternions: Floats | None) -> EntityData:
 
 
 def ellipsoids(centres: Floats, covariances: Floats, factor: float = 1.0) -> EntityData:
-    """Return three sigma, times a factor, of covariances (N, 3, 3) at centres (N, 3)."""
+    """Return ellipsoids of three standard deviations, enlarged by a factor.
+
+    Args:
+        centres: Positions (N, 3), metres.
+        covariances: Covariances (N, 3, 3), m^2.
+        factor: Factor of the size.
+    """
     rerun, _ = sdk()
     half_axes, directions = ellipsoid_axes(covariances)
     fields = {
@@ -96,9 +102,13 @@ def ellipsoids(centres: Floats, covariances: Floats, factor: float = 1.0) -> Ent
 
 
 def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
-    """Return half axes (N, 3), metres, and directions (N, 3, 3) of three sigma of (N, 3, 3)."""
+    """Return the ellipsoids of three standard deviations of covariances (N, 3, 3), m^2.
+
+    Returns:
+        Half axes (N, 3), metres, and rotation matrices (N, 3, 3) with the axes as columns.
+    """
     variances, directions = np.linalg.eigh(covariances)
-    # A mirrored basis is no rotation.
+    # The determinant of a rotation is 1.
     directions[:, :, 0] *= np.sign(np.linalg.det(directions))[:, None]
     return SIGMAS * np.sqrt(np.maximum(variances, 0.0)), directions
 

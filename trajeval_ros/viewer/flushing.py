@@ -13,10 +13,10 @@ _LEAST_ROOM, _LITTLE_ROOM = 2**16, 2**20  # bytes
 
 
 def open_file(recording: Any, path: Path, blueprint: Any, *, write_footer: bool = True) -> None:
-    """Have a recording written to a file.
+    """Write a recording to a file from now on.
 
     Raises:
-        OSError: The disk has no room; then Rerun's file may never open.
+        OSError: The disk is full. Rerun may then not return from opening the file.
     """
     rerun, _ = sdk()
     _require_room(path)
@@ -25,10 +25,10 @@ def open_file(recording: Any, path: Path, blueprint: Any, *, write_footer: bool 
 
 
 def flush_to(path: Path, recording: Any) -> None:
-    """Have everything of a recording in its file.
+    """Flush a recording to its file.
 
     Raises:
-        OSError: The disk takes no more.
+        OSError: The disk is full.
     """
     try:
         recording.flush()
@@ -36,21 +36,21 @@ def flush_to(path: Path, recording: Any) -> None:
         if _room(path) < _LITTLE_ROOM:
             raise _no_space() from error
         raise OSError(str(error)) from error
-    _require_room(path)  # with less a flush may pass over what did not fit
+    _require_room(path)  # on a nearly full disk, flush may drop data without an error
 
 
 def _require_room(path: Path) -> None:
-    """Do nothing while the disk has room for a few chunks.
+    """Check that the disk has room for a few chunks.
 
     Raises:
-        OSError: It has less.
+        OSError: It has not.
     """
     if _room(path) < _LEAST_ROOM:
         raise _no_space()
 
 
 def _room(path: Path) -> int:
-    """Return how many bytes the disk still takes."""
+    """Return the free bytes of the disk."""
     disk = os.statvfs(path.parent)
     return disk.f_bavail * disk.f_frsize
 

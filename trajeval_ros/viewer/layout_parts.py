@@ -35,7 +35,7 @@ def until_now() -> Any:
 
 
 def whole_run() -> Any:
-    """Return the time axis of a plot: the whole run, and not the half minute about the cursor."""
+    """Return the time axis of a plot: the whole run, not Rerun's default around the cursor."""
     rerun, layout = sdk()
     everything = rerun.TimeRange(
         start=layout.TimeRangeBoundary.infinite(), end=layout.TimeRangeBoundary.infinite()

@@ -1,4 +1,4 @@
-"""What the colours of the picture stand for: a strip below the paths, which covers nothing."""
+"""The legend of the colours, a strip below the paths."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SCALE = f"{LEGEND}/scale"
 
 
 def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
-    """Log once the colours of errors, and those of groundtruth and estimates with their names."""
+    """Log the colour scale of errors, and the colours and names of groundtruth and estimates."""
     rerun, _ = sdk()
     ends = np.linspace(0.0, _RAMP_END, _STEPS + 1)
     line = np.stack([ends, np.full(_STEPS + 1, _LINE)], axis=1)
@@ -46,7 +46,7 @@ def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> Non
         labels=[shortened(name, letters) for name, _ in shown],
         show_labels=True,
     )
-    # A kilobyte for each entity: one has both.
+    # An entity takes a kilobyte, so both are in one.
     recording.log(f"{LEGEND}/colours", ramp, lines, static=True)
 
 
@@ -56,7 +56,7 @@ def rows_of(estimates: int) -> int:
 
 
 def scale(full_m: float) -> tuple[str, Any]:
-    """Return where the ramp's scale belongs, and how it is labelled, from 0 to `full_m`."""
+    """Return the entity of the colour scale's labels, and the labels from 0 to `full_m`."""
     rerun, _ = sdk()
     row = rerun.Points2D(
         [[0.0, _LINE], [_RAMP_END, _LINE]],

@@ -19,24 +19,24 @@ _NEVER = np.iinfo(np.int64).min
 
 
 class LiveMap:
-    """Draws the map.
+    """Draws the map of GNSS fixes and aligned estimates.
 
     A map has no transforms: a new alignment moves a track only if the track is drawn again.
-    Therefore each drawing replaces the one before it, and has a limited number of points.
+    Therefore a new drawing replaces the previous one, and has a limited number of points.
 
     Attributes:
         datum: Origin of the frame of the fixes; None before the first one.
     """
 
     def __init__(self, log: Log) -> None:
-        """Create it without a fix; `log` draws an archetype at a stamp."""
+        """Create it without a fix; `log` draws an archetype at a timestamp."""
         self.datum: Datum | None = None
         self._log = log
         self._history = RowHistory(3)  # latitude, longitude and status
         self._drawn_at = _NEVER
 
     def add(self, stamps: Stamps, fixes: Fixes) -> None:
-        """Take new fixes, N > 0, and draw them now and then."""
+        """Add new fixes, N > 0; draw all fixes periodically."""
         self.datum = fixes.datum
         for stamp, place, status in zip(
             stamps.tolist(), fixes.places, fixes.status.tolist(), strict=True
@@ -46,7 +46,7 @@ class LiveMap:
             self.draw(is_growing=True)
 
     def draw(self, *, is_growing: bool) -> None:
-        """Draw the fixes at the stamp of the newest one."""
+        """Draw the fixes at the timestamp of the newest one."""
         stamps, rows = self._history.columns()
         if not len(stamps):
             return
@@ -58,7 +58,15 @@ class LiveMap:
     def draw_track(
         self, stamp: int, entity: str, stamps: Stamps, aligned: Floats, *, is_growing: bool
     ) -> None:
-        """Draw an aligned estimate at a stamp: stamps (N,), and positions (N, 3), metres."""
+        """Draw an aligned estimate at a timestamp.
+
+        Args:
+            stamp: Timestamp of the drawing, ns.
+            entity: Entity of the estimate.
+            stamps: Timestamps (N,) of the estimate, ns.
+            aligned: Aligned positions (N, 3), metres.
+            is_growing: Whether the run continues; the number of points is then smaller.
+        """
         if self.datum is not None:
             some = _spread(len(stamps), is_growing=is_growing)
             lines = track_lines(stamps[some], aligned[some], self.datum)

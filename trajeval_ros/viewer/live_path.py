@@ -23,7 +23,7 @@ _NEVER = np.iinfo(np.int64).min
 
 
 class Thinning:
-    """Picks one pose of each tenth of a second."""
+    """Selects poses at a limited rate, one per 0.1 s."""
 
     def __init__(self) -> None:
         """Create it."""
@@ -65,7 +65,7 @@ class LivePath:
             gap = step
             self._end_piece()
             self._piece = []
-            self._usual_ns *= 2.0  # so that a stream that has become sparse is a line again
+            self._usual_ns *= 2.0  # adapts if the rate of the stream drops
         elif step:
             self._usual_ns += (step - self._usual_ns) * (0.1 if self._usual_ns else 1.0)
         self._piece.append(point)
@@ -78,7 +78,7 @@ class LivePath:
         return gap
 
     def draw_to(self, stamp: int, point: Floats) -> None:
-        """Draw up to a position (3,), which may be different from those added."""
+        """Draw the path up to a position (3,), which need not have been added."""
         if self._piece:
             begin = (len(self._piece) - 1) // _HEAD * _HEAD
             head = np.array([*self._piece[begin:], point])

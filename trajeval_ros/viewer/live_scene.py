@@ -70,7 +70,13 @@ class LiveScene:
     """
 
     def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
-        """Create it for a run of that title and estimates of these names."""
+        """Create it.
+
+        Args:
+            title: Title of the run.
+            names: Names of the estimates.
+            gauge: Gauge of the alignments.
+        """
         self._title = one_line(title)
         self._recording: Any = None
         self._gauge, self._up = gauge, Z_UP
@@ -98,7 +104,7 @@ class LiveScene:
         if self._map.datum is not None:
             appearance.declare_map(recording, self._entities)
             self._map.draw(is_growing=True)
-        self._full_m = None  # so that the legend's scale is drawn with the colours
+        self._full_m = None  # draws the scale of the legend again, together with the colours
         for each in self._estimates.values():
             each.coloured = 0
             if each.is_revised:
@@ -125,7 +131,7 @@ class LiveScene:
         self._frame()
 
     def groundtruth(self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP) -> None:
-        """Take groundtruth: timestamps (N,), and states (N, 10)."""
+        """Add groundtruth: timestamps (N,), and states (N, 10)."""
         usable = np.isfinite(states[:, :3]).all(axis=1)
         stamps, states = stamps[usable], states[usable]
         if not len(stamps):
@@ -156,7 +162,7 @@ class LiveScene:
             self._log(stamp, scene_entities.GroundtruthEntities.pose, pose.row())
 
     def fixes(self, stamps: Stamps, fixes: Fixes) -> None:
-        """Take the GNSS fixes of groundtruth that `groundtruth` was given: N > 0, in a frame."""
+        """Add the GNSS fixes, N > 0, whose states were passed to `groundtruth`."""
         if not is_on_map(fixes, self._up):
             return
         is_first = self._map.datum is None
@@ -169,7 +175,7 @@ class LiveScene:
                 self._recording.send_blueprint(self.blueprint)
 
     def pairs(self, name: str, stamps: Stamps, truth: Floats, states: Floats) -> None:
-        """Take pairs of an estimate: timestamps (N,), groundtruth and estimate (N, 10)."""
+        """Add pairs of an estimate: timestamps (N,), groundtruth and estimate (N, 10)."""
         each = self._estimates[name]
         if not len(stamps) or self._origin is None:
             return
@@ -190,7 +196,7 @@ class LiveScene:
             self._log(stamp, each.entities.pose, pose.row())
 
     def update(self, name: str, update: Update) -> None:
-        """Take the published errors of the newest pair."""
+        """Draw the published errors of the newest pair."""
         each = self._estimates[name]
         if update.stamp is None:
             return
@@ -200,7 +206,10 @@ class LiveScene:
             self._end(each, end)
 
     def snapshot(self, name: str, stamp: int, snapshot: Snapshot, revised_m: float | None) -> None:
-        """Take the published state of an evaluation at a timestamp."""
+        """Draw the published state of an evaluation at a timestamp.
+
+        `revised_m` is the position ATE of the newest path, metres; None without one.
+        """
         each = self._estimates[name]
         each.snapshot = snapshot
         if revised_m is not None and not each.is_revised:
@@ -228,7 +237,7 @@ class LiveScene:
             self._tell(stamp)
 
     def uncertainty(self, name: str, stamp: int, position: Floats, covariance: Floats) -> None:
-        """Take a position (3,) of an estimate and its covariance (3, 3), in its own frame."""
+        """Draw a position (3,) of an estimate and its covariance (3, 3), in its own frame."""
         each = self._estimates[name]
         if each.origin is not None:
             around = (position - each.origin)[None]
@@ -236,12 +245,12 @@ class LiveScene:
             self._log(stamp, each.entities.covariance, ellipsoid.row())
 
     def event(self, stamp: int, text: str, *, warn: bool = True) -> None:
-        """Take a line for the log."""
+        """Add a line to the log."""
         since = "" if self._begin == _NEVER else f"{(stamp - self._begin) / NANOSECONDS:.1f} s: "
         self._log(stamp, scene_entities.EVENTS, entity_data.event(since + text, warn=warn))
 
     def dropped(self, count: int) -> None:
-        """Take the number of updates that were not drawn."""
+        """Store the number of updates that were not drawn."""
         stamps, _ = self._truth_memory.columns()
         if len(stamps):
             self.event(int(stamps[-1]), f"{counted(count, 'update')} dropped: drawing is too slow")

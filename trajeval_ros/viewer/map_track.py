@@ -20,7 +20,10 @@ MOST_POINTS = 5000  # of a track, and fixes
 
 
 def is_on_map(fixes: Fixes | None, up: UpAxis) -> bool:
-    """Return whether it is known where on Earth groundtruth is, whose frame has this up axis."""
+    """Return whether the groundtruth's frame has a known place and orientation on Earth.
+
+    `up` is the up axis of the groundtruth's frame.
+    """
     return fixes is not None and up.name == Z_UP.name
 
 

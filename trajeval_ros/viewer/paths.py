@@ -1,4 +1,4 @@
-"""Paths prepared for drawing: thinned, cut where time has gaps, near the origin."""
+"""Paths prepared for drawing: thinned, cut at gaps in time, and moved near the origin."""
 
 from __future__ import annotations
 

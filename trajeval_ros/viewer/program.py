@@ -29,12 +29,12 @@ def free_port() -> int:
 
 @contextmanager
 def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the program while the block does.
+    """Run the program during the block.
 
     Args:
-        port: Where it listens, on this machine alone; it would on all addresses.
+        port: Port of its server, on the loopback address only.
         arguments: Its other arguments.
-        options: Of the process.
+        options: Arguments of `subprocess.Popen`.
 
     Raises:
         InputError: rerun-sdk is not installed.
@@ -45,7 +45,8 @@ def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subpro
     folder = Path(rerun_cli.__file__).parent
     bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
     binary = bundled if bundled.exists() else folder / _NAME
-    # Not by its Python wrapper, which would leave it running. CI keeps it from calling home.
+    # If its Python wrapper is ended, the program continues; so it is started directly. With CI
+    # set, it sends no usage statistics.
     with _sigterm_as_exit():
         process = subprocess.Popen(
             [str(binary), "--bind", LOOPBACK, "--port", str(port), *arguments],
@@ -65,9 +66,9 @@ def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subpro
 
 @contextmanager
 def _sigterm_as_exit() -> Iterator[None]:
-    """Have SIGTERM raise in the block, so that what was started is ended.
+    """Raise SystemExit at SIGTERM in the block, so that processes started in it are ended.
 
-    Only the main thread hears signals, and only what nobody else handles is changed.
+    This has an effect only in the main thread, and only if SIGTERM has no other handler.
     """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:

@@ -54,7 +54,7 @@ def write_recording(
     Args:
         path: The file; it is replaced if it exists.
         evaluations: One per estimate, with the same groundtruth and protocol.
-        consistencies: Of the same, None where nobody asked; by default of none.
+        consistencies: Consistencies of the same estimates, None if not requested; empty for none.
 
     Raises:
         InputError: rerun-sdk is not installed, or the file can't be written.
@@ -253,7 +253,7 @@ def _say(recording: Any, stamp: np.int64, text: str, *, warn: bool = True) -> No
 
 
 def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, Floats]:
-    """Return least and greatest coordinates of what is drawn, (3,) and (3,)."""
+    """Return the smallest and largest coordinates of all paths, (3,) and (3,)."""
     paths = [
         evaluations[0].groundtruth.positions,
         *(each.aligned.positions for each in evaluations),

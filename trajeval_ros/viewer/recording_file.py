@@ -1,4 +1,4 @@
-"""A file (.rrd) of a run that is over."""
+"""A file (.rrd) of a complete run."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from trajeval_ros.viewer.sdk import sdk
 def recording_writer(
     title: str, blueprint: Any, draw: Callable[[Any], object]
 ) -> Callable[[Path], None]:
-    """Return what writes a picture to a path; it raises OSError where the disk takes no more.
+    """Return a function that writes a picture to a path, and raises OSError on a full disk.
 
     Args:
-        title: What the viewer calls the recording.
+        title: Title of the recording in the viewer.
         blueprint: Its layout.
-        draw: Logs everything to a recording.
+        draw: Logs all data to a recording.
 
     Raises:
         InputError: rerun-sdk is not installed.

@@ -1,19 +1,19 @@
-"""What is drawn: the entities of the picture, live and recorded.
+"""The entities of the picture, live and recorded.
 
-    world/groundtruth/path/{past,recent,newest}   where the body was, in the groundtruth's frame
-    world/groundtruth/start                       where it started
-    world/groundtruth/pose                        where it is
-    world/estimate/NAME                           the alignment: moves everything below it
-    world/estimate/NAME/path/{past,recent,newest} where it was estimated to be, in its own frame
+    world/groundtruth/path/{past,recent,newest}   path of the body, in the groundtruth's frame
+    world/groundtruth/start                       its first position
+    world/groundtruth/pose                        its newest pose
+    world/estimate/NAME                           the alignment: transforms all entities below it
+    world/estimate/NAME/path/{past,recent,newest} estimated path, in the estimate's frame
     world/estimate/NAME/by_error                  the same path, coloured by position error
-    world/estimate/NAME/pose                      where it is estimated to be
-    world/estimate/NAME/covariance                three sigma of its position
-    world/uncertainty/NAME                        that of its error, in the alignment's gauge
+    world/estimate/NAME/pose                      newest estimated pose
+    world/estimate/NAME/covariance                three standard deviations of its position
+    world/uncertainty/NAME                        the same of its error, in the alignment's gauge
     world/correspondences/NAME                    lines between poses of the same time
     metrics/QUANTITY/NAME...                      errors over time
-    summary, events                               in words
-    legend/{ramp,scale,names}                     what colours stand for
-    map/fixes, map/estimate/NAME                  latitude and longitude, of GNSS fixes
+    summary, events                               texts
+    legend/{ramp,scale,names}                     legend of the colours
+    map/fixes, map/estimate/NAME                  latitude and longitude, with GNSS fixes
 
 How each looks is in `appearance`, what is logged of it in `entity_data`.
 
@@ -38,12 +38,12 @@ MAP = "map"
 MAP_FIXES = f"{MAP}/fixes"
 SIGMAS = 3.0
 
-# Of metrics: the names are those of the node's topics.
+# Quantities, with the names of the node's topics.
 POSITION_ERROR, ROTATION_ERROR = "position_error", "rotation_error"
 ATE_POSITION, ATE_ROTATION = "ate_position", "ate_rotation"
 YAW_ERROR, SCALE, RELATIVE_ERROR = "yaw_error", "scale", "relative_error"
 REVISED_ATE_POSITION, ALIGNMENT_YAW = "revised_ate_position", "alignment_yaw"
-# Of each axis: the error, and three sigma above and below zero; metres, degrees.
+# Per axis: the error, and three standard deviations above and below zero; metres, degrees.
 ERRORS_WITHIN = tuple(f"error_{axis}" for axis in ("x", "y", "z", "phi_x", "phi_y", "phi_z"))
 NEES, NEES_LIMIT = "nees", "nees_limit"
 
@@ -63,7 +63,7 @@ class PathEntities:
 
 
 class GroundtruthEntities:
-    """Where the groundtruth is drawn."""
+    """The entities of the groundtruth."""
 
     path = PathEntities.below(f"{WORLD}/groundtruth")
     start = f"{WORLD}/groundtruth/start"
@@ -71,15 +71,15 @@ class GroundtruthEntities:
 
 
 class EstimateEntities:
-    """Where one estimate is drawn.
+    """The entities of one estimate.
 
     Attributes:
-        name: What it is called, as it can be shown.
-        colour: Of its lines.
+        name: Its name, in one line.
+        colour: Colour of its lines.
     """
 
     def __init__(self, name: str, place: int) -> None:
-        """Give the estimate at a place in the list its entities."""
+        """Create the entities of the estimate at an index of the list."""
         rerun, _ = sdk()
         self.name, self.colour = one_line(name), colours.of_estimate(place)
         self._part = rerun.escape_entity_path_part(self.name)
@@ -93,5 +93,5 @@ class EstimateEntities:
         self.correspondences = f"{WORLD}/correspondences/{self._part}"
 
     def metric(self, quantity: str, part: str = "") -> str:
-        """Return where a quantity is plotted."""
+        """Return the entity of a quantity."""
         return f"metrics/{quantity}/{self._part}" + (f"/{part}" if part else "")

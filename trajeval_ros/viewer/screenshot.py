@@ -1,4 +1,4 @@
-"""The first screen of a picture as a PNG, without a display."""
+"""A screenshot of a picture at first open as a PNG file, without a display."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SIZE = "1600x900"
 
 
 def save_png(file: Path, png: Path) -> None:
-    """Write what the viewer shows of a file (.rrd) at first open.
+    """Write a screenshot of the viewer that has just opened a file (.rrd).
 
     Args:
-        file: What to show.
-        png: What to write.
+        file: The file to show.
+        png: The file to write.
 
     Raises:
         InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
@@ -41,22 +41,26 @@ def save_png(file: Path, png: Path) -> None:
 
 
 def ask_for_screenshot(url: str, png: Path) -> None:
-    """Have a viewer write what it shows.
+    """Request a screenshot from a viewer.
+
+    Args:
+        url: Address of the viewer.
+        png: The file to write.
 
     Raises:
-        InputError: It can't be reached, or doesn't answer.
+        InputError: The viewer can't be reached or does not answer.
     """
     from rerun.experimental import ViewerClient
 
     try:
         with ViewerClient.connect(url) as viewer:
-            # rerun-sdk 0.39 has it under its older name.
+            # The older name is that of rerun-sdk 0.39.
             look = viewer.get_state if hasattr(viewer, "get_state") else viewer.viewer_state
             while not (state := look()).recordings or state.loading:
                 time.sleep(_LOOK_EVERY_S)
             time.sleep(_SETTLE_S)
             viewer.save_screenshot(str(png.resolve()))
-    except (OSError, RuntimeError, ValueError) as error:  # all that the SDK makes of its failures
+    except (OSError, RuntimeError, ValueError) as error:  # the exceptions of the SDK
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"Rerun's viewer took no screenshot ({said}); close other programs and try again"
@@ -67,10 +71,9 @@ def ask_for_screenshot(url: str, png: Path) -> None:
 
 @contextmanager
 def headless_viewer(file: Path) -> Iterator[str]:
-    """Run the viewer of a file (.rrd) without a window; yields where it listens.
+    """Run the viewer of a file (.rrd) without a window, and yield its address.
 
-    After a minute the viewer is ended, and connections to it fail: the SDK itself waits for ever
-    for a viewer that is stuck.
+    After a minute the viewer is ended, and connections to it fail, because the SDK has no timeout.
 
     Raises:
         InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
@@ -103,7 +106,7 @@ def headless_viewer(file: Path) -> Iterator[str]:
 
 
 def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
-    """Wait until the viewer listens, and has found what to draw with."""
+    """Wait until the viewer accepts connections and has found a graphics device."""
     while viewer.poll() is None:
         with socket.socket() as probe:
             listens = probe.connect_ex((LOOPBACK, port)) == 0

@@ -1,4 +1,4 @@
-"""Rerun's SDK, imported when it is used; it is an optional extra."""
+"""Rerun's SDK, an optional package that is imported when it is used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trajeval_ros.formatting.install_command import extra_command, install_comma
 
 
 def is_installed() -> bool:
-    """Return whether there is a rerun-sdk, without the time that its import takes."""
+    """Return whether rerun-sdk is installed, without importing it, which is slow."""
     return find_spec("rerun") is not None
 
 
@@ -21,7 +21,7 @@ def sdk() -> tuple[Any, Any]:
     """Return the modules `rerun` and `rerun.blueprint`.
 
     Raises:
-        InputError: rerun-sdk isn't installed, or doesn't fit the packages that are.
+        InputError: rerun-sdk is not installed, or is incompatible with other packages.
     """
     # It reads this at import. Its log is verbose; this package reports one sentence instead.
     is_ours = "RUST_LOG" not in os.environ

@@ -15,7 +15,7 @@ _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened; other systems than Linux are taken to have one."""
+    """Return whether a window can be opened; always true on systems other than Linux."""
     return sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))
 
 
@@ -23,8 +23,8 @@ def show(file: Path, *, in_browser: bool = False) -> None:
     """Open a file (.rrd) in the viewer, and wait until it is closed.
 
     Args:
-        file: What to show.
-        in_browser: Serve the viewer as a web page on this machine instead, until Ctrl-C.
+        file: The file to show.
+        in_browser: Whether to serve the viewer as a web page on this machine, until Ctrl-C.
 
     Raises:
         InputError: rerun-sdk is not installed, the file can't be read or is none of Rerun's,

@@ -25,10 +25,10 @@ _PROBE_S = 0.3
 class FileTarget:
     """A file (.rrd).
 
-    What is logged becomes a chunk per entity each time that it is flushed, of a kilobyte at the
-    least. So it is flushed seldom: a killed process loses the last twenty seconds of the picture,
-    a full disk is noticed as late. It has no footer, of which every chunk would have another
-    kilobyte or two, in memory until the end: a node may run for days.
+    Every flush writes a chunk per entity, of at least one kilobyte. Therefore the file is flushed
+    rarely: a killed process loses the last 20 s of the picture, and a full disk is detected after
+    up to 20 s. The file has no footer, because a footer keeps one or two kilobytes per chunk in
+    memory until the end, and a node may run for days.
     """
 
     name = "file"
@@ -40,7 +40,7 @@ class FileTarget:
         self._whole = 0  # bytes that are known to be on disk
 
     def open(self, blueprint: Any) -> Any:
-        """Return a recording into the file."""
+        """Return a recording that writes to the file."""
         recording = _recording(self._id, flush_s=60.0 * _FILE_FLUSH_S)
         try:
             self._path.open("ab").close()
@@ -60,8 +60,8 @@ class FileTarget:
             flush_to(self._path, recording)
             self._whole = self._path.stat().st_size
         except OSError as error:
-            # Half a chunk at the end would make all of it unreadable. What Rerun still holds would
-            # be written behind a hole, so it goes first.
+            # A partial chunk at the end makes the whole file unreadable, so it is cut off. Rerun
+            # is disconnected first, because it would write its remaining data after the cut.
             recording.disconnect()
             with contextlib.suppress(OSError):
                 if self._whole:
@@ -125,7 +125,7 @@ class ViewerTarget:
         """Name the viewer.
 
         Raises:
-            SettingsError: It is no such URL.
+            SettingsError: The URL is not valid.
         """
         match = re.fullmatch(r"rerun\+https?://(\[[^\]]+\]|[^:/\s]+):(\d{1,5})/proxy", url)
         if match is None:

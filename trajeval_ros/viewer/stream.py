@@ -49,14 +49,14 @@ class Sink(Protocol):
         """Return a new recording; None if there is no receiver yet.
 
         Raises:
-            TrajevalError: There will never be one.
+            TrajevalError: The sink can't be opened, now or later.
         """
 
     def check(self, recording: Any) -> bool:
         """Write the data so far; return False if the sink is lost and may be opened again.
 
         Raises:
-            TrajevalError: It is lost for good.
+            TrajevalError: The sink is lost and can't be opened again.
         """
 
     def close(self, recording: Any) -> None:
@@ -86,7 +86,7 @@ class DrawingThread:
 
     Attributes:
         dropped: Number of jobs that did not reach the sink.
-        trouble: Why nothing reaches it any more; empty while it does.
+        trouble: Why the sink receives no more data; empty while it does.
     """
 
     def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The picture's text: how wrong, over how much, and what its colours mean; in Markdown."""
+"""The text of the picture in Markdown: errors, coverage, and the meaning of the colours."""
 
 from __future__ import annotations
 
@@ -95,23 +95,23 @@ def of_snapshots(
 
 
 def origin_in_words(origin: Floats) -> str:
-    """State where the picture's origin is, (3,), metres."""
+    """Return a sentence about the picture's origin, (3,), metres."""
     return "origin of the drawing: (" + ", ".join(f"{each:.0f}" for each in origin) + ") m"
 
 
 def gap_in_words(name: str, step_ns: int) -> str:
-    """State that an estimate had no pair for a number of nanoseconds."""
+    """Return a sentence about a gap in the pairs of an estimate, in nanoseconds."""
     return f"{name}: no pairs for {step_ns / NANOSECONDS:.1f} s"
 
 
 def rmse_of(statistics: Mapping[str, Statistics | None], metric: str) -> float | None:
-    """Return the rmse of a metric, None where there is none."""
+    """Return the RMSE of a metric; None if there is none."""
     found = statistics.get(metric)
     return None if found is None else found.rmse
 
 
 def _scales(gauge: Gauge, alignments: Sequence[Alignment | None]) -> list[Row]:
-    """Return the row of scales, where they are estimated."""
+    """Return the row of scales; no row if the gauge has no scale."""
     if not gauge.has_scale:
         return []
     texts = [NOTHING if each is None else f"{each.similarity.scale:.4f}" for each in alignments]
@@ -141,7 +141,7 @@ def _verdict(consistency: Consistency | None) -> str:
 
 
 def _nees(consistency: Consistency | None) -> str:
-    """Return the NEES of all poses, or of the worst one, and what honest runs have."""
+    """Return the joint NEES, or that of the worst pose, and the range of consistent estimates."""
     if consistency is None or consistency.per_pose is None:
         return NOTHING
     if consistency.joint is not None:
@@ -172,15 +172,15 @@ def _text(
     """Return the whole text.
 
     Args:
-        names: Of the estimates.
-        rows: What is told of each of them.
-        full_m: The error where the scale of colours ends; None while there is none.
+        names: Names of the estimates.
+        rows: Labels, with one value per estimate.
+        full_m: Error at the end of the colour scale; None before the first colours.
         remarks: One sentence each.
         is_growing: Whether the newest part of the path is not coloured yet.
     """
     labels = [label for label, _ in rows]
     if len(names) > _MOST_COLUMNS:
-        # A row for each estimate: columns of numbers are narrow, those of names are not.
+        # One row per estimate, because columns of numbers are narrower than columns of names.
         table = markdown_table(
             ["", *(_SHORT.get(each, each) for each in labels)],
             [

@@ -1,4 +1,4 @@
-"""The picture of a watched run: the path by how near signals came to their limits, and plots."""
+"""The picture of a watched run: the path coloured by signal / limit, and plots of the signals."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook
 
     Args:
         path: The file; it is replaced if it exists.
-        estimate: What was watched.
-        seen: What was seen.
-        book: The same, compared with limits.
+        estimate: The watched estimate.
+        seen: Its signals.
+        book: Its alarms and the limits.
 
     Raises:
         InputError: rerun-sdk is not installed, or the file can't be written.
@@ -77,7 +77,7 @@ def _entity(kind: str, name: str) -> str:
 def _draw_path(
     recording: Any, estimate: Trajectory, seen: Watched, ratios: dict[str, Floats]
 ) -> None:
-    """Draw the path, coloured by the signal that is nearest to its limit, and where it is."""
+    """Draw the path, coloured by the largest ratio of signal and limit, and the pose."""
     nearest = np.zeros(len(estimate))
     for name, values in ratios.items():
         stamps = _stamps(seen, seen.signals[name].seconds)
@@ -114,7 +114,7 @@ def _draw_limit(recording: Any, kind: str, seen: Watched) -> None:
 
 
 def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
-    """Log what begins and ends, and what was found about the sources."""
+    """Log starts and ends of alarms, and findings about the sources."""
 
     def say(seconds: float, text: str, *, warn: bool) -> None:
         [stamp] = _stamps(seen, np.array([seconds]))
