@@ -1,4 +1,4 @@
-"""Publishers that cost nothing while they are not used."""
+"""Publishers that need no CPU time while they are idle."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ if TYPE_CHECKING:
 
 
 def advertise(node: Node, kind: Any, topic: str, depth: int = 10, *, latched: bool = False) -> Any:
-    """Return a publisher without handlers of events.
+    """Return a publisher without event handlers.
 
-    rclpy's default handlers, which tell of subscribers that want another quality of service, are
-    two entities for each publisher that an executor looks at whenever it spins: of a node with a
-    hundred publishers the most of what it does. Such a subscriber is told by its own node.
+    rclpy's default handlers report subscribers with an incompatible quality of service. They are
+    two entities per publisher in the executor's wait set. With a hundred publishers, they take
+    most of its CPU time. The node of such a subscriber reports the incompatibility, too.
 
     Args:
-        node: Publishes.
-        kind: The class of the messages.
-        topic: Its name.
-        depth: How many messages may wait.
-        latched: Whether subscribers that come late get the newest ones.
+        node: The publishing node.
+        kind: Class of the messages.
+        topic: Name of the topic.
+        depth: Size of the queue, in messages.
+        latched: Whether late subscribers receive the newest messages.
     """
-    from rclpy.node import PublisherEventCallbacks  # its own module has another name in Humble
+    from rclpy.node import PublisherEventCallbacks  # defined elsewhere in Humble
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
     durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE

@@ -1,4 +1,4 @@
-"""What takes longer than a tick may: on a thread of its own, at a bounded share of a core."""
+"""Computations that are too slow for a tick, on a thread with limited CPU time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Found = TypeVar("Found")
 
 
 class BackgroundTask(Generic[Found]):
-    """Runs one computation at a time on a thread of its own."""
+    """Runs one computation at a time on its own thread."""
 
     def __init__(self, most_share: float) -> None:
         """Create it idle.
 
         Args:
-            most_share: Of a core, which all computations together take at the most.
+            most_share: Largest share of a core for all computations together.
         """
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="background")
         self._share = most_share
@@ -26,11 +26,11 @@ class BackgroundTask(Generic[Found]):
 
     @property
     def is_due(self) -> bool:
-        """Whether something may be started."""
+        """Whether a computation may be started now."""
         return self._running is None and time.monotonic() >= self._next_at
 
     def start(self, compute: Callable[[], Found]) -> None:
-        """Start a computation, which must touch nothing that changes meanwhile."""
+        """Start a computation. It must not use data that other threads change."""
 
         def timed() -> tuple[Found, float]:
             begin = time.thread_time()
@@ -39,11 +39,11 @@ class BackgroundTask(Generic[Found]):
         self._running = self._threads.submit(timed)
 
     def take(self) -> Found | None:
-        """Return what has been found since the last call; None if nothing has."""
+        """Return the result of a finished computation; None if there is none."""
         return self.wait() if self._running is not None and self._running.done() else None
 
     def wait(self) -> Found | None:
-        """Return what is being computed, when it is there; None if nothing is."""
+        """Wait for the running computation and return its result; None if there is none."""
         if self._running is None:
             return None
         (found, took_s), self._running = self._running.result(), None
@@ -51,5 +51,5 @@ class BackgroundTask(Generic[Found]):
         return found
 
     def close(self) -> None:
-        """Start nothing more, and wait for nothing."""
+        """Stop the thread after the running computation, without waiting for it."""
         self._threads.shutdown(wait=False)

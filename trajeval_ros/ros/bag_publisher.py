@@ -1,4 +1,4 @@
-"""A bag as live traffic: its messages as they were serialised, and the clock."""
+"""Playback of a bag: its serialised messages, unchanged, and the clock."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 NODE_NAME = "trajeval_replay"
 
-_LATCHED_DEPTH = 1000  # messages kept for subscribers that come late
-# What slow subscribers get to acknowledge the last messages. One that was killed is given up by
-# Fast DDS after 20 s.
+_LATCHED_DEPTH = 1000  # messages kept for late subscribers
+# Time for slow subscribers to acknowledge the last messages. Fast DDS removes a killed subscriber
+# after 20 s.
 _LAST_DELIVERY_S = 30.0
 _LAST_DELIVERY_STOPPED_S = 5.0
 _ASK_EVERY_S = 0.2
@@ -36,20 +36,20 @@ def replay(
     begin: Callable[[Sequence[Channel]], None],
     advance: Callable[[int, int], None],
 ) -> PlaybackResult[Channel]:
-    """Publish what is to be played; SIGINT, SIGTERM and SIGHUP end it early.
+    """Publish a playback; SIGINT, SIGTERM and SIGHUP end it early.
 
     Args:
-        playback: What is played.
+        playback: The channels and messages to publish.
         rate: Seconds of bag time per second.
-        patience_s: How long to wait until every topic has a subscriber, seconds.
+        patience_s: Longest time to wait until every topic has a subscriber, seconds.
         with_clock: Whether to publish the bag time on /clock.
         arguments: ROS arguments, from `--ros-args` on.
-        begin: Told the channels without a subscriber when it begins.
-        advance: Told the bag time played and all of it, now and then.
+        begin: Called at the start with the channels without a subscriber.
+        advance: Called periodically with the played and the total bag time.
 
     Raises:
         InputError: The bag is damaged.
-        SettingsError: ROS doesn't take the arguments.
+        SettingsError: ROS rejects the arguments.
     """
     with ros(arguments) as stop:
         import rclpy
@@ -77,11 +77,11 @@ def replay(
 
 
 def _publisher(node: Node, channel: Channel) -> Any:
-    """Return a publisher that every kind of subscriber can connect to.
+    """Return a publisher that is compatible with all subscribers.
 
-    It keeps each message until all reliable subscribers have acknowledged it, and when it can
-    keep no more, sending fails. A latched topic keeps a number of messages: those that late
-    subscribers shall get are kept for ever, and would fill it.
+    It keeps every message until all reliable subscribers have acknowledged it. If its memory is
+    full, sending fails. A latched topic keeps a fixed number of messages instead, because messages
+    for late subscribers are never removed.
     """
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -102,7 +102,7 @@ def _publisher(node: Node, channel: Channel) -> Any:
 
 
 def _send(publisher: Any, payload: bytes, stop: StopSignal) -> float:
-    """Publish a message as soon as there is room for it; returns how long that took, seconds.
+    """Publish a message as soon as there is room for it; return the waiting time, seconds.
 
     A signal ends the waiting, and the message is not sent.
     """
@@ -114,7 +114,7 @@ def _send(publisher: Any, payload: bytes, stop: StopSignal) -> float:
         try:
             publisher.publish(payload)
         except RuntimeError:  # the base of rclpy's error, which is private
-            # Waiting helps if there is no room. With all acknowledged it was something else.
+            # If all messages are acknowledged, the reason is not a lack of room.
             if acknowledged:
                 raise
         else:
@@ -126,7 +126,7 @@ def _send(publisher: Any, payload: bytes, stop: StopSignal) -> float:
 
 
 def _clock(node: Node) -> Callable[[int], None]:
-    """Return what publishes a bag time on /clock."""
+    """Return a function that publishes a bag time on /clock."""
     from rosgraph_msgs.msg import Clock
 
     publisher = node.create_publisher(Clock, CLOCK_TOPIC, 1)
@@ -156,7 +156,7 @@ def _without_subscriber(
 
 
 def _deliver(publishers: Sequence[Any], stop: StopSignal) -> None:
-    """Wait until subscribers have acknowledged all messages, which an exit would lose."""
+    """Wait until subscribers have acknowledged all messages; an exit loses the others."""
     from rclpy.duration import Duration
 
     began = time.monotonic()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 MEGABYTE = 1_000_000
 _MOST_CLIPS = 100
-_MOST_CAUSES = 100  # that one clip names
+_MOST_CAUSES = 100  # alarms in the JSON file of a clip
 # Returns additional fields of a clip's JSON file.
 About = Callable[[], Mapping[str, Any]]
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)s\+(\d+(?:\.\d+)?)s")
@@ -31,16 +31,16 @@ _SPAN = re.compile(r"(\d+(?:\.\d+)?)s\+(\d+(?:\.\d+)?)s")
 
 @dataclass(frozen=True)
 class BlackBoxSettings:
-    """How much is kept, and where it goes.
+    """Settings of the black box.
 
     Attributes:
         before_s: Seconds before an alarm.
         after_s: Seconds after it.
-        topics: Whose messages are kept.
-        folder: Where clips gather.
-        memory: Bytes that may be held back.
-        disk: Bytes that the clips of a folder may take; the oldest go.
-        pause_s: From one alarm with a clip to the next one.
+        topics: Topics of the clips.
+        folder: Folder for clips.
+        memory: Largest size of the stored messages, bytes.
+        disk: Largest size of all clips in the folder, bytes; the oldest ones are removed.
+        pause_s: Least time from an alarm with a clip to the next one, seconds.
     """
 
     before_s: float
@@ -53,10 +53,10 @@ class BlackBoxSettings:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> BlackBoxSettings | None:
-        """Return what the parameters ask for; None if they ask for no black box.
+        """Return the settings in the parameters; None if they request no black box.
 
         Raises:
-            SettingsError: A value means nothing.
+            SettingsError: A value is not valid.
             InputError: The library that writes clips is missing.
         """
         text = values["black_box"]
@@ -88,7 +88,7 @@ class BlackBoxSettings:
 
 @dataclass
 class _Due:
-    """A clip that waits for its last seconds."""
+    """A clip whose last messages have not arrived yet."""
 
     at_ns: int
     causes: list[Notice]
@@ -97,31 +97,31 @@ class _Due:
 
 
 class ClipWriter:
-    """Holds messages back, and writes a clip of them some time after an alarm.
+    """Stores messages, and writes a clip of them some time after an alarm.
 
     Attributes:
-        ring: The messages.
-        news: Unreported sentences, and whether each is a warning.
+        ring: The stored messages.
+        news: Sentences that are not reported yet, and whether they are warnings.
     """
 
     def __init__(self, settings: BlackBoxSettings, now_ns: Callable[[], int] = time.time_ns):
         """Create it with an empty ring.
 
         Args:
-            settings: How much is kept.
-            now_ns: The clock that messages are received by.
+            settings: Topics, spans and limits.
+            now_ns: The clock of the times of reception.
 
         Raises:
             InputError: The folder for clips can't be made.
         """
         self._settings, self._now_ns = settings, now_ns
         self._folder = ClipFolder(settings.folder, _MOST_CLIPS, settings.disk)
-        # A message waits up to a tick until it is taken.
+        # A message waits for up to one tick before it is stored.
         self.ring = MessageRing(settings.before_s + settings.after_s + 1.0, settings.memory)
         self.news: list[tuple[str, bool]] = []
         self._due: _Due | None = None
         self._free_at_ns = 0
-        self._without = 0  # alarms since the last clip that got none
+        self._without = 0  # alarms without a clip since the last clip
         self._task: BackgroundTask[tuple[str, bool]] = BackgroundTask(1.0)
 
     def trigger(self, cause: Notice, about: About) -> None:
@@ -146,10 +146,10 @@ class ClipWriter:
             self._due = _Due(now_ns + after_ns, [cause], now_ns, about)
 
     def renew(self, *, at_end: bool = False) -> None:
-        """Forget old messages, and write the clip that is due.
+        """Remove old messages, and write the clip that is due.
 
         Args:
-            at_end: No more messages will come: write the waiting clip, and wait until it is done.
+            at_end: Whether the node ends: write the waiting clip now, and wait until it is done.
         """
         self.ring.forget(self._now_ns())
         told = self._task.wait() if at_end else self._task.take()
@@ -199,10 +199,10 @@ class BlackBox:
     """Subscribes to the topics of the clips, and passes their messages to the writer."""
 
     def __init__(self, node: Node, settings: BlackBoxSettings, values: Mapping[str, Any]) -> None:
-        """Start to look for publishers.
+        """Start to search for publishers.
 
         Args:
-            node: Subscribes.
+            node: The subscribing node.
             settings: Topics, spans and limits.
             values: The parameters, for the JSON file.
 
@@ -229,7 +229,7 @@ class BlackBox:
 
         Args:
             cause: The alarm.
-            history: Returns the signals of the last minute; empty where nothing is watched.
+            history: Returns the signals of the last minute; empty without a watch.
         """
         self._writer.trigger(cause, lambda: {"signals": history(), "parameters": self._values})
 

@@ -1,4 +1,4 @@
-"""How an evaluation goes, as a `diagnostic_msgs/DiagnosticStatus`."""
+"""The status of an evaluation, as a `diagnostic_msgs/DiagnosticStatus`."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def diagnose(
     """Return the status of one estimate.
 
     Args:
-        node: The node's name.
+        node: Name of the node.
         run: The run.
         estimate: One of its estimates.
         snapshot: Its evaluation.
-        newest: Of its newest pair.
-        notices: What `notices_about` says.
+        newest: Errors of its newest pair.
+        notices: Notices from `notices_about`.
         peaks: The largest values since the last status.
-        undrawn: Number of updates that Rerun didn't get.
+        undrawn: Number of updates that Rerun did not receive.
     """
     told = gravest_first(notices)
     values = _values(run, estimate, snapshot, newest)
@@ -63,7 +63,7 @@ def notices_about(
     peaks: Mapping[str, Peak],
     limits: Mapping[str, Any],
 ) -> list[Notice]:
-    """Return what is to be said of one estimate now.
+    """Return the current notices about one estimate.
 
     Args:
         run: The run.
@@ -84,7 +84,7 @@ def notices_about(
 
 
 def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
-    """Report what doesn't come: no number renews itself then."""
+    """Report missing data, without which no error is updated."""
     for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.side)):
         silent_s = side.silent_s
         if silent_s is None:
@@ -98,7 +98,7 @@ def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
 
 def _about_coverage(snapshot: Snapshot, limits: Mapping[str, Any]) -> list[Notice]:
     coverage, what = snapshot.estimate_coverage, "poses have groundtruth"
-    if coverage is None and snapshot.coverage is not None:  # of pairs at the groundtruth's stamps
+    if coverage is None and snapshot.coverage is not None:  # pairs at groundtruth's times
         coverage, what = snapshot.coverage.covered, "fixes or points have an estimate"
     for level, name in ((ERROR, "error_coverage"), (WARN, "warn_coverage")):
         if coverage is not None and coverage < limits[name]:
@@ -109,7 +109,7 @@ def _about_coverage(snapshot: Snapshot, limits: Mapping[str, Any]) -> list[Notic
 
 
 def about_integrity(snapshot: Snapshot) -> list[Notice]:
-    """Tell where the newest pair is in the Stanford diagram, unless that is where it should be."""
+    """Report the region of the Stanford diagram of the newest pair, unless it is nominal."""
     parts = () if snapshot.integrity is None else snapshot.integrity.parts
     found = []
     for each in parts:
@@ -147,7 +147,7 @@ def _about_clock(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
 
 
 def _about_start(run: LiveRun) -> Iterator[Notice]:
-    """Report what isn't known yet, or never was."""
+    """Report what the start of the evaluation waits for, and what was not found."""
     body = run.body
     if run.waits_for:
         yield Notice("alignment", OK, f"evaluation waits for {run.waits_for}")
@@ -186,7 +186,7 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
 def _values(
     run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot, newest: Update
 ) -> dict[str, Any]:
-    """Return what stands in the status, by name; None is left out."""
+    """Return the values of the status, by name; those that are None are omitted."""
     return {
         "groundtruth": run.groundtruth.source,
         "estimate": estimate.side.source,

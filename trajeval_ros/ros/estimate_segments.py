@@ -1,4 +1,4 @@
-"""One estimate topic over a whole run: its messages, handed to the segments that they are of."""
+"""One estimate topic over a whole run: passes its messages to the segments."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.sides import Side, TimeAt
 
-FOLLOWS_WITHIN_S = 5.0  # the time of one side, when the other's steps back
+FOLLOWS_WITHIN_S = 5.0  # if the time of one side steps back, the other follows within this time
 
 
 class DecodedMessages(NamedTuple):
     """Messages of an estimate.
 
     Attributes:
-        stamps: (N,) by which time is judged, nanoseconds: of a path that of its last pose.
-        states: Of all messages, or of one path.
-        times: (N,) when the middleware received each; of a path when it arrived.
+        stamps: (N,), nanoseconds, for the detection of steps back; for a path, of its last pose.
+        states: States of all messages, or of one path.
+        times: (N,), nanoseconds, times of reception by the middleware; for a path, of arrival.
         newest: Type and bytes of the newest message; None for a path.
     """
 
@@ -40,13 +40,13 @@ class DecodedMessages(NamedTuple):
 
 
 class EstimateSegments:
-    """Keeps the newest segment of an estimate, and those whose last messages may still come.
+    """Keeps the newest segment of an estimate, and older ones that may still receive messages.
 
     Attributes:
-        side: Where the messages come from.
+        side: Source of the messages.
         current: The newest segment.
         ending: Older ones, not closed yet.
-        time: How often time has stepped back.
+        time: Counts how often time has stepped back.
     """
 
     def __init__(
@@ -92,18 +92,18 @@ class EstimateSegments:
 
     @property
     def own_epoch(self) -> int:
-        """Of what the estimate's messages of now are."""
+        """The epoch of the estimate's current messages."""
         return self.time.count + self._own_ahead
 
     def truth_epoch(self, groundtruth: TimeSteps) -> int:
-        """Of what the groundtruth's messages of now are, for this estimate."""
+        """Return the epoch of the groundtruth's current messages, for this estimate."""
         return groundtruth.count + self._truth_ahead
 
     def messages(self, time_at: TimeAt | None) -> Iterator[DecodedMessages]:
         """Yield the messages that have arrived, and every path separately.
 
         Args:
-            time_at: Of simulated time; None for the computer's.
+            time_at: Returns simulated time; None for the clock of the computer.
         """
         stream = self.side.stream
         for message_type, taken, arrived in self.side.take(time_at):
@@ -144,9 +144,9 @@ class EstimateSegments:
         self.current, self._begun_at = begun, time.monotonic()
 
     def update(self, settings: OnlineSettings) -> Iterator[tuple[LiveEstimate, Update]]:
-        """Evaluate what has arrived; yields what is new in the newest segment.
+        """Evaluate the messages that have arrived; yield the new errors of the newest segment.
 
-        A segment that ended with a jump is complete, and another one begun.
+        After a jump, the segment is complete and a new one starts.
         """
         for each in self.ending:
             each.update()
@@ -161,8 +161,8 @@ class EstimateSegments:
     def complete(self, groundtruth: TimeSteps) -> list[LiveEstimate]:
         """Return and remove the segments that no further message can belong to.
 
-        Of a side whose time goes on as before while the other's has stepped back, the newest
-        states count for the new segment, too.
+        If the time of only one side has stepped back, the newest states of the other side belong
+        to the new segment, too.
         """
         if self.ending and time.monotonic() >= self._begun_at + FOLLOWS_WITHIN_S:
             if (behind := self.current.epoch - self.truth_epoch(groundtruth)) > 0:

@@ -18,7 +18,7 @@ class EventTopic:
     """Publishes notices as `diagnostic_msgs/DiagnosticStatus`: text, level, and named values."""
 
     def __init__(self, node: Node) -> None:
-        """Advertise it."""
+        """Create the publisher."""
         from diagnostic_msgs.msg import DiagnosticStatus
 
         self._node = node

@@ -20,16 +20,17 @@ if TYPE_CHECKING:
 
 
 class FrameBroadcaster:
-    """Broadcasts one transform for each frame of the estimates.
+    """Broadcasts one transform per frame of the estimates.
 
-    A frame has one parent: what publishes another one for an estimate's frame tears the tree.
+    A frame has one parent. If another node publishes a different parent of an estimate's frame,
+    the TF tree is invalid.
     """
 
     def __init__(self, node: Node, gauge: Gauge) -> None:
-        """Advertise.
+        """Create the publisher.
 
         Raises:
-            SettingsError: The gauge has a scale, which a transform can't hold, or transforms
+            SettingsError: The gauge has a scale, which a transform can't contain, or transforms
                 can't be published.
         """
         if gauge.has_scale:
@@ -50,11 +51,11 @@ class FrameBroadcaster:
         """Publish an estimate's alignment.
 
         Args:
-            name: The estimate's.
-            alignment: From the estimate's frame to the groundtruth's.
-            stamp: Of the newest pair, nanoseconds.
-            frame: The groundtruth's.
-            child_frame: The estimate's.
+            name: Name of the estimate.
+            alignment: Similarity from the estimate's frame to the groundtruth's frame.
+            stamp: Timestamp of the newest pair, nanoseconds.
+            frame: Frame of the groundtruth.
+            child_frame: Frame of the estimate.
         """
         owner = self._owners.setdefault(child_frame, name)
         why = ""
@@ -74,5 +75,5 @@ class FrameBroadcaster:
         )
 
     def notices(self, name: str) -> list[Notice]:
-        """Return why nothing of an estimate is broadcast; empty if it is."""
+        """Return why the alignment of an estimate is not broadcast; empty if it is."""
         return [self._refused[name]] if name in self._refused else []

@@ -16,9 +16,9 @@ def publishers_of(node: Node, name: str, types: tuple[str, ...] | None) -> list[
     """Return the endpoints that publish a topic with one of the types, all of one type.
 
     Args:
-        node: Knows the network.
-        name: The topic's, before remapping.
-        types: Those that can be read; None for all that are installed.
+        node: A node, which has the ROS graph.
+        name: Name of the topic, before remapping.
+        types: Readable types; None for all installed types.
     """
     found = [
         each
@@ -29,12 +29,12 @@ def publishers_of(node: Node, name: str, types: tuple[str, ...] | None) -> list[
 
 
 def why_unmatched(node: Node, name: str, types: tuple[str, ...] | None) -> str:
-    """Return why nothing is received on a topic, and what there is instead.
+    """Return why no message is received on a topic, and similar names or other types.
 
     Args:
-        node: Knows the network.
-        name: The topic's, before remapping.
-        types: Those that can be read; None for all that are installed.
+        node: A node, which has the ROS graph.
+        name: Name of the topic, before remapping.
+        types: Readable types; None for all installed types.
     """
     topic = node.resolve_topic_name(name)
     there = node.get_publishers_info_by_topic(name)

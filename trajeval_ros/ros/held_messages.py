@@ -1,4 +1,4 @@
-"""Messages that arrive before the start is decided; they are evaluated later in the same order."""
+"""Messages that arrive before the start of the evaluation; they are evaluated later, in order."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 if TYPE_CHECKING:
     from trajeval_ros.ros.live_estimate import LiveEstimate
 
-# The side of messages, and how a segment of an estimate takes them.
+# The side of messages, and a function that passes them to a segment of an estimate.
 HeldCall = tuple[str, Callable[["LiveEstimate"], None]]
-# Twice a minute at 1 kHz on both sides; a limit, since timestamps may not advance.
+# Limit of memory, in case timestamps do not advance: two minutes of both sides at 1 kHz.
 _MOST_STATES = 250_000
 
 
@@ -24,7 +24,7 @@ class HeldMessages:
     """Stored calls, and the time span of their states.
 
     Attributes:
-        calls: With their sides, in order of arrival.
+        calls: Stored calls with their sides, in order of arrival.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class HeldMessages:
         """Store a call for states of a side, timestamps (N,) with N > 0."""
         self.calls.append((side, call))
         if side == "estimate" and side not in self._spans:
-            self._spans.clear()  # groundtruth alone is not enough for a decision
+            self._spans.clear()  # the span counts from the first estimate
         self._states += len(stamps)
         first, last = int(stamps.min()), int(stamps.max())
         earliest, latest = self._spans.get(side, (first, last))

@@ -1,4 +1,4 @@
-"""From `rclpy.init` to shutdown, with signals that ask for an end instead of forcing one."""
+"""From `rclpy.init` to shutdown, with signals that request an orderly end."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ class StopSignal:
 
 
 def _endings() -> list[signal.Signals]:
-    """Return the signals that ask for an end.
+    """Return the signals that request an end.
 
-    SIGHUP tells that the terminal is gone, as when an SSH session drops; `nohup` has it ignored.
+    SIGHUP is sent if the terminal is closed, as when an SSH session ends. If it is ignored
+    (`nohup`), it stays ignored.
     """
     endings = [signal.SIGINT, signal.SIGTERM]
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -41,13 +42,13 @@ def _endings() -> list[signal.Signals]:
 def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     """Run ROS in this process, until the end of the block.
 
-    The context stays valid after a signal, so that what is left can be published and written.
+    The context stays valid after a signal, so the last results can be published and written.
 
     Args:
         arguments: ROS arguments, from `--ros-args` on.
 
     Raises:
-        SettingsError: ROS doesn't take the arguments.
+        SettingsError: ROS rejects the arguments.
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions

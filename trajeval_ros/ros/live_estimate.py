@@ -1,4 +1,4 @@
-"""One estimate while it is evaluated: messages in, errors and a pair file out."""
+"""The evaluation of one estimate: from messages to errors and a pair file."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ class LiveEstimate:
     """Evaluates one estimate topic.
 
     Attributes:
-        side: Where its messages come from.
-        name: Of its topics.
-        segment: Which part of the run this is, from 1.
-        epoch: How often time had stepped back before it.
+        side: Source of its messages.
+        name: Its name in topics and files.
+        segment: Number of the segment in the folder, from 1.
+        epoch: Number of steps back of time before this segment.
         following: Pairing of the next segment, if this one ended with a jump.
         stream: Decodes its messages.
         evaluator: Its evaluation.
-        latency: How long its errors take to be published.
+        latency: Time from arrival to publication of its errors.
         jumps: Restarts and corrections so far.
         clock: Estimate of its clock offset; none if the topic carries paths.
         trail: The run, thinned to few poses.
@@ -69,8 +69,8 @@ class LiveEstimate:
         peaks: The largest errors since the last status.
         slow: Hints, and the errors of the newest path.
         standing: Reported conditions that still hold.
-        newest: Type and bytes of the newest message; None before it, and of paths.
-        offset_ns: What is added to its stamps, nanoseconds.
+        newest: Type and bytes of the newest message; None before the first one and for paths.
+        offset_ns: Clock offset that is added to its timestamps, nanoseconds.
         doubt: Why the groundtruth's up axis is probably wrong, at the newest snapshot; empty if it
             is plausible.
     """
@@ -93,15 +93,15 @@ class LiveEstimate:
         """Create it with an empty pair file.
 
         Args:
-            side: Where its messages come from.
-            worker: Estimates its clock.
-            settings: What to do.
-            folder: For its files.
-            groundtruth: Where the groundtruth comes from.
-            place: Its place among the estimates, from 0.
-            body: Moves states before they are paired.
-            hold: Store messages until `release` sets the clock offset.
-            splits: End at a jump of the estimate; `following` is then the next pairing.
+            side: Source of its messages.
+            worker: Executor for the estimate of its clock offset.
+            settings: Settings of the evaluation.
+            folder: Folder for its files.
+            groundtruth: Source of the groundtruth.
+            place: Index of the estimate, from 0.
+            body: Transforms states to the evaluated body before they are paired.
+            hold: Whether to store messages until `release` sets the clock offset.
+            splits: Whether to end at a jump of the estimate; `following` is then the next pairing.
             after: The previous segment of the same topic.
             began_by: Reason for a new segment.
 
@@ -127,7 +127,7 @@ class LiveEstimate:
             "segment": self.segment,
         }
         self.writer = PairWriter(folder / f"{self._stem}{SUFFIX}", description)
-        # It has no reference to this segment, so that the memory of a complete segment is freed.
+        # The evaluator has no reference to this segment, so a complete segment can be freed.
         self.evaluator = OnlineEvaluator(
             settings,
             record_waypoints=self.writer.append_waypoints,
@@ -153,12 +153,12 @@ class LiveEstimate:
             self._follow(after)
 
     def _follow(self, before: LiveEstimate) -> None:
-        """Take over the parts that are not of a single segment."""
+        """Take over the state that is common to all segments."""
         self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
         self.watch, self.offset_ns = before.watch, before.offset_ns
         self._jumps_found = before._jumps_found
         if before.following is not None:
-            self.jumps = before.jumps  # what is usual stays so
+            self.jumps = before.jumps  # keeps the usual step size
         self.evaluator.set_offset(before.evaluator.offset_s)
         self._judge_by_body()
         self.evaluator.groundtruth_up = before.evaluator.groundtruth_up
@@ -166,12 +166,12 @@ class LiveEstimate:
         self._take_held(before._held_for_next)
 
     def set_gauge(self, gauge: Gauge) -> None:
-        """Align by another gauge; before the first groundtruth."""
+        """Set another gauge; call it before the first groundtruth."""
         self.evaluator.set_gauge(gauge)
         self.clock = OnlineClock(gauge, self._worker)
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states: stamps (N,) and rows (N, 10)."""
+        """Add groundtruth states: timestamps (N,) and rows (N, 10)."""
         self.clock.add_groundtruth(stamps, rows)
         if self._held is not None and not self._held.calls and not self._body.is_wanted:
             # No estimate is stored so far. The evaluator drops old groundtruth itself.
@@ -184,12 +184,12 @@ class LiveEstimate:
             )
 
     def share_groundtruth(self, other: LiveEstimate) -> None:
-        """Take the newest groundtruth states, of the body, from another segment."""
+        """Copy the newest groundtruth states, of the evaluated body, from another segment."""
         self.evaluator.add_groundtruth(*other.evaluator.buffer.newest_groundtruth)
 
     @property
     def up(self) -> UpAxis:
-        """Which axis points up in its frame."""
+        """The up axis of its frame."""
         return self.stream.up(self._given_up)
 
     @property
@@ -209,13 +209,13 @@ class LiveEstimate:
         self._take_held(held.calls)
 
     def _judge_by_body(self) -> None:
-        """Judge covariances by groundtruth as it is moved."""
+        """Use the marker pose in the test of covariances."""
         hand_eye = self._body.hand_eye
         if hand_eye is not None and not self._body.of_marker:
             self.evaluator.judge_moved_groundtruth(hand_eye)
 
     def _take_held(self, calls: Sequence[HeldCall]) -> None:
-        """Take stored messages up to a jump; the following ones belong to the next segment."""
+        """Evaluate stored messages up to a jump; later ones belong to the next segment."""
         for place, (side, call) in enumerate(calls, start=1):
             call(self)
             # One by one, as if messages arrived now, so that the buffers stay small. Groundtruth
@@ -227,7 +227,7 @@ class LiveEstimate:
                     return
 
     def take(self, poses: StateColumns, received: Stamps) -> None:
-        """Take states and their times of reception, (N,), nanoseconds since 1970."""
+        """Add states and their times of reception, (N,), nanoseconds since 1970."""
         self.evaluator.estimate_up = self.up
         self.clock.add_estimate(poses.stamps, poses.states)
         self._now_or_later(
@@ -235,7 +235,7 @@ class LiveEstimate:
         )
 
     def update(self, *, at_end: bool = False) -> Update:
-        """Evaluate what has arrived and write its pairs; return the new errors."""
+        """Evaluate the messages that have arrived, write the pairs, and return the new errors."""
         released, self._released = self._released, []
         return united([*released, self._evaluate_new(at_end=at_end)])
 
@@ -259,7 +259,7 @@ class LiveEstimate:
             return pairs
         row = int(pairs.stamps.searchsorted(found[0].stamp))
         self._jumps_found = self.jumps.update(narrowed.picked(slice(row + 1)), self._scale)
-        self.jumps.count = 0  # it has none within
+        self.jumps.count = 0  # a segment contains no jump
         pairs, self.following = self.evaluator.buffer.cut(pairs, row)
         return pairs
 
@@ -314,7 +314,9 @@ class LiveEstimate:
         )
 
     def uncertainty(self) -> tuple[int, Floats, Floats] | None:
-        """Return stamp, position (3,) and its covariance (3, 3) of the newest message, as paired.
+        """Return timestamp, position (3,) and its covariance (3, 3) of the newest message.
+
+        They refer to the evaluated body, with the clock offset applied, as in pairs.
 
         Returns:
             None if there is no message, or its covariance is unknown.
@@ -325,7 +327,7 @@ class LiveEstimate:
         pose = decode_poses([payload], message_type, covariance=True)
         if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
             return None
-        # The first of a run may be zero, hence this one twice.
+        # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
         if not judge_poses(pose.positions)[0][0] or unknown_covariances(
             pose.covariances.repeat(2, 0)
         ):
@@ -340,7 +342,7 @@ class LiveEstimate:
         return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
 
     def dropped_since_begun(self, stream: PoseStream) -> dict[str, int]:
-        """Number of messages of one side since this segment began that are no poses, by reason."""
+        """Return the number of messages without a pose since this segment started, by reason."""
         before, now = self._dropped_before[id(stream)], stream.status.dropped
         return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
 
@@ -389,7 +391,7 @@ class LiveEstimate:
             self.watch(pairs)
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
-        """Take a path: evaluate its new poses, and store the revision of the others."""
+        """Add a path: evaluate its new poses, and store the revision of the others."""
         self.evaluator.estimate_up = self.up
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
@@ -410,7 +412,7 @@ class LiveEstimate:
         """Write everything to disk.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The files can't be written.
         """
         self.slow.close()
         try:

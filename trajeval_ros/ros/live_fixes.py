@@ -35,8 +35,8 @@ class LiveFixes:
         """Create it.
 
         Args:
-            rule: Which fixes are used.
-            gauge: Of the alignment: `none` requires a datum, `planar` no heights.
+            rule: Rules for the selection of fixes.
+            gauge: Gauge of the alignment: `none` requires a datum, `planar` needs no heights.
         """
         self.rule = rule or FixRule()
         self.datum: Datum | None = None
@@ -48,7 +48,7 @@ class LiveFixes:
 
     @property
     def why_none(self) -> str:
-        """Why no fix has been used so far, if that is a matter of parameters; else empty."""
+        """Why no fix has been used so far, if parameters are the cause; else empty."""
         if self._lacks_heights and self.datum is None:
             return self.refused or _NO_HEIGHTS
         return self.refused
@@ -61,7 +61,7 @@ class LiveFixes:
         Args:
             stamps: (N,), nanoseconds.
             places: (N, 3), latitude and longitude in degrees, height in metres.
-            quality: (N, 11), as `PoseColumns` has it.
+            quality: (N, 11), as in `PoseColumns`.
 
         Returns:
             Which fixes are used, (N,), their positions (M, 3), metres, and the number of the other

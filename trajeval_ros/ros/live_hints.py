@@ -17,12 +17,13 @@ from trajeval_ros.ros.parameter_table import PARAMETERS
 _OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)(?:[ =](?=[\w.+-]))?")
 _PARAMETERS = {each.name for each in PARAMETERS}
 _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
-# These need all messages, and the trail has only some of the pairs.
+# Tests that need all messages. The trail contains only some of the pairs.
 _NOT_BY_SOME_PAIRS = {
     "few_pairs", "keyframes", "stamps_rounded", "duplicated", "truth_held", "truth_frozen",
     "truth_bridged", "gap_bridged", "restart",
 }  # fmt: skip
-# Pairs of clocks that are 37 s apart (TAI against UTC) share half of their motion from here on.
+# From this duration on, clocks that differ by 37 s (TAI and UTC) have half of the motion in
+# common.
 _OTHER_RUN_FROM_S = 75.0
 
 
@@ -34,14 +35,14 @@ def hints_about(
     *,
     of_clocks: bool,
 ) -> list[Notice]:
-    """Return the mistakes that pairs show, and frames that differ.
+    """Return the mistakes that are found in pairs, and differences of frames.
 
     Args:
-        pairs: Some of the run's, between the frames' own axes.
-        protocol: Its settings.
+        pairs: Some pairs of the run, in the frames of the messages.
+        protocol: Settings of the evaluation.
         ups: The up axes of groundtruth and estimate.
-        bodies: The names of the bodies that they are of.
-        of_clocks: Whether to look at the clocks.
+        bodies: Names of the bodies of groundtruth and estimate.
+        of_clocks: Whether to test the clocks.
     """
     found = [("frames", text) for text in about_frames(*bodies)]
     plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
@@ -62,7 +63,7 @@ def hints_about(
 def in_parameters(text: str) -> str:
     """Return a sentence with options as parameters, `hand_eye:=auto`, if they exist.
 
-    Other options stay: they are those of `trajeval evaluate` and `trajeval finish`.
+    Other options are unchanged: they belong to `trajeval evaluate` and `trajeval finish`.
     """
 
     def parameter(option: re.Match[str]) -> str:

@@ -40,7 +40,7 @@ class LiveRun:
 
     Attributes:
         groundtruth: Source of the groundtruth.
-        finisher: Writes result.json, in a process of its own.
+        finisher: Writes result.json in another process.
         news: Notices that are not published yet.
         watch: Receives the states of the groundtruth, to draw them.
         body: The body that is evaluated.
@@ -114,7 +114,7 @@ class LiveRun:
 
     @property
     def groundtruth_up(self) -> UpAxis:
-        """Which axis points up in the groundtruth's frame."""
+        """The up axis of the groundtruth's frame."""
         return self.groundtruth.stream.up(self._given_up)
 
     @property
@@ -144,7 +144,7 @@ class LiveRun:
                     self._begin_if_due(track, track.time, track.own_epoch)
                     track.take(message, part)
         for estimate in self.estimates:
-            # While nothing is evaluated, waiting delays nothing.
+            # Before the start nothing is evaluated, so waiting for the clock estimate is possible.
             estimate.clock.update(waits=self.holds)
         self._decide()
 
@@ -173,10 +173,10 @@ class LiveRun:
             each.write_state(recorded_state(self, each))
 
     def save(self) -> None:
-        """Start to write result.json; there are pairs, and nothing is being written.
+        """Start to write result.json; requires pairs and no running process.
 
         Raises:
-            InputError: The disk takes no more.
+            InputError: The pairs can't be written.
         """
         self.write_states()
         for each in self.estimates:
@@ -251,12 +251,12 @@ class LiveRun:
 
     @property
     def waits_for(self) -> str:
-        """What must be known before anything is evaluated; empty once it is."""
+        """What the start of the evaluation waits for; empty after the start."""
         return self._start.waits_for
 
     @property
     def about_clocks(self) -> str:
-        """Which clock offset was found, as a sentence; empty if none was requested."""
+        """A sentence about the estimated clock offset; empty if it was not requested."""
         return self._start.about_clocks
 
     @property
@@ -296,7 +296,7 @@ class LiveRun:
         self._fix_writers[folder].append(stamps, fixes)
 
     def _keep_upright(self) -> None:
-        """Align by yaw if no gauge is set, since the heights of fixes would tilt an estimate."""
+        """Set the yaw gauge if none is set, because errors in heights of fixes cause a tilt."""
         self._gauge_is_default = False
         self.words = {**self.words, "gauge": Gauge.YAW.value}
         self._settings = self._settings.with_gauge(Gauge.YAW)
@@ -359,7 +359,7 @@ class LiveRun:
         self._decide(at_end=True)
 
     def _decide(self, *, at_end: bool = False) -> None:
-        """Evaluate what was held, once clock offset and marker pose are decided."""
+        """Evaluate the stored messages when clock offset and marker pose are decided."""
         offset_s = self._start.look(self.estimates, at_end=at_end)
         if offset_s is None:
             return

@@ -1,4 +1,4 @@
-"""The live watch: alarms from the bytes of messages, by the same watchdog as for recordings."""
+"""The live watch: alarms from serialised messages, with the same watchdog as for recordings."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from trajeval_ros.watchdog.unseen import unseen
 
 # Time after arming at which typical values are compared with those of the limits.
 _COMPARED_S = 60.0
-_REMEMBERED_S = 60.0  # of alarms that are over
-# Turn rates wait for states whose stamps are not trusted yet.
+_REMEMBERED_S = 60.0  # time for which ended alarms are kept
+# Turn rates that wait for states whose timestamps are still under test.
 _MOST_RATES = 2000
 
-# Type, messages, and when they arrived.
+# Type, messages, and times of arrival.
 Batches = Sequence[tuple[str, ReceivedMessages, Stamps]]
 
 
 class WatchedMessages(NamedTuple):
-    """Messages since the last look, each source in order of arrival.
+    """Messages since the last look, by source in order of arrival.
 
     Attributes:
         estimate: Messages of the estimate that is watched.
@@ -61,9 +61,9 @@ class WatchReport:
     """Result of a look.
 
     Attributes:
-        notices: The current state; an alarm that has begun and ended is in it once.
-        news: Findings about the sources, each reported once.
-        begun: The alarms that have begun.
+        notices: The current state, with alarms that have started and ended since the last look.
+        news: Findings about the sources; every finding is reported once.
+        begun: The alarms that have started.
         values: Values of the status, by name.
         history: The signals of the last minute and the limits, for the JSON file of a clip.
     """
@@ -80,7 +80,7 @@ class LiveWatch:
 
     Attributes:
         book: The alarms.
-        watchdog: Makes the signals.
+        watchdog: Computes the signals.
     """
 
     def __init__(
@@ -98,8 +98,8 @@ class LiveWatch:
             limits: Limits learned from a healthy run.
             factor: Ratio of a limit to the largest healthy value.
             estimate: Decodes the messages of the estimate.
-            others: Decode those of second estimates and of map corrections, by source (`pair`,
-                `pair.NAME`, `map`).
+            others: Decode the messages of second estimates and of map corrections, by source
+                (`pair`, `pair.NAME`, `map`).
             has_imu: Whether there is an IMU.
 
         Raises:
@@ -143,7 +143,7 @@ class LiveWatch:
         )
 
     def _judge(self, messages: WatchedMessages) -> list[WatchAlarm]:
-        """Return the alarms that begin."""
+        """Return the alarms that start."""
         restarts = self.watchdog.restarts
         parts = [self._take_imu(messages.imu)]
         parts += [
@@ -166,7 +166,7 @@ class LiveWatch:
             return {}
         readings = decode_rates(payloads, IMU_TYPE)
         assert readings.accelerations is not None
-        timed = readings.stamps != 0  # a stamp that was not set
+        timed = readings.stamps != 0  # 0: the timestamp is not set
         return self.watchdog.add_inertial(
             readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
         )
@@ -193,7 +193,7 @@ class LiveWatch:
         )
 
     def _rates_of(self, kind: str, payloads: Sequence[bytes]) -> InertialReadings | None:
-        """Return the turn rates of the newest messages; None where messages have none."""
+        """Return the turn rates of the newest messages; None if messages have no twist."""
         if kind != ODOMETRY_TYPE:
             return None
         new = decode_rates(payloads, kind)
@@ -208,10 +208,10 @@ class LiveWatch:
         return self._rates if len(self._rates) else None
 
     def _compare(self, signals: Signals) -> None:
-        """Refuse limits of another robot, once enough has been seen.
+        """Check once, `_COMPARED_S` after arming, that the limits are of this robot.
 
         Raises:
-            InputError: They seem to be of another one.
+            InputError: They seem to be of another robot.
         """
         armed_s = self.watchdog.armed_s
         if self._first is None or armed_s is None:
@@ -277,7 +277,7 @@ class LiveWatch:
 def _poses(
     stream: PoseStream, kind: str, taken: ReceivedMessages, arrived: Stamps
 ) -> tuple[Stamps, Floats, Floats, Floats]:
-    """Return stamps (N,), positions (N, 3), quaternions (N, 4) and velocities (N, 3) in the world.
+    """Return timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3).
 
     Raises:
         InputError: The messages are paths.

@@ -18,14 +18,14 @@ from trajeval_ros.ros.static_transform import StaticTransform
 
 
 class MarkerBody:
-    """Has or finds the marker's pose in the body, and moves states by it.
+    """The marker's pose in the body, given or estimated; transforms states by it.
 
     Attributes:
         source: Source of the pose: a file, frames, or `auto`; `none` for no marker.
         transform: Looks up the frames; None for other sources.
         hand_eye: The pose; None while it is unknown, or if it is not applied.
-        of_marker: Whether the groundtruth has no orientation, so that the estimate is moved to
-            the marker and not the groundtruth to the body.
+        of_marker: Whether the evaluated body is the marker: the groundtruth has no orientation, so
+            the estimate is moved to the marker instead of the groundtruth to the body.
         why_not: Why the requested pose is not applied; else empty.
     """
 
@@ -36,13 +36,20 @@ class MarkerBody:
         transform: StaticTransform | None = None,
         rotation_frame: str = "world",
     ) -> None:
-        """Create it; `rotation_frame` is that of the estimates' covariances."""
+        """Create it.
+
+        Args:
+            source: Source of the pose, as in the attribute.
+            known: The pose, if a file contains it.
+            transform: Looks up the frames.
+            rotation_frame: Frame of the rotation errors in the estimates' covariances.
+        """
         self.source, self.transform = source, transform
         self.hand_eye: HandEye | None = None
         self.of_marker = False
         self.why_not = ""
         self._found, self._rotation_frame = known, rotation_frame
-        self._without: list[str] = []  # which of rotation and lever arm is not applied, and why
+        self._without: list[str] = []  # rotation or lever arm that is not applied, with the reason
 
     @property
     def is_wanted(self) -> bool:

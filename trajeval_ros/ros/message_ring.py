@@ -1,4 +1,4 @@
-"""The messages of the last seconds, as bytes, within a bound of memory."""
+"""The serialised messages of the last seconds, in limited memory."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import NamedTuple
 from trajeval_ros.io.bags.write_clip import ClipTopic
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 
-# What Python adds to the bytes of a message: objects of it and of its time, and their places.
+# Memory per message in addition to its bytes: the Python objects of message and time, and their
+# entries in lists.
 _OVERHEAD = sys.getsizeof(b"") + sys.getsizeof(2**60) + 16
-# Of a latched topic so many batches stay, however old: each publisher's newest among them.
+# Batches of a latched topic that are kept regardless of their age. They contain the newest message
+# of every publisher.
 _LATCHED_BATCHES = 50
 
 
@@ -22,13 +24,13 @@ class _Batch(NamedTuple):
 
 
 class TopicRing:
-    """Messages of one topic, batch by batch as they were taken.
+    """Messages of one topic, in the batches in which they were received.
 
     Attributes:
-        name: Of the topic.
-        type: Of its messages, the newest.
-        is_latched: Whether subscribers that come late get them.
-        batches: The oldest first.
+        name: Name of the topic.
+        type: Type of its newest messages.
+        is_latched: Whether late subscribers receive the newest messages.
+        batches: Batches, the oldest first.
     """
 
     def __init__(self, name: str) -> None:
@@ -38,7 +40,7 @@ class TopicRing:
 
     @property
     def may_forget(self) -> bool:
-        """Whether the oldest batch may go."""
+        """Whether the oldest batch may be removed."""
         return len(self.batches) > (_LATCHED_BATCHES if self.is_latched else 0)
 
 
@@ -46,25 +48,25 @@ class MessageRing:
     """Keeps the newest messages of topics.
 
     Attributes:
-        size: Bytes of memory that they take.
-        forgotten: Messages that went before their time, since memory is bounded.
+        size: Memory of the messages, bytes.
+        forgotten: Number of messages removed early because of the limit of memory.
     """
 
     def __init__(self, kept_s: float, most_bytes: int) -> None:
         """Create it empty.
 
         Args:
-            kept_s: For how long messages are kept.
-            most_bytes: What all of them may take; beyond it the oldest go.
+            kept_s: Time for which messages are kept, seconds.
+            most_bytes: Limit of memory, bytes; above it the oldest messages are removed.
         """
         self.size = self.forgotten = 0
         self._kept_ns, self._most = round(kept_s * 1e9), most_bytes
         self._topics: dict[str, TopicRing] = {}
 
     def add(self, name: str, kind: str, taken: ReceivedMessages, *, is_latched: bool) -> None:
-        """Keep messages that have just been taken, at least one."""
+        """Add received messages, at least one."""
         topic = self._topics.setdefault(name, TopicRing(name))
-        if topic.type not in ("", kind):  # another type can't stand under the same name
+        if topic.type not in ("", kind):  # a clip has one type per topic
             self.size -= sum(each.size for each in topic.batches)
             topic.batches.clear()
         topic.type, topic.is_latched = kind, is_latched
@@ -75,14 +77,18 @@ class MessageRing:
             pass
 
     def forget(self, now_ns: int) -> None:
-        """Forget what is too old."""
+        """Remove old messages.
+
+        Args:
+            now_ns: Current time, nanoseconds.
+        """
         before = now_ns - self._kept_ns
         for topic in self._topics.values():
             while topic.may_forget and topic.batches[0].last_ns < before:
                 self.size -= topic.batches.popleft().size
 
     def _forget_oldest(self) -> bool:
-        """Forget the oldest batch of all; return whether there was one that may go."""
+        """Remove the oldest batch of all topics; return whether one may be removed."""
         filled = [each for each in self._topics.values() if each.may_forget]
         if not filled:
             return False
@@ -92,7 +98,10 @@ class MessageRing:
         return True
 
     def between(self, begin_ns: int, end_ns: int) -> list[ClipTopic]:
-        """Return the messages received in a span, and of latched topics those before it."""
+        """Return the messages received in a span of time, nanoseconds.
+
+        Latched topics include their messages before it.
+        """
         found = []
         for topic in self._topics.values():
             begin = 0 if topic.is_latched else begin_ns

@@ -36,7 +36,7 @@ from trajeval_ros.ros.static_transform import StaticTransform
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
 from trajeval_ros.ros.watching import Watching
 
-_SNAPSHOTS_SHARE = 0.05  # of a core at the most: a window that is the whole run grows
+_SNAPSHOTS_SHARE = 0.05  # largest share of a core; with the whole run as window, cost increases
 
 
 class EvaluatorNode:
@@ -46,7 +46,7 @@ class EvaluatorNode:
         """Create publishers, services and the output folder, and start.
 
         Args:
-            node: Publishes, subscribes and serves.
+            node: The ROS node.
             values: Its parameters.
 
         Raises:
@@ -307,13 +307,13 @@ class EvaluatorNode:
     # Services and parameters.
 
     async def _save(self, request: Any, response: Any) -> Any:
-        """Answer ~/save when result.json is written."""
+        """Handle ~/save; respond when result.json is written."""
         del request
         success, message = await self._results.saved()
         return _answered(response, message, success=success)
 
     def _reset(self, request: Any, response: Any) -> Any:
-        """Answer ~/reset: end this run, whose results stay, and begin another one."""
+        """Handle ~/reset: end this run, keep its results, and start another one."""
         del request
         try:
             begun = self._new_run()

@@ -25,7 +25,7 @@ def make_folder(name: str) -> Path:
     """Create the folder for a run; if it exists, with a number appended to its name.
 
     Args:
-        name: As the user gave it; empty for the date and time.
+        name: Name from the user; empty for the date and time.
 
     Raises:
         InputError: It can't be made.
@@ -46,7 +46,7 @@ class Finisher:
     """Runs `trajeval finish` on a folder, one process at a time.
 
     Attributes:
-        trouble: Why the last one failed; empty if it didn't.
+        trouble: Why the last process failed; empty if it did not.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -131,12 +131,12 @@ class Autosave:
     """Decides when result.json is written again, and explains a longer period than requested."""
 
     def __init__(self) -> None:
-        """Create it: the first time is a period from now."""
+        """Create it; the first save is due after one period."""
         self._saved_at = time.monotonic()
         self._told_s = 0.0
 
     def saved(self) -> None:
-        """Note that it is being written."""
+        """Store the time of a save."""
         self._saved_at = time.monotonic()
 
     def is_due(self, finisher: Finisher, period_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""All parameters and services of the evaluator's node: names, defaults and what they mean."""
+"""All parameters and services of the evaluator's node: names, defaults and descriptions."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class NodeParameter:
 
     Attributes:
         name: Its name.
-        default: Its value if nobody sets it; the type is the parameter's.
-        description: What it means.
-        range: The least and the greatest value of a number.
+        default: Its default value, which also defines its type.
+        description: Its meaning, for the user.
+        range: Smallest and largest value of a number.
         is_live: Whether it may be set while the node runs.
     """
 

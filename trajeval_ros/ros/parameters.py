@@ -59,7 +59,7 @@ def declare(node: Node) -> dict[str, Any]:
             ]
         try:
             declared = node.declare_parameter(each.name, each.default, descriptor)
-        except Exception as error:  # of several kinds, without a base of their own
+        except Exception as error:  # rclpy's exceptions here have no common base class
             said = " ".join(str(error).split())
             raise SettingsError(f"parameter {each.name} is not valid: {said}") from error
         values[each.name] = converted(each, declared.value)
@@ -79,7 +79,7 @@ def declare(node: Node) -> dict[str, Any]:
 
 
 def about_unknown(node: Node) -> list[str]:
-    """Return a sentence about each parameter that is set and not declared, such as a typo."""
+    """Return one sentence per parameter that is set but not declared, such as a typo."""
     names = [each.name for each in PARAMETERS]
     found = []
     for name in getattr(node, "_parameter_overrides", {}):
@@ -140,10 +140,10 @@ def words_of(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def fixes_of(values: dict[str, Any]) -> FixRule:
-    """Return which GNSS fixes of the groundtruth are used.
+    """Return the rule for the GNSS fixes of the groundtruth.
 
     Raises:
-        SettingsError: The values mean nothing.
+        SettingsError: A value is not valid.
     """
     return FixRule(
         datum=parse_datum(values["datum"]) if values["datum"] else None,

@@ -25,7 +25,7 @@ from trajeval_ros.ros.timing import Arrivals
 
 _MOST_NOTES = 20
 _STALE_AFTER_S, _STALE_PERIODS = 5.0, 3.0
-_TROUBLE_AFTER = 10  # messages in a row that give no pose
+_TROUBLE_AFTER = 10  # consecutive messages without a pose
 
 
 class StateColumns(NamedTuple):
@@ -33,9 +33,9 @@ class StateColumns(NamedTuple):
 
     Attributes:
         stamps: (N,) nanoseconds.
-        states: (N, 10) or (N, 46), rows as `online.state_rows` has them.
-        rows: (N,) which message each is from.
-        fixes: (N, 14), of GNSS fixes place and quality as in their messages; else None.
+        states: (N, 10) or (N, 46), in the columns of `online.state_rows`.
+        rows: (N,), index of the message.
+        fixes: (N, 14), place and quality of GNSS fixes as in their messages; None for others.
     """
 
     stamps: Stamps
@@ -44,12 +44,12 @@ class StateColumns(NamedTuple):
     fixes: Floats | None = None
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
-        """Return some of the states: a mask, their places, or a slice."""
+        """Return the states of a mask, of indices, or of a slice."""
         fixes = None if self.fixes is None else self.fixes[rows]
         return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes)
 
     def joined(self, other: StateColumns) -> StateColumns:
-        """Return these states and others behind them."""
+        """Return these states followed by others."""
         return StateColumns(
             np.concatenate([self.stamps, other.stamps]),
             np.concatenate([self.states, other.states]),
@@ -62,9 +62,9 @@ class StreamStatus:
     """Counts, frames and notes of a stream.
 
     Attributes:
-        poses: Number of poses, repeated stamps included.
-        first: The earliest stamp, nanoseconds; None before the first pose.
-        last: The latest one.
+        poses: Number of poses, including repeated timestamps.
+        first: The earliest timestamp, nanoseconds; None before the first pose.
+        last: The latest timestamp, nanoseconds; None before the first pose.
         frame: Frame of the poses, from the first message.
         child_frame: Name of their body.
         dropped: Number of messages without a valid pose, by reason.
@@ -105,9 +105,9 @@ class PoseStream:
         status: Counts, frames and notes so far.
         arrivals: Delay of messages relative to their timestamps.
         news: Notices that are not published yet.
-        trouble: Why messages give no poses at present; empty if they do.
+        trouble: Why messages currently contain no valid poses; empty if they do.
         fixes: Selects GNSS fixes, if the topic carries fixes.
-        begins_anew: Whether time may start again, as in a bag that is played in a loop.
+        begins_anew: Whether time may step back to a new start, as in a bag played in a loop.
         heard_at: Time of the last message, by `time.monotonic`; None before the first.
     """
 
@@ -117,9 +117,9 @@ class PoseStream:
         """Create it for a topic.
 
         Args:
-            topic: Its name.
-            covariances: Whether to decode those of messages that have one.
-            fixes: How GNSS fixes are used.
+            topic: Name of the topic.
+            covariances: Whether to decode the covariances of messages that have one.
+            fixes: Selects GNSS fixes; None for topics without fixes.
         """
         self._covariances = covariances
         self.fixes = fixes or LiveFixes()
@@ -141,7 +141,7 @@ class PoseStream:
 
     @property
     def patience_s(self) -> float:
-        """Time without a message that is reported: some of the stream's own periods."""
+        """Time without a message after which silence is reported, in proportion to the period."""
         status = self.status
         period_s = status.duration_s / (status.poses - 1) if status.poses > 1 else 0.0
         return max(_STALE_AFTER_S, _STALE_PERIODS * period_s)

@@ -1,4 +1,4 @@
-"""What the evaluator publishes about one estimate, under `~/NAME/`."""
+"""The topics of one estimate, under `~/NAME/`."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ _PATH_EVERY_S = 1.0
 
 
 class Outputs:
-    """Publishers of one estimate; numbers without a subscriber cost nothing.
+    """Publishers of one estimate; numbers are published only if they have a subscriber.
 
-    Errors are `std_msgs/Float64`, which PlotJuggler and rqt_plot draw as they are, and vectors
-    with stamps: `StampedErrors`.
+    Errors are `std_msgs/Float64`, which PlotJuggler and rqt_plot can draw. `StampedErrors`
+    publishes vectors with timestamps.
     """
 
     def __init__(self, node: Node, name: str, *, judges: bool) -> None:
-        """Advertise what is known from the beginning.
+        """Create all publishers except those of relative errors.
 
         Args:
-            node: Publishes.
-            name: The estimate's.
-            judges: Whether its covariances are judged.
+            node: The publishing node.
+            name: Name of the estimate.
+            judges: Whether its covariances are tested.
         """
         from geometry_msgs.msg import TransformStamped
         from nav_msgs.msg import Path
@@ -69,7 +69,7 @@ class Outputs:
         self._path_at = 0.0
 
     def advertise_lengths(self, lengths: Iterable[str]) -> None:
-        """Advertise the relative errors of these lengths; a topic's name can't begin with 8."""
+        """Create the publishers of relative errors; a topic's name can't start with a digit."""
         for each in lengths:
             self._advertise(relative_error_topic(each))
 
@@ -79,10 +79,10 @@ class Outputs:
         """Publish the errors of new pairs, and of sub-trajectories that have ended.
 
         Args:
-            update: What is new; of its pairs, plain numbers are about the newest one.
-            frame: The groundtruth's.
-            offset_ns: What was added to the estimate's stamps.
-            knows_up: False withholds what depends on the up axis.
+            update: The new errors; numbers without a timestamp are of the newest pair.
+            frame: Frame of the groundtruth.
+            offset_ns: Clock offset that was added to the estimate's timestamps.
+            knows_up: Whether the up axis is known; without it, yaw and tilt are not published.
         """
         for errors in update.errors:
             self._stamped.publish(errors, frame, offset_ns, knows_up=knows_up)
@@ -107,10 +107,10 @@ class Outputs:
         """Publish the alignment, and paths in the groundtruth's frame, about once a second.
 
         Args:
-            trail: What is left of the pairs.
-            alignment: From the estimate's frame to the groundtruth's.
-            frame: The groundtruth's.
-            child_frame: The estimate's.
+            trail: The pairs, thinned.
+            alignment: Similarity from the estimate's frame to the groundtruth's frame.
+            frame: Frame of the groundtruth.
+            child_frame: Frame of the estimate.
         """
         if time.monotonic() < self._path_at or not len(trail):
             return

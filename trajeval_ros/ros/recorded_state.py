@@ -1,4 +1,7 @@
-"""What a live run stores next to its pairs, for `trajeval finish`: settings, counts, warnings."""
+"""The state that a live run stores next to its pairs, for `trajeval finish`.
+
+It has the settings, counts and warnings.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _SAME_CLOCK_S = 60.0
 
 
 def recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
-    """Return everything that `trajeval finish` needs and pairs do not show, as JSON values."""
+    """Return the data that `trajeval finish` needs in addition to the pairs, as JSON values."""
     buffer = estimate.evaluator.buffer
     return {
         "settings": run.words,

@@ -1,4 +1,4 @@
-"""Results that are written while the node runs: periodically, on request, and of past runs."""
+"""Writes results while the node runs: periodically, on request, and of past runs."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ class ResultWriting:
 
         Args:
             current: Returns the present run, which a reset replaces.
-            log: Receives every sentence, and whether it is a warning.
+            log: Called with a sentence, and whether it is a warning.
         """
         self._current, self._log = current, log
         self._autosaving = Autosave()
-        self._saved = Future()  # done when the process that is running now has ended
-        self._past: list[Finisher] = []  # of runs and folders that are complete
+        self._saved = Future()  # done when the running process has ended
+        self._past: list[Finisher] = []  # finishers of complete runs and folders
         self._complaint = ""
 
     def tell(self, period_s: float) -> None:
-        """Report what has been written, and write again once a period is over, seconds."""
+        """Report written results, and start to write again after a period, seconds."""
         self._complain()
         finisher = self._current().finisher
         if finisher.poll():
@@ -46,7 +46,7 @@ class ResultWriting:
 
     async def saved(self) -> tuple[bool, str]:
         """Write result.json; return whether it was written, and where or why not."""
-        while self._current().finisher.is_busy:  # with what was there before the newest pairs
+        while self._current().finisher.is_busy:  # a running process does not have the newest pairs
             await self._saved
         finisher = self._current().finisher
         if why_not := self._begin():
@@ -74,7 +74,7 @@ class ResultWriting:
         self._past.append(finisher)
 
     def _begin(self) -> str:
-        """Start to write result.json; returns why that is not possible, else an empty text."""
+        """Start to write result.json; return the reason if that is not possible, else ""."""
         run = self._current()
         if not run.has_pairs:
             return run.why_no_pair()

@@ -1,4 +1,4 @@
-"""What the evaluator publishes about the newest version of a path, under `~/NAME/revised/`."""
+"""The topics of the newest version of a path, under `~/NAME/revised/`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 
 class RevisedOutputs:
-    """Publishers of one estimate that is a path; all are latched, since paths may come rarely."""
+    """Publishers of one estimate that is a path; all are latched, because paths may be rare."""
 
     def __init__(self, node: Node, name: str) -> None:
-        """Advertise what doesn't depend on settings."""
+        """Create the publishers that do not depend on settings."""
         from geometry_msgs.msg import TransformStamped
         from nav_msgs.msg import Path
 
@@ -40,10 +40,10 @@ class RevisedOutputs:
         """Publish the errors, the alignment and the aligned path of its newest version.
 
         Args:
-            evaluation: Of that version.
+            evaluation: Evaluation of that version.
             ups: The up axes of groundtruth and estimate.
-            frame: The groundtruth's.
-            child_frame: The estimate's.
+            frame: Frame of the groundtruth.
+            child_frame: Frame of the estimate.
         """
         for name in ("position_m", "rotation_deg"):
             statistics = evaluation.ate[name]

@@ -1,4 +1,4 @@
-"""When segments of a live run start, by the node's parameters."""
+"""Rules for the start of new segments of a live run, from the node's parameters."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from trajeval_ros.exceptions import require_one_of
 
 @dataclass(frozen=True)
 class Segmentation:
-    """When a segment ends and another one begins, each a run of its own.
+    """Rules for the start of a new segment. Segments are evaluated like separate runs.
 
     Attributes:
-        on_time_jump: When stamps step back: `segment`; `reset`, in a folder of its own; `ignore`.
-        on_restart: When an estimate jumps: `segment` or `ignore`.
+        on_time_jump: If timestamps step back: `segment`, `reset` (a segment in a new folder) or
+            `ignore`.
+        on_restart: If an estimate jumps: `segment` or `ignore`.
 
     Raises:
-        SettingsError: There is no such answer.
+        SettingsError: A value is not valid.
     """
 
     on_time_jump: str = "segment"
     on_restart: str = "ignore"
 
     def __post_init__(self) -> None:
-        """Refuse unknown values."""
+        """Check the values."""
         require_one_of(self.on_time_jump, ("reset", "segment", "ignore"), "on_time_jump")
         require_one_of(self.on_restart, ("segment", "ignore"), "on_restart")

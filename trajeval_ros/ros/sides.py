@@ -56,7 +56,7 @@ class Side:
         topic, colon, frames = source.partition(":")
         try:
             self.source = node.resolve_topic_name(topic) + colon + frames
-        except Exception as error:  # of several kinds, without a base of their own
+        except Exception as error:  # rclpy's exceptions here have no common base class
             said = " ".join(str(error).split())
             raise SettingsError(f"{topic!r} is not a topic name: {said}") from error
         self.name = part_of_topic(self.source)
@@ -64,7 +64,7 @@ class Side:
         if colon:
             self.stream = self._transforms(frames)
             types = TRANSFORM_TYPES[:1]
-            # As offline: static transforms may be common to all robots, others have a namespace.
+            # As for recordings: /tf_static may be common to all robots, /tf may have a namespace.
             static = {
                 node.resolve_topic_name(each): TopicInput(node, each, types, is_static=True)
                 for each in (f"{topic}_static", "/tf_static")
@@ -93,7 +93,7 @@ class Side:
         """Return type, messages and their times of arrival, by input.
 
         Args:
-            time_at: Of simulated time; None to use the times when messages were received.
+            time_at: Returns simulated time; None for the times of reception.
         """
         found = []
         for each in self.inputs:
@@ -147,7 +147,7 @@ def name_apart(sides: list[Side], namespace: str) -> None:
 
     Args:
         sides: The estimates.
-        namespace: The node's.
+        namespace: Namespace of the node.
 
     Raises:
         SettingsError: Two estimates have the same name.

@@ -1,4 +1,4 @@
-"""Simulated time at the moments when messages were received, between the messages of /clock."""
+"""Simulated time at the reception of messages, interpolated between messages of /clock."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
-_SAMPLES = 256  # of the time since messages were taken last, at 100 Hz and more
+_SAMPLES = 256  # samples that are kept; with /clock at 100 Hz, 2.5 s
 _NS = struct.Struct("<iI")
 _ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
 
 
 class ClockSamples:
-    """When which simulated time was received, and what time it was between and a little later.
+    """Samples of simulated time and their times of reception, for interpolation.
 
-    A node's own clock stands still from one message to the next, at 10 Hz for 0.1 s.
+    The clock of a ROS node does not interpolate: with /clock at 10 Hz it has steps of 0.1 s.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class ClockSamples:
         self._samples: deque[tuple[int, int]] = deque(maxlen=_SAMPLES)
 
     def see(self, received: int, time_ns: int) -> None:
-        """Take a simulated time and when it was received, nanoseconds."""
+        """Add a simulated time and its time of reception, nanoseconds."""
         if self._samples and (time_ns < self._samples[-1][1] or received < self._samples[-1][0]):
             self._samples.clear()  # time starts again
         self._samples.append((received, time_ns))
@@ -41,8 +41,8 @@ class ClockSamples:
     def at(self, received: Stamps) -> Stamps:
         """Return the simulated time at which messages were received, (N,), nanoseconds.
 
-        Beyond the newest sample time goes on as between the last ones, for as long as these are
-        apart; later, and before the oldest, it is `UNKNOWN`.
+        After the newest sample, time is extrapolated for at most one interval of samples. Later
+        times, and times before the oldest sample, are `UNKNOWN`.
         """
         found = np.full(len(received), UNKNOWN)
         if len(self._samples) < 2:
@@ -51,7 +51,7 @@ class ClockSamples:
         last = walls[-1] - walls[-2]
         rate = (times[-1] - times[-2]) / max(last, 1)
         known = (received >= walls[0]) & (received <= walls[-1] + last)
-        # From the newest one: differences are small, where times as float64 lose digits.
+        # Differences to the newest sample are small; whole times lose digits as float64.
         between = np.interp(received - walls[-1], walls - walls[-1], times - times[-1])
         beyond = np.maximum(received - walls[-1], 0) * rate
         return np.where(known, times[-1] + np.round(between + beyond).astype(np.int64), found)

@@ -16,7 +16,7 @@ from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.live_hints import hints_about
 
-_MOST_SHARE = 0.03  # of a core
+_MOST_SHARE = 0.03  # largest share of a core
 # Span of the run before the first hints, and factor of its growth before the next ones.
 _FIRST_S = 5.0
 _GROWTH = 1.3
@@ -29,7 +29,7 @@ class _Findings:
 
 
 class SlowEvaluation:
-    """Evaluates repeatedly what takes too long for a tick.
+    """Runs evaluations that are too slow for a tick, repeatedly.
 
     Attributes:
         hints: Newest hints.
@@ -42,7 +42,7 @@ class SlowEvaluation:
         self.revised: Evaluation | None = None
         self._task: BackgroundTask[_Findings] = BackgroundTask(_MOST_SHARE)
         self._hints_at_s = _FIRST_S
-        self._version = 0  # of the path that was evaluated
+        self._version = 0  # version of the evaluated path
 
     def renew(
         self,

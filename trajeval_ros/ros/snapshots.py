@@ -1,4 +1,4 @@
-"""Snapshots of rosbag2: on an alarm its recorder writes what it holds in memory."""
+"""Snapshots of rosbag2: on an alarm, its recorder writes the messages in its memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Snapshots:
             ) from error
         try:
             self._client = node.create_client(Snapshot, service)
-        except Exception as error:  # of several kinds, without a base of their own
+        except Exception as error:  # rclpy's exceptions here have no common base class
             said = " ".join(str(error).split())
             raise SettingsError(f"{service!r} is not a service name: {said}") from error
         self._request, self._name = Snapshot.Request, self._client.srv_name
@@ -53,7 +53,7 @@ class Snapshots:
             self._is_asked_for = True
 
     def renew(self) -> tuple[str, bool] | None:
-        """Call the service or check its answer; returns a sentence, and whether it warns."""
+        """Call the service or check its response; return a sentence, and whether it warns."""
         if self._is_asked_for:
             self._is_asked_for = False
             if not self._client.service_is_ready():

@@ -13,14 +13,14 @@ from trajeval_ros.ros.message_types import message_class
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-_QUEUE = 1000  # messages: those of a tick come together
+_QUEUE = 1000  # messages; all messages of a tick are published at once
 
 
 class StampedErrors:
-    """Publishers of one estimate; a vector without a subscriber is not even computed."""
+    """Publishers of one estimate; vectors without a subscriber are not computed."""
 
     def __init__(self, node: Node, name: str) -> None:
-        """Advertise them."""
+        """Create the publishers."""
         kind = message_class(VECTOR_TYPE)
         self._publishers = {
             topic: advertise(node, kind, f"~/{name}/{topic}", _QUEUE) for topic in VECTORS
@@ -30,10 +30,10 @@ class StampedErrors:
         """Publish the errors of N pairs.
 
         Args:
-            errors: Of the pairs.
-            frame: The groundtruth's.
-            offset_ns: What was added to the estimate's stamps, which are published as they were.
-            knows_up: False withholds what depends on the up axis.
+            errors: Errors of the pairs.
+            frame: Frame of the groundtruth.
+            offset_ns: Clock offset in the timestamps of the pairs; it is subtracted in messages.
+            knows_up: Whether the up axis is known; without it, yaw and tilt are not published.
         """
         for topic, publisher in self._publishers.items():
             if not publisher.get_subscription_count():

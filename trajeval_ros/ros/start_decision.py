@@ -1,4 +1,4 @@
-"""When a live run starts to evaluate: clock offset and marker pose may have to be found first."""
+"""The start of the evaluation in a live run, after clock offset and marker pose are estimated."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ _DECISION_S = 60.0
 class StartDecision:
     """Decides on one clock offset and one body for all estimates.
 
-    Both are found from the first estimate: estimates with different offsets could not be ranked.
+    Both are estimated from the first estimate, because estimates with different offsets are not
+    comparable.
     The clock offset of a path is never known.
 
     Attributes:
         holds: Whether messages are only stored, because the decision is still open.
-        about_clocks: Which clock offset was found, as a sentence; empty if none was requested.
+        about_clocks: A sentence about the estimated clock offset; empty if it was not requested.
     """
 
     def __init__(self, body: MarkerBody, *, find_offset: bool) -> None:
-        """Create it; nothing is held if neither marker pose nor offset are requested.
+        """Create it; messages are stored only if a marker pose or the offset is requested.
 
         Args:
             body: Finds the marker pose, if one is requested.
@@ -35,11 +36,11 @@ class StartDecision:
         """
         self._body, self._finds_offset = body, find_offset
         self.holds, self.about_clocks = find_offset or body.is_wanted, ""
-        self._is_oriented: bool | None = None  # the groundtruth; None before its first state
+        self._is_oriented: bool | None = None  # of the groundtruth; None before its first state
 
     @property
     def waits_for(self) -> str:
-        """What must be known before anything is evaluated; empty once it is."""
+        """What the start of the evaluation waits for; empty after the start."""
         if not self.holds:
             return ""
         clocks = "the clock offset" if self._finds_offset else ""
@@ -47,7 +48,7 @@ class StartDecision:
         return " and ".join(filter(None, (clocks, marker)))
 
     def see_groundtruth(self, states: Floats) -> None:
-        """Take groundtruth states (N, 10), N > 0, which have orientations or have none."""
+        """Determine from groundtruth states (N, 10), N > 0, whether they have orientations."""
         if self._is_oriented is None:
             self._is_oriented = not np.isnan(states[0, QUATERNION.start])
 

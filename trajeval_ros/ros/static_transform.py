@@ -1,4 +1,4 @@
-"""The pose of one frame in another that never changes, as `/tf_static` carries it."""
+"""The constant pose of one frame in another, from `/tf_static`."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _MOST_EDGES = 10_000
 
 
 class StaticTransform:
-    """Looks two frames up.
+    """Looks up the transform between two frames.
 
     Attributes:
-        source: As the user named it.
-        trouble: Why the transform isn't known so far; empty once it is.
+        source: The source in the notation of the user.
+        trouble: Why the transform is not known yet; empty when it is.
     """
 
     def __init__(self, node: Node, source: str) -> None:
         """Subscribe.
 
         Args:
-            node: Subscribes.
+            node: The subscribing node.
             source: `/tf_static:BODY.MARKER`.
 
         Raises:
-            SettingsError: It names no two frames, or transforms can't be received.
+            SettingsError: The source does not name two frames, or transforms can't be received.
         """
         topic, _, frames = source.partition(":")
         self._body, dot, self._marker = (each.strip("/ ") for each in frames.partition("."))
@@ -57,11 +57,11 @@ class StaticTransform:
         return self._input.match()
 
     def leave(self) -> None:
-        """Subscribe no more."""
+        """Unsubscribe."""
         self._input.leave()
 
     def take(self) -> HandEye | None:
-        """Take what has arrived; returns the marker's pose in the body once it is known."""
+        """Process new transforms; return the marker's pose in the body, None if not known yet."""
         payloads = self._input.take().payloads
         if not payloads:
             return None

@@ -10,7 +10,7 @@ from trajeval_ros.online.error_topics import status_texts
 
 
 def status_message(level: int, name: str, text: str, values: Mapping[str, Any]) -> Any:
-    """Return the message; values that are None are left out, and foreign text is escaped."""
+    """Return the message without values that are None; control characters are escaped."""
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
     return DiagnosticStatus(

@@ -1,7 +1,8 @@
-"""Messages of a topic as bytes, taken by hand at the evaluator's own rate.
+"""Serialised messages of a topic, read at the rate of the evaluator instead of in callbacks.
 
-A callback for each message costs ten times as much as a look at the queue every 50 ms, most of it
-in the executor's wait set. So subscriptions are kept out of the wait set, and drained.
+Callbacks take ten times as much CPU time as reading the queue every 50 ms, mostly in the
+executor's wait set. So subscriptions are not in the wait set, and their queues are read
+periodically.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ _REMIND_EVERY_S = 30.0
 
 @dataclass(frozen=True)
 class ReceivedMessages:
-    """What waited on a topic.
+    """The messages that waited on a topic.
 
     Attributes:
         payloads: Serialised messages, in order of arrival.
-        received: When the middleware received each, nanoseconds since 1970.
+        received: Times of reception by the middleware, nanoseconds since 1970.
     """
 
     payloads: list[bytes] = field(default_factory=list)
@@ -37,12 +38,12 @@ class ReceivedMessages:
 
 
 class Losses:
-    """Counts messages that never arrived, by the gaps in their publishers' numbers.
+    """Counts lost messages, from gaps in the sequence numbers of the publishers.
 
     Attributes:
-        count: Messages lost.
-        is_exact: Whether all gaps could be seen: Humble's middleware doesn't tell numbers, and
-            Jazzy's doesn't tell one publisher's from another's.
+        count: Number of lost messages.
+        is_exact: Whether all gaps can be detected. Humble's middleware has no sequence numbers,
+            and Jazzy's does not distinguish the publishers of a topic.
     """
 
     def __init__(self) -> None:
@@ -52,7 +53,12 @@ class Losses:
         self._last: dict[bytes, int] = {}
 
     def see(self, info: dict[str, Any], publishers: int) -> None:
-        """Take the middleware's information on a message, and the number of publishers."""
+        """Process the middleware's information on a message.
+
+        Args:
+            info: The information.
+            publishers: Number of publishers of the topic.
+        """
         number = info.get("publication_sequence_number")
         identity = bytes((info.get("publisher_gid") or {}).get("data", b""))
         if number is None or (publishers > 1 and not identity):
@@ -67,13 +73,13 @@ class Losses:
 
 
 class TopicInput:
-    """Subscribes to a topic as its publishers offer it, and again when they change.
+    """Subscribes to a topic with the type and quality of service of its current publishers.
 
     Attributes:
         topic: Its name after remapping.
-        is_static: Whether it carries static transforms, which nobody needs to publish.
-        type: Of its messages; empty until somebody publishes it.
-        losses: Messages that were published and never arrived.
+        is_static: Whether it carries static transforms, which are optional.
+        type: Type of its messages; empty without a publisher.
+        losses: Counts messages that were published and did not arrive.
     """
 
     def __init__(
@@ -85,21 +91,21 @@ class TopicInput:
         is_static: bool = False,
         is_optional: bool = False,
     ) -> None:
-        """Start to look for publishers.
+        """Start to search for publishers.
 
         Args:
-            node: Subscribes.
-            topic: A name, as a user gives it.
-            types: Those that can be read; None for all that are installed.
+            node: The subscribing node.
+            topic: Name in the notation of the user, before remapping.
+            types: Readable types; None for all installed types.
             is_static: See the attribute.
-            is_optional: Whether to say nothing while nobody publishes it.
+            is_optional: Whether a missing publisher is not reported.
         """
         self.topic, self.is_static = node.resolve_topic_name(topic), is_static
         self._is_optional = is_optional or is_static
         self.type = ""
         self.losses = Losses()
-        # What a node is asked for it remaps itself; a name that is remapped already could become
-        # another one.
+        # The node remaps names itself, so this is the name before remapping. A second remapping
+        # can change a name again.
         self._node, self._name, self._types = node, topic, types if types is None else tuple(types)
         self._group = _polled()
         self._subscription: Any = None
@@ -110,7 +116,7 @@ class TopicInput:
 
     @property
     def is_latched(self) -> bool:
-        """Whether its publishers hand the newest messages to subscribers that come late."""
+        """Whether late subscribers receive the newest messages from its publishers."""
         from rclpy.qos import DurabilityPolicy
 
         latched = DurabilityPolicy.TRANSIENT_LOCAL
@@ -155,7 +161,7 @@ class TopicInput:
         return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
 
     def take(self) -> ReceivedMessages:
-        """Return what has arrived since the last call."""
+        """Return the messages since the last call."""
         taken = ReceivedMessages()
         if self._subscription is None:
             return taken
@@ -169,7 +175,7 @@ class TopicInput:
         return taken
 
     def leave(self) -> None:
-        """Subscribe no more."""
+        """Unsubscribe."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
@@ -201,8 +207,11 @@ def _polled() -> Any:
 
 
 def _no_events() -> Any:
-    """Return no event handlers: they join the wait set, and the graph has the same information."""
-    from rclpy.node import SubscriptionEventCallbacks  # its own module has another name in Humble
+    """Return a setting without event handlers, because these are in the executor's wait set.
+
+    The ROS graph has the same information.
+    """
+    from rclpy.node import SubscriptionEventCallbacks  # defined elsewhere in Humble
 
     return SubscriptionEventCallbacks(use_default_callbacks=False)
 

@@ -89,7 +89,7 @@ def summary(
     """Return one estimate's part of the line.
 
     Args:
-        name: The estimate's.
+        name: Name of the estimate.
         snapshot: Its evaluation.
         window: Window of its ATE, as in the parameter.
         newest_m: Position error of the newest pair.
@@ -121,5 +121,5 @@ def summary(
 
 
 def seconds(stamp: int) -> str:
-    """Return a stamp as seconds with milliseconds."""
+    """Return a timestamp in seconds with three decimals."""
     return f"{stamp / NANOSECONDS:.3f} s"

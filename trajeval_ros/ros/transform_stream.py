@@ -1,4 +1,4 @@
-"""The pose of one frame in another out of live transforms, as `/tf` carries them."""
+"""The pose of one frame in another, from live transforms on `/tf`."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ from trajeval_ros.online.notices import WARN, Notice
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 
-_MEMORY_S = 10.0  # of edges while the two frames aren't connected
-_MOST_TRANSFORMS = 50_000  # of an edge that waits for the others
-_MOST_EDGES = 1000  # of trees that are not ours
+_MEMORY_S = 10.0  # time span that is kept while the two frames are not connected
+_MOST_TRANSFORMS = 50_000  # transforms per edge
+_MOST_EDGES = 1000  # edges, which may belong to other trees
 _WARN_AFTER_S = 5.0
 
 _NEVER = int(np.iinfo(np.int64).min)
 
 
 class TransformStream(PoseStream):
-    """Chains the edges between two frames at the stamps of the leading one, as offline.
+    """Chains the edges between two frames at the timestamps of the leading edge, as for bags.
 
-    A pose is known when all edges have reached its stamp, and not before the leading edge is. A
-    tree has one way between two frames; once it is found, all other edges are forgotten.
+    The first pose is available when the leading edge is determined. A pose is available when all
+    edges have reached its timestamp. A tree has only one chain between two frames. When it is
+    found, all other edges are removed.
     """
 
     def __init__(self, source: str, parent: str, child: str) -> None:
@@ -57,8 +58,8 @@ class TransformStream(PoseStream):
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
     ) -> StateColumns:
-        """Return the states that have become known with new messages, as of the last of these."""
-        # Stamps are judged edge by edge, where they come from.
+        """Return the states that new messages complete, with the index of the last message."""
+        # Timestamps are tested per edge.
         del message_type
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
@@ -80,23 +81,23 @@ class TransformStream(PoseStream):
         return found
 
     def hold(self, payloads: Sequence[bytes]) -> None:
-        """Take static transforms."""
+        """Add static transforms."""
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
             known = self._edges.get(key)
-            # What moves is no static frame.
+            # A frame with moving transforms stays a moving frame.
             if self._wants(key) and (known is None or known.is_static):
                 self._keep(key, Edge.from_columns(columns.stamps, columns.numbers, True))
 
     def tell_trouble(self) -> None:
-        """Warn, once, of what isn't over after a while, whether or not more transforms come."""
+        """Warn once if `trouble` lasts for `_WARN_AFTER_S`, even if no more transforms arrive."""
         if self.trouble and self._warn_at is not None and time.monotonic() > self._warn_at:
             self._warn_at = np.inf
             self.news.append(Notice("data", WARN, self.trouble))
 
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
-        """Add transforms to an edge that moves."""
+        """Add transforms to a moving edge."""
         timed = columns.stamps != 0  # a timestamp that was not set
         trust = self._trusts.setdefault(key, StampTrust())
         before = trust.lone
@@ -130,7 +131,7 @@ class TransformStream(PoseStream):
             self._edges[key] = edge
 
     def _new_stamps(self) -> Stamps:
-        """Return the stamps that have a pose for the first time."""
+        """Return the timestamps with a new pose."""
         try:
             leading, span = self._lead()
         except InputError as error:
@@ -143,10 +144,10 @@ class TransformStream(PoseStream):
         return stamps[stamps > self._until]
 
     def _lead(self) -> tuple[EdgeKey, tuple[int, int]]:
-        """Return the leading edge, and from when to when all edges are known.
+        """Return the leading edge, and first and last timestamp that all edges cover.
 
         Raises:
-            InputError: There are no poses so far, for a reason that a user should know.
+            InputError: There are no poses yet; the message has the reason.
         """
         if not self._way:
             self._way = find_way(self._edges, self._parent, self._child, self._topic)
@@ -167,7 +168,7 @@ class TransformStream(PoseStream):
         return self._leading, span
 
     def _forget(self) -> None:
-        """Forget transforms that no pose will need."""
+        """Remove transforms that no later pose needs."""
         for key, edge in self._edges.items():
             if edge.is_static:
                 continue

@@ -18,14 +18,14 @@ class WatchNode:
     """Watches an estimate, with the evaluator's name and parameters."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        """Advertise and subscribe.
+        """Create publishers and subscriptions.
 
         Args:
-            node: Publishes and subscribes.
+            node: The ROS node.
             values: Its parameters.
 
         Raises:
-            InputError: The limits can't be read, or were learned without a source that is there.
+            InputError: The limits can't be read, or were learned without one of the sources.
             SettingsError: A topic's name is not valid.
         """
         from diagnostic_msgs.msg import DiagnosticArray
@@ -37,7 +37,7 @@ class WatchNode:
 
     @property
     def tick_period_s(self) -> float:
-        """How long to wait between two ticks, seconds."""
+        """Time between two ticks, seconds."""
         period: float = 1.0 / self._values["publish_rate"]
         return period
 
@@ -59,6 +59,6 @@ class WatchNode:
         self._diagnostics.publish(message)
 
     def finish(self) -> bool:
-        """Take the last messages; returns True, since there is no output to write."""
+        """Process the last messages; return True, because there is no output to write."""
         self._watching.conclude()
         return True

@@ -1,4 +1,4 @@
-"""The topics of a live watch: an estimate, second ones, map corrections, and an IMU."""
+"""The topics of a live watch: an estimate, second estimates, map corrections, and an IMU."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class WatchedTopics:
     """Subscribes to the topics of the watch, separately from those of the evaluation.
 
     Attributes:
-        estimate: The one that is watched.
+        estimate: The watched estimate.
         others: Second estimates, and transforms from the map, by source.
     """
 
     def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
-        """Start to look for publishers.
+        """Start to search for publishers.
 
         Args:
-            node: Subscribes.
+            node: The subscribing node.
             values: The parameters.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Monitoring beside the evaluation of a run or without one: watch, black box, snapshots."""
+"""Monitoring with or without an evaluation: watch, black box, snapshots."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from trajeval_ros.ros.watched_topics import WatchedTopics
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# A look costs about as much for one message as for twenty.
+# Processing one message takes about as much CPU time as processing twenty.
 _LOOK_EVERY_S = 0.1
-_MOST_SHARE = 0.25  # of a core, when messages come faster than usual
+_MOST_SHARE = 0.25  # largest share of a core, for topics with high rates
 _STALE_AFTER_S = 5.0
 
 Log = Callable[[str, bool], object]
 
 
 class EstimateWatch:
-    """Watches the first estimate on a thread of its own.
+    """Watches the first estimate on its own thread.
 
     Attributes:
         name: Subject of its events and its status.
@@ -67,7 +67,7 @@ class EstimateWatch:
         return self._topics.match()
 
     def tick(self) -> WatchReport | None:
-        """Take the messages that have arrived, and look if it is time; returns a new report."""
+        """Gather the messages that have arrived, and process them if due; return a new report."""
         self._topics.gather()
         found = self._task.take()
         if self._task.is_due and time.monotonic() >= self._look_at:
@@ -78,7 +78,7 @@ class EstimateWatch:
         return found
 
     def conclude(self) -> list[WatchReport]:
-        """Take the last messages; returns the reports about them."""
+        """Process the last messages; return the reports about them."""
         self._topics.gather()
         running = self._task.wait()
         self.report = self._watch.look(self._topics.gathered())
@@ -112,7 +112,7 @@ class EstimateWatch:
 
 
 class Watching:
-    """The watch, the black box and rosbag2's snapshots, as far as the parameters ask for them."""
+    """The watch, the black box and rosbag2's snapshots, as requested by the parameters."""
 
     def __init__(
         self, node: Node, values: Mapping[str, Any], events: EventTopic, log: Log
@@ -123,12 +123,12 @@ class Watching:
             node: Subscribes.
             values: The parameters.
             events: Topic on which alarms are published.
-            log: Called with each sentence, and whether it is a warning.
+            log: Called with a sentence, and whether it is a warning.
 
         Raises:
             InputError: A file can't be read, a folder not made, or the limits were learned
                 without a source that is there.
-            SettingsError: A parameter means nothing, or the service's type is not installed.
+            SettingsError: A parameter is not valid, or the service's type is not installed.
         """
         self._events, self._log = events, log
         kept = BlackBoxSettings.of(values)
@@ -158,7 +158,7 @@ class Watching:
             self._log(*told)
 
     def see(self, notices: Iterable[Notice]) -> None:
-        """Take notices of the evaluation: failed error limits start a clip and a snapshot."""
+        """Process notices of the evaluation: exceeded error limits start a clip and a snapshot."""
         for each in notices:
             if each.kind == "alarm" and each.level == ERROR:
                 self._trigger(each)
