@@ -42,7 +42,8 @@ def compare(
             unchanged are not evaluated again.
         columns: Columns of the estimates' text files, as in "t x y z qw qx qy qz"; None for those
             of the YAML file or of the text files.
-        frame_rate: Poses per second in text files without timestamps; None likewise.
+        frame_rate: Poses per second in text files without timestamps; None for that of the YAML
+            file.
         common_time_span: Whether to evaluate only the time that all runs of a sequence cover; None
             for the setting of the file.
         allow_remote: Hosts that URLs in the file may name, such as `s3://bucket`.

@@ -187,7 +187,7 @@ class _RunningComparison:
         self.evaluate(cut.values())
 
     def replace_damaged_records(self) -> None:
-        """Evaluate runs again whose older records can't be read, as writing tables does.
+        """Evaluate runs again if their existing records can't be read.
 
         Raises:
             InputError: A run can't be evaluated again.

@@ -19,7 +19,7 @@ from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
 
-# Words whose value may be a number, or a list of values, in YAML.
+# Settings whose value in YAML may be a number, or a list.
 _NUMBERS = ("align_states", "time_offset", "start", "end")
 _LISTS = ("lengths", "groundtruth_noise", "alert_limit")
 _KEYS = (

@@ -124,7 +124,7 @@ def evaluate_all(
     while not exhausted:
         with pool.start(pool.workers) as executor:
             exhausted = _drain(pool, executor, waiting, suspects, finish, watch)
-        # One of the runs in flight broke the executor: evaluate each in an executor of its own.
+        # One of the submitted runs broke the executor: evaluate every one in a new executor.
         for task in suspects:
             watch([task])
             with pool.start(1) as executor:

@@ -41,7 +41,7 @@ def runs_in_manifest(target: str, hosts: Collection[str]) -> tuple[PlannedRun, .
 
     Args:
         target: Path or URL of the manifest. Relative paths in it start at its folder.
-        hosts: Hosts that its URLs may name, as of `parse_hosts`.
+        hosts: Hosts that its URLs may name, as `parse_hosts` returns them.
 
     Raises:
         InputError: It can't be read, lists no run or a run twice, lacks a column or a value, or
@@ -103,7 +103,7 @@ def _source(text: str, target: str, hosts: Collection[str], where: str) -> str:
 
 
 def _rows(target: str) -> Iterator[tuple[str, Row]]:
-    """Yield each row with its place, "line 2" or "row 1"."""
+    """Yield all rows with their places, "line 2" or "row 1"."""
     data = _content(target)
     yield from _csv_rows(target, data) if target.endswith(_CSV) else _parquet_rows(target, data)
 

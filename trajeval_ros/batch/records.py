@@ -22,7 +22,7 @@ SCHEMA = "trajeval-run/1"
 DRAWN = ("errors", "path", "truth")
 _END_OF_HEAD = b"\n"
 _MARK = b"trajrun1"
-# Mark, key, and of each part its size and checksum.
+# Mark, key, and size and checksum of the two parts.
 _HEAD = struct.Struct("<8s32sQIQI")
 HEAD_BYTES = _HEAD.size
 

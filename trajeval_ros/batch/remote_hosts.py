@@ -32,7 +32,7 @@ def parse_hosts(texts: Iterable[str]) -> frozenset[str]:
 
 
 def host_of(url: str) -> frozenset[str]:
-    """Return the host of a URL, as of `parse_hosts`; empty if it has none."""
+    """Return the host of a URL in the form of `parse_hosts`; empty if it has none."""
     match = _HOST.match(url)
     return frozenset() if match is None else frozenset({_name(match)})
 
@@ -42,7 +42,7 @@ def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
 
     Args:
         url: The URL, which may have placeholders.
-        allowed: Allowed hosts, as of `parse_hosts`.
+        allowed: Allowed hosts, as `parse_hosts` returns them.
         where: The place that names the URL.
 
     Raises:

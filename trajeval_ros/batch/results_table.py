@@ -57,7 +57,7 @@ def write_table(
 
     Args:
         path: The file; it is written completely or not at all.
-        rows: Rows of runs, as of `rows_of_run` and `row_of_failure`.
+        rows: Rows of runs, from `rows_of_run` and `row_of_failure`.
         title: Title of the comparison.
         settings: Settings that its numbers depend on, as in `Plan.settings`.
         state: Hash of the inputs of the table.

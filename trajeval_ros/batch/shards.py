@@ -178,7 +178,7 @@ def write_merged(finished: FinishedComparison, folders: Sequence[Path], output: 
     """Write the tables of a comparison in shards, and add the records of the shards.
 
     Args:
-        finished: The comparison, as of `merged`.
+        finished: The comparison, from `merged`.
         folders: Folders of all shards.
         output: Folder for the comparison.
 

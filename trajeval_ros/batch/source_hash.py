@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# All that `batch/worker.py` imports, and what these import.
+# All modules that `batch/worker.py` imports, directly or indirectly.
 _OF_NUMBERS = (
     "exceptions.py",
     "geometry",
