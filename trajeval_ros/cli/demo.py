@@ -197,7 +197,7 @@ def _agree(one: float, other: float) -> bool:
 
 
 def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
-    """Return a number of a run by its path."""
+    """Return the number of a run at a path of keys and indices."""
     value: Any = run
     for each in path:
         value = value[each]

@@ -141,7 +141,7 @@ def _print_notes(notes: Sequence[str]) -> None:
 
 
 def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: float) -> None:
-    """Print what was played, in one line."""
+    """Print a summary of the playback in one line."""
     counts = [f"{played.counts[each]} on {visible(each.name)}" for each in playback.channels]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS
     if played.worst_lag_s > _LATE_S:

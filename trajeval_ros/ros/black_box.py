@@ -220,7 +220,7 @@ class BlackBox:
         return told + news
 
     def tick(self) -> None:
-        """Take the messages that have arrived, and write the clip that is due."""
+        """Store the messages that have arrived, and write the clip that is due."""
         self._take()
         self._writer.renew()
 

@@ -127,7 +127,7 @@ class EstimateSegments:
                 each.take(messages.states.picked(part), messages.times[part])
 
     def take_last(self) -> None:
-        """Take the states whose timestamps were still under test, at the end of the run."""
+        """Add the states whose timestamps are still under test, at the end of the run."""
         poses = self.side.stream.last_poses()
         for each in self.open_at(self.own_epoch):
             each.take(poses, poses.stamps)

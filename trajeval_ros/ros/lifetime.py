@@ -15,7 +15,7 @@ class StopSignal:
     """Whether SIGINT, SIGTERM or SIGHUP has arrived.
 
     A plain flag: a handler runs between any two instructions of the main thread, so it must not
-    take a lock, as `threading.Event.set` does.
+    acquire a lock, as `threading.Event.set` does.
     """
 
     is_asked_for = False

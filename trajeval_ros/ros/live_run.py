@@ -119,7 +119,7 @@ class LiveRun:
 
     @property
     def estimates(self) -> list[LiveEstimate]:
-        """The newest segment of each estimate topic."""
+        """The newest segments of all estimate topics."""
         return [each.current for each in self._tracks]
 
     @property
@@ -128,7 +128,7 @@ class LiveRun:
         return [segment for each in self._tracks for segment in each.open]
 
     def take(self, time_at: TimeAt | None) -> None:
-        """Take the messages that have arrived; `time_at` returns simulated time."""
+        """Receive the messages that have arrived; `time_at` returns simulated time."""
         stream = self.groundtruth.stream
         for message_type, taken, arrived in self.groundtruth.take(time_at):
             poses = stream.poses(message_type, taken.payloads, arrived)
@@ -184,7 +184,7 @@ class LiveRun:
         self.finisher.save()
 
     def drain(self, time_at: TimeAt | None) -> None:
-        """Take and evaluate the last messages, including those in transit."""
+        """Receive and evaluate the last messages, including those in transit."""
         until = time.monotonic() + _LAST_MESSAGES_S
         quiet_since = time.monotonic()
         while time.monotonic() < min(until, quiet_since + _QUIET_S):

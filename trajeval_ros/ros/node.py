@@ -158,7 +158,7 @@ class EvaluatorNode:
     # Periodic work.
 
     def tick(self) -> None:
-        """Take messages, evaluate them, publish their errors."""
+        """Receive messages, evaluate them, publish their errors."""
         self._watching.tick()
         self._run.take(self._time_at)
         for estimate, update in self._run.update():

@@ -105,7 +105,7 @@ class Finisher:
         command = [sys.executable, "-m", "trajeval_ros", "finish", str(self.folder), *options]
         command += ["--quiet"] if quiet else []
         self._began = time.monotonic()
-        # A session of its own, so that Ctrl-C in the terminal does not interrupt it.
+        # In a new session, Ctrl-C in the terminal does not interrupt the process.
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,

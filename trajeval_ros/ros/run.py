@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trajeval_ros.ros.watch_node import WatchNode
 
 # Period of serving services and the simulated clock. An executor rebuilds its wait set for every
-# event, which at the rate of /clock would take longer than the evaluation.
+# event. At the rate of /clock, this takes longer than the evaluation.
 _SERVE_EVERY_S = 0.1
 _REPORT_EVERY_S = 0.5
 _TELL_EVERY_S = 1.0

@@ -54,7 +54,7 @@ class SlowEvaluation:
         *,
         of_clocks: bool,
     ) -> bool:
-        """Take results, and start again if due; return whether a path was evaluated.
+        """Collect results, and start again if due; return whether a path was evaluated.
 
         Args:
             trail: The run, thinned to few pairs.

@@ -19,8 +19,7 @@ class StartDecision:
     """Decides on one clock offset and one body for all estimates.
 
     Both are estimated from the first estimate, because estimates with different offsets are not
-    comparable.
-    The clock offset of a path is never known.
+    comparable. The clock offset of a path can't be estimated.
 
     Attributes:
         holds: Whether messages are only stored, because the decision is still open.

@@ -42,7 +42,7 @@ class WatchNode:
         return period
 
     def tick(self) -> None:
-        """Take messages, and report alarms."""
+        """Receive messages, and report alarms."""
         self._watching.tick()
 
     def report(self) -> None:

@@ -68,7 +68,7 @@ class WatchedTopics:
         return told
 
     def gather(self) -> None:
-        """Take the messages that have arrived."""
+        """Receive the messages that have arrived."""
         if self._imu is not None:
             self._readings += self._imu.take().payloads
         for source, each in self.others.items():

@@ -37,7 +37,7 @@ from trajeval_ros.viewer.paths import (
 from trajeval_ros.viewer.recording_file import recording_writer
 
 _MOST_POINTS = 50_000  # of a path
-_MOST_ROWS = 900  # that a viewer draws in each frame, all paths together
+_MOST_ROWS = 900  # rows that a viewer draws per frame, of all paths together
 _MOST_POSES = 3000
 _MOST_CORRESPONDENCES = 100
 _MOST_NUMBERS = 20_000  # of a series

@@ -15,11 +15,12 @@
     legend/{ramp,scale,names}                     legend of the colours
     map/fixes, map/estimate/NAME                  latitude and longitude, with GNSS fixes
 
-How each looks is in `appearance`, what is logged of it in `entity_data`.
+`appearance` defines the styles, `entity_data` the logged data.
 
-A path that grows is drawn in few rows, since each costs the viewer 20 us per frame: whole pieces
-of it are `past`, visible over all time; what has come since is `recent` and `newest`, of which the
-latest counts. Raw positions are logged once: a new alignment is one small row, and moves them all.
+A growing path is drawn in few rows, because the viewer needs 20 us per row and frame. Complete
+pieces are `past`, visible over all time. Later poses are in `recent` and `newest`, of which only
+the latest row is visible. Positions are logged once, without alignment. A new alignment is one
+small row and moves the whole path.
 """
 
 from __future__ import annotations

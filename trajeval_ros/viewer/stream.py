@@ -29,7 +29,7 @@ Job = Callable[[], object]
 def give_way() -> None:
     """Switch between Python's threads ten times as often as by default.
 
-    Otherwise a thread that draws delays the thread that takes messages by 5 ms.
+    Otherwise a drawing thread delays the thread that receives messages by 5 ms.
     """
     sys.setswitchinterval(_SWITCH_S)
 
@@ -95,7 +95,7 @@ class DrawingThread:
         Args:
             sink: The destination.
             drawing: Draws on its recordings.
-            after: A stream that is closing, whose port or file this one takes over.
+            after: A stream that is closing; this one uses its port or file afterwards.
         """
         self.name = sink.name
         self.dropped = 0

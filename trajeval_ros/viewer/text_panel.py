@@ -22,7 +22,7 @@ from trajeval_ros.viewer.legend import shortened
 if TYPE_CHECKING:
     from trajeval_ros.online.reports import Snapshot
 
-Row = tuple[str, list[str]]  # a label, and a value for each name
+Row = tuple[str, list[str]]  # a label, and one value per name
 _POSITION = "Position error, RMSE (ATE)"
 _MOST_COLUMNS, _LONGEST_NAME = 2, 20
 _SHORT = {

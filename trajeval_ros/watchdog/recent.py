@@ -78,7 +78,7 @@ class Feed:
 
         Args:
             seconds: Times (N,), s.
-            columns: Values, (N, k) each; width is the sum of k.
+            columns: Arrays of values, (N, k); width is the sum of all k.
         """
         latest = np.maximum.accumulate(np.concatenate([[self.last], seconds]))
         kept = seconds > latest[:-1]

@@ -79,7 +79,7 @@ class TwistSignals:
         return False
 
     def add(self, rows: Floats) -> Signals:
-        """Add states (N, 15); return the signals at states whose lagging twist has arrived."""
+        """Add states (N, 15); return the signals at states for which the twist has arrived."""
         self._waiting.append(rows)
         waiting = self._waiting.rows
         ready = int(
