@@ -44,6 +44,7 @@ NOT_RUN = {
     "trajeval view": "opens a window; tests/test_viewer_screen.py starts the viewer",
     "trajeval replay": "needs ROS 2; tests/test_ros_pages.py runs the tutorial's",
     "trajeval info trajeval_black_box": "needs a live run; tests/test_ros_watch.py has one",
+    "trajeval watch trajeval_black_box": "needs a live run; tests/test_ros_watch.py has one",
     "trajeval finish live": "needs a live run; tests/test_ros_pages.py has one",
 }
 
