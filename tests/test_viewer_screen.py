@@ -157,7 +157,10 @@ def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Pa
         tab.goto(f"{address}&renderer=webgl", wait_until="commit")
 
         def drawn() -> int:
-            tab.screenshot(path=tmp_path / "page.png", timeout=1e3 * PATIENCE_S)
+            try:
+                tab.screenshot(path=tmp_path / "page.png", timeout=1e3 * PATIENCE_S)
+            except sync_api.Error:  # while the page starts, its frame may not be ready
+                return 0
             return coloured(tmp_path / "page.png")
 
         until(lambda: drawn() >= 500, "the page shows the picture")
