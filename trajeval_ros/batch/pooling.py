@@ -10,7 +10,7 @@ import numpy as np
 
 from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, metadata_of
+from trajeval_ros.batch.results_table import ATE, RE, STATISTICS, schema_of
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.drift import PER_LENGTH
@@ -101,10 +101,7 @@ def write_pooled(
         InputError: It can't be written, or pyarrow is not installed.
     """
     arrow, parquet = load_pyarrow()
-    schema = arrow.schema(
-        [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata=metadata_of(SCHEMA, title, settings, state),
-    )
+    schema = schema_of(_COLUMNS, SCHEMA, title, settings, state)
     table = arrow.Table.from_pylist(rows, schema=schema)
     write_whole(path, lambda temporary: parquet.write_table(table, temporary))
 

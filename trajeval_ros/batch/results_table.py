@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,10 +66,7 @@ def write_table(
         InputError: It can't be written, or pyarrow is not installed.
     """
     arrow, parquet = load_pyarrow()
-    schema = arrow.schema(
-        [(name, getattr(arrow, kind)()) for name, kind in _COLUMNS.items()],
-        metadata=metadata_of(SCHEMA, title, settings, state),
-    )
+    schema = schema_of(_COLUMNS, SCHEMA, title, settings, state)
     constant = {
         "gauge": settings["gauge"],
         "protocol": settings["protocol"],
@@ -90,10 +87,16 @@ def write_table(
     write_whole(path, write)
 
 
-def metadata_of(schema: str, title: str, settings: dict[str, Any], state: str) -> dict[str, str]:
-    """Return the metadata of a table of a comparison."""
+def schema_of(
+    columns: Mapping[str, str], schema: str, title: str, settings: dict[str, Any], state: str
+) -> pyarrow.Schema:
+    """Return the columns, pyarrow's types by name, and the metadata of a comparison's table."""
+    arrow, _ = load_pyarrow()
     head = {"schema": schema, "title": title, "settings": json.dumps(settings), "state": state}
-    return {f"trajeval.{name}": value for name, value in head.items()}
+    return arrow.schema(
+        [(name, getattr(arrow, kind)()) for name, kind in columns.items()],
+        metadata={f"trajeval.{name}": value for name, value in head.items()},
+    )
 
 
 def state_of(path: Path) -> str:

@@ -21,6 +21,16 @@ _LARGEST_MESSAGE = 1 << 28  # bytes that one message may become
 _ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)
 
 
+def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Booleans:
+    """Return which messages (N,) were logged at `begin` or later and before `end`, ns."""
+    wanted = np.ones(len(log_times), dtype=bool)
+    if begin is not None:
+        wanted &= log_times >= begin
+    if end is not None:
+        wanted &= log_times < end
+    return wanted
+
+
 @dataclass(frozen=True)
 class Block:
     """Messages of some connections.
@@ -59,12 +69,7 @@ class Block:
         """Return the messages logged at `begin` or later and before `end`."""
         if begin is None and end is None:
             return self
-        wanted = np.ones(len(self), dtype=bool)
-        if begin is not None:
-            wanted &= self.log_times >= begin
-        if end is not None:
-            wanted &= self.log_times < end
-        return self[wanted]
+        return self[logged_within(self.log_times, begin, end)]
 
     def decompressed(self) -> Iterator[Block]:
         """Yield the messages, decompressed if the recorder compressed them one by one.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.blocks import logged_within
 from trajeval_ros.io.bags.byte_buffers import gather
 from trajeval_ros.io.bags.damaged_bytes import DamagedError
 
@@ -150,12 +151,7 @@ class ChunkIndex:
         """Return the messages logged at `begin` or later and before `end`."""
         if begin is None and end is None:
             return self
-        wanted = np.ones(len(self), dtype=bool)
-        if begin is not None:
-            wanted &= self.log_times >= begin
-        if end is not None:
-            wanted &= self.log_times < end
-        return self[wanted]
+        return self[logged_within(self.log_times, begin, end)]
 
     @property
     def log_times(self) -> Indices:
