@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from visual_inertial_scenes import visual_errors
 
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.visual_inertial.problem import Problem
@@ -95,7 +96,7 @@ def solve_with_ceres(
 
 def _jacobian(problem: Problem, state: State, root: float) -> np.ndarray:
     """Return the derivative by position, left rotation, velocity of all, and landmarks."""
-    count, (_, by_point, rays) = problem.keyframes, problem.visual(state)
+    count, (_, by_point, rays) = problem.keyframes, visual_errors(problem, state)
     inertial = problem.inertial(state)
     rows, size = np.arange(len(by_point)), by_point.shape[1]
     visual = np.zeros((len(by_point), size, 3 * count + problem.landmarks, 3))

@@ -16,6 +16,7 @@ from visual_inertial_scenes import (
     scene_of,
     solved,
     stacked_residuals,
+    visual_errors,
 )
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
@@ -65,7 +66,7 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
     basis = state.gauge_basis
     motion, landmarks = basis[: 9 * problem.keyframes], basis[9 * problem.keyframes :]
     motion = motion.reshape(-1, 9, 4)
-    visual = problem.visual(state)
+    visual = visual_errors(problem, state)
     # E U, with the first rotation turned into left coordinates.
     turned = motion[:, 3:6].copy()
     turned[0] = so3.left_jacobian(state.first_turn) @ turned[0]
@@ -171,8 +172,8 @@ def test_prior_adds_its_own_covariance_to_that_of_fixation(weight: float) -> Non
         np.zeros(9 * problem.keyframes),
         np.zeros((problem.landmarks, 3)),
     )
-    information = reduced.matrix
-    information[GAUGE_INDICES, GAUGE_INDICES] += weight
+    reduced.matrix.diagonal[GAUGE_INDICES] += weight
+    information = reduced.matrix.dense()
     prior = prior_covariance(problem, state, weight)
     assert frobenius(prior, np.linalg.inv(information)) < 1e-8
     moved_covariance, moved = transform(
@@ -215,26 +216,3 @@ def test_refuses_scenes_that_are_none() -> None:
         make_scene(shape("arc"), "plane", paper, 0, landmarks=3)
     with pytest.raises(DegenerateGeometryError, match="observed by 3 keyframes"):
         make_scene(shape("arc", 200.0), "random", paper, 0, keyframes=5, track=1)
-
-
-def test_sparse_and_dense_elimination_are_one() -> None:
-    scene = make_scene(
-        shape("arc"), "random", PROFILES["paper"], 1, keyframes=40, landmarks=60, track=2
-    )
-    problem, state = scene.noise_free(), scene.truth
-    assert len(problem.pixels) < 0.15 * 40 * 60
-    normal = problem.normal_equations(state)
-    damping = np.linspace(1.0, 2.0, 9 * 40), np.linspace(1.0, 2.0, 180).reshape(60, 3)
-    reduced = reduce_landmarks(normal, *damping)
-    hessian = dense_hessian(normal) + np.diag(np.concatenate([each.ravel() for each in damping]))
-    own, cross, rest = hessian[360:, 360:], hessian[:360, 360:], hessian[:360, :360]
-    expected = rest - cross @ np.linalg.solve(own, cross.T)
-    assert relative(reduced.matrix, expected) < 1e-10
-    motion = np.linspace(-1.0, 1.0, 360)
-    step = np.linalg.solve(own, -gradient(normal)[360:] - cross.T @ motion)
-    assert relative(reduced.landmarks_after(motion), step) < 1e-9
-    # Covariances use the same elimination.
-    kept = np.setdiff1d(np.arange(540), GAUGE_INDICES)
-    inverse = np.zeros((540, 540))
-    inverse[np.ix_(kept, kept)] = np.linalg.inv(dense_hessian(normal)[np.ix_(kept, kept)])
-    assert frobenius(fixed_covariance(problem, state), inverse[:360, :360]) < 1e-6

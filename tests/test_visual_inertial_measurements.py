@@ -13,6 +13,7 @@ from visual_inertial_scenes import (
     numeric_jacobian,
     relative,
     stacked_residuals,
+    visual_errors,
 )
 
 from trajeval_ros.exceptions import InputError
@@ -138,7 +139,7 @@ def test_a_sample_may_be_cut_in_two() -> None:
 
 def _visual_hessian(problem: Problem, state: State) -> np.ndarray:
     """Return J^T J (6N + 3K, 6N + 3K) of the images alone, for poses and landmarks."""
-    count, (_, by_point, rays) = problem.keyframes, problem.visual(state)
+    count, (_, by_point, rays) = problem.keyframes, visual_errors(problem, state)
     jacobian = np.zeros((*by_point.shape[:2], 2 * count + problem.landmarks, 3))
     rows = np.arange(len(by_point))
     jacobian[rows, :, 2 * problem.keyframe_of] = -by_point

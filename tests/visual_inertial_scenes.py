@@ -8,6 +8,7 @@ from trajeval_ros.geometry import so3
 from trajeval_ros.visual_inertial.motion import shape
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
+from trajeval_ros.visual_inertial.reprojection_errors import ReprojectionErrors
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
@@ -29,12 +30,19 @@ def solved(scene: Scene, seed: int, tolerance: float = 1e-9) -> tuple[Problem, S
     return problem, solve(problem, start, GaugeHandling.FREE, function_tolerance=tolerance).state
 
 
+def visual_errors(problem: Problem, state: State) -> ReprojectionErrors:
+    """Return the reprojection errors with observations first: (M, r), (M, r, 3) and (M, 3)."""
+    return ReprojectionErrors(*(np.moveaxis(part, -1, 0) for part in problem.visual(state)))
+
+
 def dense_hessian(normal: NormalEquations) -> np.ndarray:
     """Return J^T J (wN + 3K, wN + 3K)."""
-    motion, (count, width, _) = motion_matrix(normal), normal.diagonal.shape
+    motion, (count, width, _) = motion_matrix(normal).dense(), normal.diagonal.shape
     landmarks = len(normal.landmark)
     cross = np.zeros((count, width, landmarks, 3))
-    cross[normal.keyframe_of, :6, normal.landmark_of] = normal.cross
+    cross[normal.visibility.keyframe_of, :6, normal.visibility.landmark_of] = np.moveaxis(
+        normal.cross, -1, 0
+    )
     cross = cross.reshape(width * count, 3 * landmarks)
     own = np.zeros((landmarks, 3, landmarks, 3))
     own[np.arange(landmarks), :, np.arange(landmarks)] = normal.landmark

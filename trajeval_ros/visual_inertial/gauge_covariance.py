@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import so3
@@ -53,13 +52,15 @@ def free_covariance(problem: Problem, state: State) -> Floats:
     basis, _ = np.linalg.qr(state.gauge_basis)
     of_motion, of_landmarks = basis[:motion], basis[motion:]
     # G times the basis, block by block, with G = [[F, -F Y], [-Y' F, V^-1 + Y' F Y]], Y = W V^-1.
-    poses = _pose_rows(motion, problem.width)
-    onto = of_motion.copy()
-    half_landmarks = _by_factor(reduced, of_landmarks)
-    onto[poses] -= reduced.half @ half_landmarks
-    image = fixed @ onto
-    image_landmarks = reduced.by_inverse(half_landmarks - reduced.half.T @ image[poses])
-    core = basis.T @ np.concatenate([image, image_landmarks])
+    # Keyframes and landmarks are the last axis of what `reduced` takes and returns.
+    by_keyframe, by_landmark = (problem.keyframes, -1, 4), (problem.landmarks, 3, 4)
+    half_landmarks = np.einsum("ijk,kjc->ick", reduced.inverse, of_landmarks.reshape(by_landmark))
+    onto = of_motion.reshape(by_keyframe).copy()
+    onto[:, :6] -= np.moveaxis(reduced.to_keyframes(half_landmarks), -1, 0)
+    image = fixed @ onto.reshape(motion, 4)
+    poses = np.moveaxis(image.reshape(by_keyframe)[:, :6], 0, -1)
+    image_landmarks = reduced.by_inverse(half_landmarks - reduced.to_landmarks(poses))
+    core = basis.T @ np.concatenate([image, np.moveaxis(image_landmarks, -1, 0).reshape(-1, 4)])
     cross = image @ of_motion.T
     covariance: Floats = fixed - cross - cross.T + of_motion @ core @ of_motion.T
     return (covariance + covariance.T) / 2.0
@@ -135,9 +136,10 @@ def _undamped(problem: Problem, state: State) -> ReducedSystem:
 
 
 def _fixed(reduced: ReducedSystem) -> Floats:
-    size = len(reduced.matrix)
+    matrix = reduced.matrix.dense()
+    size = len(matrix)
     kept = np.setdiff1d(np.arange(size), GAUGE_INDICES)
-    information = reduced.matrix[np.ix_(kept, kept)]
+    information = matrix[np.ix_(kept, kept)]
     # Scaled to a diagonal of ones: rank and factor don't depend on metres, radians and m/s.
     units = 1.0 / np.sqrt(np.diagonal(information))
     scaled = information * units * units[:, None]
@@ -152,15 +154,3 @@ def _fixed(reduced: ReducedSystem) -> Floats:
     covariance = np.zeros((size, size))
     covariance[np.ix_(kept, kept)] = inverse
     return covariance
-
-
-def _by_factor(reduced: ReducedSystem, columns: Floats) -> Floats:
-    """Return L^-1 times columns (3K, c)."""
-    blocks = columns.reshape(len(reduced.inverse), 3, -1)
-    product: Floats = reduced.inverse @ blocks
-    return product.reshape(columns.shape)
-
-
-def _pose_rows(motion: int, width: int) -> NDArray[np.int64]:
-    """Return the indices of positions and rotations among the motion's parameters."""
-    return (np.arange(0, motion, width)[:, None] + np.arange(6)).ravel()

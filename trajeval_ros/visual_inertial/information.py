@@ -7,9 +7,9 @@ import scipy.sparse
 
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import (
+    half_blocks,
     inverse_landmark_factors,
     require_seen_landmarks,
-    sparse_half,
 )
 from trajeval_ros.visual_inertial.state import State
 
@@ -24,7 +24,7 @@ def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
     """
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
-    half = sparse_half(normal, inverse_landmark_factors(normal, 0.0))
+    half = _sparse_half(normal)
     shared = (half @ half.T).tocoo()
     direct = _motion_blocks(normal)
     rows, columns = (
@@ -47,3 +47,16 @@ def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
         (normal.coupling, np.arange(1, count), starts), shape=(width * count, width * count)
     )
     return (diagonal + coupling + coupling.T).tocsr()
+
+
+def _sparse_half(normal: NormalEquations) -> scipy.sparse.bsr_matrix:
+    """Return W L^-T (6N, 3K) with V = L L^T, in blocks (6, 3)."""
+    visibility = normal.visibility
+    # Sorted by keyframe, as required for the rows of a block-sparse matrix.
+    order = np.lexsort((visibility.landmark_of, visibility.keyframe_of))
+    starts = np.searchsorted(visibility.keyframe_of[order], np.arange(visibility.keyframes + 1))
+    blocks = half_blocks(normal, inverse_landmark_factors(normal, 0.0))
+    return scipy.sparse.bsr_matrix(
+        (np.moveaxis(blocks, -1, 0)[order], visibility.landmark_of[order], starts),
+        shape=(6 * visibility.keyframes, 3 * visibility.landmarks),
+    )

@@ -7,10 +7,8 @@ left, in the world, but for the first rotation, eq. (9).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
@@ -22,24 +20,12 @@ from trajeval_ros.visual_inertial.inertial_errors import (
     InertialMeasurements,
 )
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
+from trajeval_ros.visual_inertial.reprojection_errors import (
+    CameraMeasurements,
+    ReprojectionErrors,
+)
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
-
-
-class ReprojectionErrors(NamedTuple):
-    """The M reprojection errors and their Jacobians.
-
-    d r / d landmark is `by_point`, d r / d position its negative, and d r / d rotation is
-    `by_point` [d]x with d the `rays`.
-
-    Attributes:
-        residuals: (M, r).
-        by_point: (M, r, 3).
-        rays: (M, 3), from keyframe to landmark, in the world, metres.
-    """
-
-    residuals: Floats
-    by_point: Floats
-    rays: Floats
+from trajeval_ros.visual_inertial.visibility import Visibility
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +39,12 @@ class NormalEquations:
         reprojection_px: Mean length of the reprojection errors, pixels.
         diagonal: (N, w, w), each keyframe with itself.
         coupling: (N - 1, w, w), each keyframe (rows) with the next one (columns).
-        cross: (M, 6, 3), position and rotation of the observation's keyframe (rows) with its
+        cross: (6, 3, M), position and rotation of the observation's keyframe (rows) with its
             landmark (columns).
         landmark: (K, 3, 3), each landmark with itself.
         motion_gradient: (N, w).
         landmark_gradient: (K, 3).
-        keyframe_of: (M,).
-        landmark_of: (M,).
+        visibility: Keyframes and landmarks of the observations.
     """
 
     cost: float
@@ -70,8 +55,7 @@ class NormalEquations:
     landmark: Floats
     motion_gradient: Floats
     landmark_gradient: Floats
-    keyframe_of: Indices
-    landmark_of: Indices
+    visibility: Visibility
 
 
 class Problem:
@@ -123,18 +107,15 @@ class Problem:
         # Parameters of a keyframe.
         self.width = self._between.width
         self.preintegrated = preintegrated
-        self.weights, self.gravity = weights, gravity
-        # The lever arm in the camera's axes.
-        self._offset = np.zeros(3) if lever_arm is None else camera_in_body.T @ lever_arm
-        self.longest_track = _longest_track(keyframe_of, landmark_of, landmarks)
-        # Products with these sum over the observations of a keyframe, and of a landmark.
-        self._of_keyframe = _indicator(keyframe_of, self.keyframes)
-        self._of_landmark = _indicator(landmark_of, landmarks)
+        self.gravity = gravity
+        self.visibility = Visibility(keyframe_of, landmark_of, self.keyframes, landmarks)
+        self._images = CameraMeasurements(
+            camera, camera_in_body, pixels, self.visibility, lever_arm, weights
+        )
 
     def residuals(self, state: State) -> tuple[Floats, Floats]:
         """Return the whitened errors of camera (M, r) and between keyframes (N - 1, w)."""
-        _, points = self._points(state)
-        return self._reprojection(points), self._between.residuals(state)
+        return self._images.residuals(state).T, self._between.residuals(state)
 
     def first_biases(self, state: State) -> tuple[Floats, Floats]:
         """Return the whitened errors of the first biases and their derivative, (w - 9,)."""
@@ -142,26 +123,16 @@ class Problem:
 
     def cost(self, state: State) -> float:
         """Return half the squared length of all residuals, eq. (1)."""
-        return 0.5 * sum(
-            float(np.vdot(errors, errors))
-            for errors in (*self.residuals(state), self.first_biases(state)[0])
+        parts = (
+            self._images.residuals(state),
+            self._between.residuals(state),
+            self._between.first_bias_errors(state),
         )
+        return 0.5 * sum(float(np.vdot(errors, errors)) for errors in parts)
 
     def visual(self, state: State) -> ReprojectionErrors:
         """Return the reprojection errors with their Jacobians."""
-        rays, points = self._points(state)
-        to_camera = np.swapaxes(state.rotations @ self.camera_in_body, 1, 2)
-        scale = self.camera.focal_px / self.camera.noise_px / points[:, 2]
-        # f [[1/z, 0, -x/z^2], [0, 1/z, -y/z^2]] times the rotation into the camera.
-        turned = to_camera[self.keyframe_of]
-        slopes = self.camera.slopes(points)[..., None]
-        by_camera = scale[:, None, None, None] * (
-            turned[:, None, :2] - slopes * turned[:, None, None, 2]
-        )
-        by_point = by_camera.reshape(len(points), -1, 3)
-        if self.weights is not None:
-            by_point = self.weights @ by_point
-        return ReprojectionErrors(self._reprojection(points), by_point, rays)
+        return self._images.linearised(state)
 
     def inertial(self, state: State) -> InertialErrors:
         """Return the errors between keyframes with their Jacobians."""
@@ -170,99 +141,43 @@ class Problem:
     def normal_equations(self, state: State) -> NormalEquations:
         """Return J^T J and J^T r, all blocks at once."""
         count = self.keyframes
-        residuals, by_point, rays = self.visual(state)
-        # With E = [-I, [d]x], the Jacobian by the keyframe is by_point E: all blocks follow from
-        # G = by_point^T by_point, and products with [d]x are cross products.
-        square = np.swapaxes(by_point, 1, 2) @ by_point
-        pull = np.einsum("mij,mi->mj", by_point, residuals)
-        cross = np.empty((len(rays), 6, 3))
-        np.negative(square, out=cross[:, :3])
-        cross[:, 3:] = -_cross(rays[:, None, :], square).swapaxes(1, 2)
-        turning = -_cross(rays[:, None, :], cross[:, 3:])
-        summed = (self._of_keyframe @ cross.reshape(-1, 18)).reshape(-1, 6, 3)
-        visual_diagonal = np.empty((count, 6, 6))
-        visual_diagonal[:, :, :3] = -summed
-        visual_diagonal[:, :3, 3:] = -summed[:, 3:].swapaxes(1, 2)
-        visual_diagonal[:, 3:, 3:] = (self._of_keyframe @ turning.reshape(-1, 9)).reshape(-1, 3, 3)
-        push = np.concatenate([-pull, -_cross(rays, pull)], axis=1)
-        visual_gradient = self._of_keyframe @ push
-
+        visual = self._images.normal_blocks(state)
         first = so3.left_jacobian(state.first_turn)
         at_first = self.keyframe_of == 0
-        cross[at_first, 3:] = first.T @ cross[at_first, 3:]
-        visual_diagonal[0, 3:] = first.T @ visual_diagonal[0, 3:]
-        visual_diagonal[0, :, 3:] = visual_diagonal[0, :, 3:] @ first
-        visual_gradient[0, 3:] = first.T @ visual_gradient[0, 3:]
+        turned = visual.cross[3:, :, at_first]
+        visual.cross[3:, :, at_first] = np.einsum("ij,ikm->jkm", first, turned)
+        visual.diagonal[0, 3:] = first.T @ visual.diagonal[0, 3:]
+        visual.diagonal[0, :, 3:] = visual.diagonal[0, :, 3:] @ first
+        visual.motion_gradient[0, 3:] = first.T @ visual.motion_gradient[0, 3:]
 
         errors, before, after = self.inertial(state)
         before_t, after_t = np.swapaxes(before, 1, 2), np.swapaxes(after, 1, 2)
         first_errors, first_weights = self.first_biases(state)
         diagonal = np.zeros((count, self.width, self.width))
         gradient = np.zeros((count, self.width))
-        diagonal[:, :6, :6] = visual_diagonal
+        diagonal[:, :6, :6] = visual.diagonal
         diagonal[:-1] += before_t @ before
         diagonal[1:] += after_t @ after
-        gradient[:, :6] = visual_gradient
+        gradient[:, :6] = visual.motion_gradient
         gradient[:-1] += np.einsum("nij,ni->nj", before, errors)
         gradient[1:] += np.einsum("nij,ni->nj", after, errors)
         biases = np.arange(MOTION_WIDTH, self.width)
         diagonal[0, biases, biases] += np.square(first_weights)
         gradient[0, biases] += first_weights * first_errors
-        lengths = np.sqrt(np.einsum("mi,mi->m", residuals, residuals))
+        lengths = visual.lengths
         return NormalEquations(
             cost=0.5
             * float(lengths @ lengths + np.vdot(errors, errors) + first_errors @ first_errors),
             reprojection_px=float(lengths.mean()) * self.camera.noise_px,
             diagonal=diagonal,
             coupling=before_t @ after,
-            cross=cross,
-            landmark=(self._of_landmark @ square.reshape(-1, 9)).reshape(-1, 3, 3),
+            cross=visual.cross,
+            landmark=visual.landmark,
             motion_gradient=gradient,
-            landmark_gradient=self._of_landmark @ pull,
-            keyframe_of=self.keyframe_of,
-            landmark_of=self.landmark_of,
+            landmark_gradient=visual.landmark_gradient,
+            visibility=self.visibility,
         )
 
     def points(self, state: State) -> Floats:
         """Return the observed landmarks (M, 3) in the camera at its keyframe, metres."""
-        return self._points(state)[1]
-
-    def _points(self, state: State) -> tuple[Floats, Floats]:
-        """Return the rays from body to landmark in the world, and the landmarks in the camera.
-
-        The derivatives of the landmarks in the camera only depend on the rays, not on the lever
-        arm.
-        """
-        rays = state.landmarks[self.landmark_of] - state.positions[self.keyframe_of]
-        cameras = (state.rotations @ self.camera_in_body)[self.keyframe_of]
-        return rays, np.einsum("mji,mj->mi", cameras, rays) - self._offset
-
-    def _reprojection(self, points: Floats) -> Floats:
-        errors: Floats = (self.camera.pixels(points) - self.pixels) / self.camera.noise_px
-        return errors if self.weights is None else np.einsum("mij,mj->mi", self.weights, errors)
-
-
-def _longest_track(keyframe_of: Indices, landmark_of: Indices, landmarks: int) -> int:
-    """Return the largest number of keyframes from a landmark's first to its last; at least 2."""
-    first, last = np.full(landmarks, np.iinfo(np.int64).max), np.zeros(landmarks, dtype=np.int64)
-    np.minimum.at(first, landmark_of, keyframe_of)
-    np.maximum.at(last, landmark_of, keyframe_of)
-    return max(int((last - first).max()) + 1, 2)
-
-
-def _indicator(group_of: Indices, groups: int) -> scipy.sparse.csr_matrix:
-    count = len(group_of)
-    return scipy.sparse.csr_matrix(
-        (np.ones(count), (group_of, np.arange(count))), shape=(groups, count)
-    )
-
-
-def _cross(left: Floats, right: Floats) -> Floats:
-    """Return the cross products along the last axis, in a third of numpy's time."""
-    a, b, c = left[..., 0], left[..., 1], left[..., 2]
-    x, y, z = right[..., 0], right[..., 1], right[..., 2]
-    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
-    product[..., 0] = b * z - c * y
-    product[..., 1] = c * x - a * z
-    product[..., 2] = a * y - b * x
-    return product
+        return self._images.points(state).T

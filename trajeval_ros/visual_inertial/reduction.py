@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.visual_inertial.motion_matrix import MotionMatrix
 from trajeval_ros.visual_inertial.problem import NormalEquations
+from trajeval_ros.visual_inertial.visibility import Visibility
 
 # Pivots below this share of a landmark's largest pivot are rounding (one view, or no parallax).
 _ROUNDING = 1e-13
-# If keyframes see a smaller share of the landmarks, sparse products are faster than dense ones.
-_SPARSE_SHARE = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,41 +23,48 @@ class ReducedSystem:
 
     Attributes:
         matrix: (wN, wN), H_mm - W V^-1 W^T.
-        gradient: (wN,), g_m - W V^-1 g_l.
-        half: (6N, 3K), W L^-T with V = L L^T; rows are positions and rotations. Sparse if few
-            landmarks are seen from each keyframe.
-        inverse: (K, 3, 3), L^-1.
-        pull: (3K,), L^-1 g_l.
+        gradient: (N, w), g_m - W V^-1 g_l.
+        half: (6, 3, M), the blocks of W L^-T with V = L L^T, by observation; rows are position and
+            rotation of its keyframe.
+        inverse: (3, 3, K), L^-1.
+        pull: (3, K), L^-1 g_l.
+        visibility: Keyframes and landmarks of the observations.
     """
 
-    matrix: Floats
+    matrix: MotionMatrix
     gradient: Floats
-    half: Floats | scipy.sparse.bsr_matrix
+    half: Floats
     inverse: Floats
     pull: Floats
+    visibility: Visibility
 
     def landmarks_after(self, motion_step: Floats) -> Floats:
         """Return the landmarks' step V^-1 (-g_l - W^T dm) (3K,) for the motion's step dm (wN,)."""
-        keyframes = self.half.shape[0] // 6
-        pose_step = motion_step.reshape(keyframes, -1)[:, :6].ravel()
-        return self.by_inverse(-self.pull - self.half.T @ pose_step)
+        pose_steps = motion_step.reshape(self.visibility.keyframes, -1)[:, :6]
+        return self.by_inverse(-self.pull - self.to_landmarks(pose_steps.T)).T.ravel()
 
-    def by_inverse(self, columns: Floats) -> Floats:
-        """Return L^-T times columns (3K, ...)."""
-        blocks = columns.reshape(len(self.inverse), 3, -1)
-        product: Floats = np.swapaxes(self.inverse, 1, 2) @ blocks
-        return product.reshape(columns.shape)
+    def to_keyframes(self, values: Floats) -> Floats:
+        """Return W L^-T (6N, 3K) times values (3, ..., K) of landmarks, (6, ..., N)."""
+        observed = values.take(self.visibility.landmark_of, axis=-1)
+        return self.visibility.by_keyframe(np.einsum("ijm,j...m->i...m", self.half, observed))
+
+    def to_landmarks(self, values: Floats) -> Floats:
+        """Return L^-1 W^T (3K, 6N) times values (6, ..., N) of keyframes, (3, ..., K)."""
+        observed = values.take(self.visibility.keyframe_of, axis=-1)
+        return self.visibility.by_landmark(np.einsum("ijm,i...m->j...m", self.half, observed))
+
+    def by_inverse(self, values: Floats) -> Floats:
+        """Return L^-T times values (3, ..., K) of landmarks."""
+        product: Floats = np.einsum("jik,j...k->i...k", self.inverse, values)
+        return product
 
 
-def motion_matrix(normal: NormalEquations) -> Floats:
+def motion_matrix(normal: NormalEquations) -> MotionMatrix:
     """Return H_mm (wN, wN), the motion's block of the normal equations."""
-    count, width, _ = normal.diagonal.shape
-    matrix = np.zeros((count, width, count, width))
-    each, next_ = np.arange(count), np.arange(1, count)
-    matrix[each, :, each, :] = normal.diagonal
-    matrix[each[:-1], :, next_, :] = normal.coupling
-    matrix[next_, :, each[:-1], :] = np.swapaxes(normal.coupling, 1, 2)
-    return matrix.reshape(width * count, width * count)
+    matrix = MotionMatrix(normal.visibility, normal.diagonal.shape[1])
+    matrix.blocks(0)[:] = normal.diagonal
+    matrix.blocks(1)[:] = np.swapaxes(normal.coupling, 1, 2)
+    return matrix
 
 
 def reduce_landmarks(
@@ -70,59 +76,43 @@ def reduce_landmarks(
         normal: The normal equations.
         motion_damping: (wN,) added to the motion's diagonal.
         landmark_damping: (K, 3) added to the landmarks' diagonal.
+
+    Raises:
+        numpy.linalg.LinAlgError: The position of a landmark is not determined.
     """
-    count, width, _ = normal.diagonal.shape
-    landmarks = len(normal.landmark)
     inverse = inverse_landmark_factors(normal, landmark_damping)
+    half = half_blocks(normal, inverse)
     matrix = motion_matrix(normal)
-    by_keyframe = matrix.reshape(count, width, count, width)
-    if len(normal.cross) < _SPARSE_SHARE * count * landmarks:
-        half = sparse_half(normal, inverse)
-        product = half @ half.T
-        # Only blocks of keyframes with common landmarks are written; other memory is never
-        # touched.
-        rows = np.repeat(np.arange(count), np.diff(product.indptr))
-        by_keyframe[rows, :6, product.indices, :6] -= product.data
-    else:
-        by_block = np.zeros((count, landmarks, 6, 3))
-        by_block[normal.keyframe_of, normal.landmark_of] = _half_blocks(normal, inverse)
-        half = by_block.transpose(0, 2, 1, 3).reshape(6 * count, 3 * landmarks)
-        by_keyframe[:, :6, :, :6] -= (half @ half.T).reshape(count, 6, count, 6)
-    pull = np.einsum("kij,kj->ki", inverse, normal.landmark_gradient).ravel()
-    matrix[np.diag_indices(width * count)] += motion_damping
-    gradient = normal.motion_gradient.copy()
-    gradient[:, :6] -= (half @ pull).reshape(count, 6)
-    return ReducedSystem(matrix, gradient.ravel(), half, inverse, pull)
-
-
-def sparse_half(normal: NormalEquations, inverse: Floats) -> scipy.sparse.bsr_matrix:
-    """Return W L^-T (6N, 3K) in blocks (6, 3), from the landmarks' L^-1 (K, 3, 3)."""
-    count, landmarks = len(normal.diagonal), len(normal.landmark)
-    # Sorted by keyframe, as required for the rows of a block-sparse matrix.
-    order = np.lexsort((normal.landmark_of, normal.keyframe_of))
-    starts = np.searchsorted(normal.keyframe_of[order], np.arange(count + 1))
-    blocks = _half_blocks(normal, inverse)[order]
-    return scipy.sparse.bsr_matrix(
-        (blocks, normal.landmark_of[order], starts), shape=(6 * count, 3 * landmarks)
+    matrix.diagonal[:] += motion_damping
+    for window in normal.visibility.windows:
+        dense = window.dense(half)
+        product = (dense @ dense.T).reshape(window.keyframes, 6, window.keyframes, 6)
+        matrix.window(window.first, window.last)[:, :6, :, :6] -= product
+    pull = np.einsum("ijk,kj->ik", inverse, normal.landmark_gradient)
+    reduced = ReducedSystem(
+        matrix, normal.motion_gradient.copy(), half, inverse, pull, normal.visibility
     )
+    reduced.gradient[:, :6] -= reduced.to_keyframes(pull).T
+    return reduced
 
 
-def _half_blocks(normal: NormalEquations, inverse: Floats) -> Floats:
-    """Return the blocks (M, 6, 3) of W L^-T, by observation."""
-    blocks: Floats = normal.cross @ np.swapaxes(inverse, 1, 2)[normal.landmark_of]
+def half_blocks(normal: NormalEquations, inverse: Floats) -> Floats:
+    """Return the blocks (6, 3, M) of W L^-T, from the landmarks' L^-1 (3, 3, K)."""
+    observed = inverse.take(normal.visibility.landmark_of, axis=-1)
+    blocks: Floats = np.einsum("ijm,kjm->ikm", normal.cross, observed)
     return blocks
 
 
 def inverse_landmark_factors(normal: NormalEquations, damping: Floats | float) -> Floats:
-    """Return the landmarks' L^-1 (K, 3, 3) of the damped V = L L^T.
+    """Return the landmarks' L^-1 (3, 3, K) of the damped V = L L^T.
 
     Raises:
         numpy.linalg.LinAlgError: A V is not positive definite.
     """
     blocks = normal.landmark.copy()
     blocks[:, [0, 1, 2], [0, 1, 2]] += damping
-    factors: Floats = np.linalg.inv(np.linalg.cholesky(blocks))
-    return factors
+    factors = np.linalg.inv(np.linalg.cholesky(blocks))
+    return np.ascontiguousarray(factors.transpose(1, 2, 0))
 
 
 def require_seen_landmarks(normal: NormalEquations) -> None:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-import scipy.linalg
 
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
@@ -27,8 +26,6 @@ _LEAST_QUALITY = 1e-3
 _MOST_ITERATIONS = 50
 # Smaller relative changes of the cost are rounding.
 _ROUNDING = 1e-12
-# Largest bandwidth, relative to the matrix's size, at which a banded factor is faster.
-_BANDED_SHARE = 0.25
 _GRADIENT_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-8
 
 
@@ -213,31 +210,13 @@ class _Descent:
         return step, gain
 
     def _solved(self, reduced: ReducedSystem, prior: Floats) -> Floats:
-        matrix, gradient = reduced.matrix, reduced.gradient
-        matrix[GAUGE_INDICES, GAUGE_INDICES] += self.weight
+        matrix, gradient = reduced.matrix, reduced.gradient.ravel()
+        matrix.diagonal[GAUGE_INDICES] += self.weight
         gradient[GAUGE_INDICES] += prior
         if not self.free.all():
-            matrix, gradient = matrix[np.ix_(self.free, self.free)], gradient[self.free]
-        motion = np.zeros(len(self.free))
-        motion[self.free] = self._by_cholesky(matrix, -gradient)
-        return motion
-
-    def _by_cholesky(self, matrix: Floats, right: Floats) -> Floats:
-        """Solve with a positive definite matrix: banded, if tracks are short."""
-        below = min(self.problem.width * self.problem.longest_track, len(matrix)) - 1
-        if below > _BANDED_SHARE * len(matrix):
-            factor = scipy.linalg.cho_factor(
-                matrix, lower=True, overwrite_a=True, check_finite=False
-            )
-            return np.asarray(scipy.linalg.cho_solve(factor, right, check_finite=False))
-        bands = np.zeros((below + 1, len(matrix)))
-        for place in range(below + 1):
-            bands[place, : len(matrix) - place] = np.diagonal(matrix, -place)
-        return np.asarray(
-            scipy.linalg.solveh_banded(
-                bands, right, overwrite_ab=True, lower=True, check_finite=False
-            )
-        )
+            matrix.hold(GAUGE_INDICES)
+            gradient[GAUGE_INDICES] = 0.0
+        return matrix.solved(-gradient)
 
 
 def _from_reference(state: State) -> Floats:
