@@ -14,7 +14,12 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from trajeval_ros.formatting.escaping import csv_text, markdown_text, one_line, visible
-from trajeval_ros.formatting.numbers import change_percent, three_decimals, whole_percent
+from trajeval_ros.formatting.numbers import (
+    change_percent,
+    one_digit,
+    three_decimals,
+    whole_percent,
+)
 from trajeval_ros.formatting.text_tables import (
     BOLD,
     MarkedText,
@@ -191,3 +196,10 @@ def test_whole_percent_is_all_or_nothing_only_if_it_is(percent: int, more: float
 def test_changes_have_signs_and_sizes_none() -> None:
     assert [change_percent(each) for each in (0.051, -0.5)] == ["+5.1 %", "-50 %"]
     assert change_percent(0.24, sign="") == "24 %"
+
+
+def test_one_digit_has_an_exponent_from_a_thousand_on() -> None:
+    weights = [0.0, 1.0, 500.0, 1e3, 5e3, 1e5, 1e8]
+    assert [one_digit(weight) for weight in weights] == [
+        "0", "1", "500", "1e3", "5e3", "1e5", "1e8",
+    ]  # fmt: skip

@@ -172,7 +172,7 @@ def test_command_on_a_simulated_folder(tmp_path: Path, capsys: pytest.CaptureFix
     # Beside the paper's values of that sequence.
     table = (study / "tables.md").read_text()
     assert "0.07851 / 0.4382 / 0.04644" in table
-    assert "| 1e+08 |" in table
+    assert "| 1e8 |" in table
     numbers = json.loads((study / "study.json").read_text())
     assert numbers["sensors"]["tracks of V1_01_simulated"] == "measured"
     assert numbers["sensors"]["sine plane"] == "simulated"

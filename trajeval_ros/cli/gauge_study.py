@@ -329,8 +329,8 @@ def _print(folder: Path, study: GaugeStudy) -> None:
     for name, (stopped, converged) in study.covariances.items():
         terminal.print(
             f"{name}: after transformation, the covariance of the free gauge differs by "
-            f"{100 * stopped.difference:.3f} % from the covariance of gauge fixation, and by "
-            f"{100 * converged.difference:.1g} % at the minimum"
+            f"{100 * stopped.difference:.2g} % from the covariance of gauge fixation, and by "
+            f"{100 * converged.difference:.2g} % at the minimum"
         )
     terminal.print(study.sensors)
     terminal.print(study.timing)

@@ -17,6 +17,11 @@ def four_digits(value: float) -> str:
     return f"{value:.4g}" if abs(value) >= 1e-3 else f"{value:.6f}"
 
 
+def one_digit(value: float) -> str:
+    """Return one significant digit, from 1000 on with an exponent: 0, 500, 1e3, 1e8."""
+    return f"{value:g}" if value < 1000.0 else f"{value:.0e}".replace("e+0", "e")
+
+
 def with_unit(value: float, unit: str) -> str:
     """Return four significant digits and the unit, if any."""
     return f"{value:.4g} {unit}".rstrip()

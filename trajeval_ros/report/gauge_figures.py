@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.formatting.escaping import one_line
+from trajeval_ros.formatting.numbers import one_digit
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report import canvas
 from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
@@ -49,7 +50,7 @@ def prior_weight(weights: Sequence[float], outcome: Sequence[Trials], title: str
     axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
     axes.set_xticks([0.0, *(10.0**power for power in range(9))])
     axes.set_xlim(-0.1, 2.0 * max(weights))
-    axes.xaxis.set_major_formatter(_plainly)
+    axes.xaxis.set_major_formatter(lambda weight, _: one_digit(weight))
     axes.set_xlabel("prior weight (0: free gauge, infinity: gauge fixation)")
     return figure
 
@@ -76,7 +77,7 @@ def prior_paths(weights: Sequence[float], traces: Sequence[Trace], title: str) -
             axes.plot(getattr(trace, metric), color=colour, marker="o", markersize=2.5)
             if metric == "reprojection_px":
                 axes.set_yscale("log")
-                axes.set_title(f"w = {weights[place]:g}")
+                axes.set_title(f"w = {one_digit(weights[place])}")
             else:
                 axes.set_ylim(bottom=0.0)
         row[0].set_ylabel(label)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.formatting.numbers import NOTHING
+from trajeval_ros.formatting.numbers import NOTHING, one_digit
 from trajeval_ros.report.console import add_rows, new_table
 from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import Trials
@@ -60,7 +60,7 @@ def sweep_rows(weights: Sequence[float], sweep: Sequence[Trials]) -> list[list[s
     """Return a row per weight of the prior: means over its trials."""
     return [
         [
-            f"{weight:g}",
+            one_digit(weight),
             *(f"{getattr(trials, metric).mean():.5f}" for metric in METRICS),
             f"{trials.iterations.mean():.2f}",
         ]
