@@ -88,8 +88,8 @@ def test_the_sweep_peaks_between_both_ends(examined: Examination) -> None:
 
 
 def test_transformed_covariance_is_that_of_fixation(examined: Examination) -> None:
-    assert 1e-5 < covariances(examined.scene, is_converged=False).difference < 2e-3
-    assert covariances(examined.scene, is_converged=True).difference < 1e-6
+    assert 1e-5 < covariances(examined.scene, 0, is_converged=False).difference < 2e-3
+    assert covariances(examined.scene, 0, is_converged=True).difference < 1e-8
 
 
 def test_positions_are_as_certain_as_their_gauge_makes_them(examined: Examination) -> None:

@@ -16,6 +16,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
+    from trajeval_ros.geometry.arrays import Floats
     from trajeval_ros.report.gauge_report import GaugeStudy
     from trajeval_ros.visual_inertial.examination import Examination, MeasurementModel
     from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
@@ -278,11 +279,12 @@ def _study(
         paths(scenes[SWEPT], PATH_WEIGHTS),
         {
             name: (
-                covariances(scenes[name], is_converged=False),
-                covariances(scenes[name], is_converged=True),
+                covariances(scenes[name], 0, is_converged=False),
+                covariances(scenes[name], 0, is_converged=True),
             )
             for name in figured
         },
+        {name: _differences(name, scenes[name], trials) for name in figured},
         measured,
         examined,
         os.environ.get("OPENBLAS_NUM_THREADS", ""),
@@ -306,6 +308,20 @@ def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
         return sweep(scene, trials, lambda: advance(next(done), count), SWEEP_WEIGHTS)
 
 
+def _differences(name: str, scene: StudiedScene, trials: int) -> tuple[Floats, Floats]:
+    import numpy as np
+
+    from trajeval_ros.visual_inertial.study import covariances
+
+    stopped, converged = np.empty((2, trials))
+    with progress(f"{name}, covariances") as advance:
+        for trial in range(trials):
+            stopped[trial] = covariances(scene, trial, is_converged=False).difference
+            converged[trial] = covariances(scene, trial, is_converged=True).difference
+            advance(trial + 1, trials)
+    return stopped, converged
+
+
 def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
     from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.writing import write_text
@@ -320,17 +336,17 @@ def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
 
 def _print(folder: Path, study: GaugeStudy) -> None:
     from trajeval_ros.report.console import console, show
-    from trajeval_ros.report.gauge_tables import accuracy_table
+    from trajeval_ros.report.gauge_tables import accuracy_table, percent_and_range
 
     terminal = console()
     for line in study.lines():
         terminal.print(line)
     show(terminal, accuracy_table(study.compared))
-    for name, (stopped, converged) in study.covariances.items():
+    for name, (stopped, converged) in study.differences.items():
         terminal.print(
             f"{name}: after transformation, the covariance of the free gauge differs by "
-            f"{100 * stopped.difference:.2g} % from the covariance of gauge fixation, and by "
-            f"{100 * converged.difference:.2g} % at the minimum"
+            f"{percent_and_range(stopped)} from the covariance of gauge fixation, and by "
+            f"{percent_and_range(converged)} at the minimum"
         )
     terminal.print(study.sensors)
     terminal.print(study.timing)

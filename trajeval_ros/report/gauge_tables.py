@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajeval_ros.formatting.numbers import NOTHING, one_digit
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.report.console import add_rows, new_table
 from trajeval_ros.visual_inertial.solver import GaugeHandling
 from trajeval_ros.visual_inertial.study import Trials
@@ -66,6 +69,13 @@ def sweep_rows(weights: Sequence[float], sweep: Sequence[Trials]) -> list[list[s
         ]
         for weight, trials in zip(weights, sweep, strict=True)
     ]
+
+
+def percent_and_range(shares: Floats) -> str:
+    """Return the median of shares (T,), and their range if there is more than one."""
+    middle, low, high = 100.0 * np.array([np.median(shares), shares.min(), shares.max()])
+    text = f"{middle:.2g} %"
+    return text if len(shares) == 1 else f"{text} ({low:.2g} to {high:.2g} %)"
 
 
 def _paper(name: str) -> list[str]:

@@ -80,13 +80,16 @@ class Covariances:
         free: Covariance of the free gauge.
         transformed: `free`, transformed to the gauge of fixation by eq. (12).
         fixed: Covariance of a separate solve with gauge fixation.
-        difference: Relative difference of the latter two, Frobenius norm.
     """
 
     free: Floats
     transformed: Floats
     fixed: Floats
-    difference: float
+
+    @property
+    def difference(self) -> float:
+        """Relative difference of the latter two, Frobenius norm."""
+        return float(np.linalg.norm(self.transformed - self.fixed) / np.linalg.norm(self.fixed))
 
 
 def compare(scene: StudiedScene, trials: int, advance: Advance) -> dict[GaugeHandling, Trials]:
@@ -122,17 +125,18 @@ def paths(scene: StudiedScene, weights: Sequence[float]) -> list[Trace]:
     return [_trial(scene, 0, GaugeHandling.PRIOR, weight)[1].trace for weight in weights]
 
 
-def covariances(scene: StudiedScene, *, is_converged: bool) -> Covariances:
-    """Return the covariances of the first trial (Fig. 9 and 10).
+def covariances(scene: StudiedScene, trial: int, *, is_converged: bool) -> Covariances:
+    """Return the covariances of a trial (Fig. 9 and 10).
 
     Args:
         scene: The problem.
+        trial: Number of the trial.
         is_converged: False stops like Ceres and the paper's estimator; True continues to the
             minimum, where eq. (12) is exact.
     """
-    problem = scene.measured(np.random.default_rng([_DRAW, 0]))
-    start = scene.disturbed(np.random.default_rng([_START, 0]))
-    settings = (0.0, 1e-12 if is_converged else 1e-6)
+    problem = scene.measured(np.random.default_rng([_DRAW, trial]))
+    start = scene.disturbed(np.random.default_rng([_START, trial]))
+    settings = (0.0, 1e-14 if is_converged else 1e-6)
     free, fixed = (
         solve(problem, start, handling, *settings, keep_last_step=is_converged).state
         for handling in (GaugeHandling.FREE, GaugeHandling.FIXATION)
@@ -140,11 +144,7 @@ def covariances(scene: StudiedScene, *, is_converged: bool) -> Covariances:
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
     motion = np.ix_(free.motion_places, free.motion_places)
-    of_free, transformed, of_fixed = (
-        matrix[motion] for matrix in (of_free, transformed, of_fixed)
-    )
-    difference = np.linalg.norm(transformed - of_fixed) / np.linalg.norm(of_fixed)
-    return Covariances(of_free, transformed, of_fixed, float(difference))
+    return Covariances(of_free[motion], transformed[motion], of_fixed[motion])
 
 
 def _trial(
