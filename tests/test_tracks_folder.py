@@ -214,7 +214,7 @@ def test_velocity_and_biases_that_are_missing_are_said(folder: Path) -> None:
         "no biases of both sensors in groundtruth: IMU used without correction",
     )
     # An accelerometer's bias of 0.23 m/s^2 shows in gravity, a gyroscope's in the attitude.
-    with pytest.raises(InputError, match="check biases, extrinsics and frames"):
+    with pytest.raises(InputError, match="check the expected value, biases"):
         _examined(folder)
     _edit(
         folder / "imu.csv",

@@ -114,7 +114,7 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
         raise InputError(
             f"{recording.name}: gravity from groundtruth and IMU is {np.linalg.norm(felt):.3f} "
             f"m/s^2, {tilt_deg:.1f} deg from the vertical, expected {model.gravity:g} m/s^2; "
-            "check biases, extrinsics and frames"
+            "check the expected value, biases, extrinsics and frames"
         )
     duration_s = float(whole.preintegrated.durations_s.sum())
     drift_deg = whole.drift_against_gyroscope_deg
