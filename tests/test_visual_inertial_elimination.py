@@ -131,6 +131,7 @@ def test_elimination_is_that_of_dense_matrices(track: int | None, is_banded: boo
     problem, state = scene.noise_free(), scene.truth
     assert (problem.visibility.longest_track <= 10) is is_banded
     normal = problem.normal_equations(state)
+    assert relative(normal.diagonal, normal.diagonal.swapaxes(1, 2)) < 1e-12
     damping = np.linspace(1.0, 2.0, 9 * 40), np.linspace(1.0, 2.0, 180).reshape(60, 3)
     reduced = reduce_landmarks(normal, *damping)
     hessian = dense_hessian(normal) + np.diag(np.concatenate([each.ravel() for each in damping]))
