@@ -28,6 +28,7 @@ from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.online.intake import Limits
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
+from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.output_folder import Autosave, Finisher
@@ -98,6 +99,7 @@ class Live:
             new_folder=new_folder,
         )
         self._now_ns = 0
+        self.watch: Callable[[LiveEstimate, Update], object] = lambda *_: None
 
     def feed(self, messages: Sequence[Message]) -> list[Update]:
         """Let messages arrive together; returns what was published of them."""
@@ -109,6 +111,7 @@ class Live:
         updates = []
         for estimate, update in self.run.update():
             estimate.digest()
+            self.watch(estimate, update)
             updates.append(update)
         return updates
 

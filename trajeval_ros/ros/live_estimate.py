@@ -136,7 +136,7 @@ class LiveEstimate:
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
-        self.watch: Callable[[Pairs], object] | None = None
+        self.watch: Callable[[LiveEstimate, Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge, worker)
         self.peaks, self.standing = Peaks(), Standing()
         self.slow = SlowEvaluation()
@@ -388,7 +388,7 @@ class LiveEstimate:
         pairs = pairs.without_covariances()
         self._undigested.append(pairs)
         if self.watch is not None:
-            self.watch(pairs)
+            self.watch(self, pairs)
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
         """Add a path: evaluate its new poses, and store the revision of the others."""

@@ -42,7 +42,8 @@ class LiveRun:
         groundtruth: Source of the groundtruth.
         finisher: Writes result.json in another process.
         news: Notices that are not published yet.
-        watch: Receives the states of the groundtruth, to draw them.
+        watch: Receives the states of the groundtruth, and the number of steps back of its time, to
+            draw them.
         body: The body that is evaluated.
     """
 
@@ -79,7 +80,7 @@ class LiveRun:
         self.groundtruth, self.finisher = groundtruth, Finisher(folder)
         self.words = words
         self._given_up = None if settings.up is None else settings.up[0]
-        self.watch: Callable[[StateColumns], object] | None = None
+        self.watch: Callable[[StateColumns, int], object] | None = None
         self.body = body or MarkerBody()
         self._start = StartDecision(self.body, find_offset=find_offset)
         self._settings, self._new_folder = settings, new_folder
@@ -287,7 +288,8 @@ class LiveRun:
         if self.body.leaves_out_velocities_of(poses.states, is_truth=True):
             self.groundtruth.stream.status.note(MARKERS_VELOCITIES)
         if self.watch is not None:
-            self.watch(poses._replace(states=self.body.truth(poses.states)))
+            moved = poses._replace(states=self.body.truth(poses.states))
+            self.watch(moved, self._time.count)
 
     def _keep_fixes(self, folder: Path, stamps: Stamps, fixes: Floats) -> None:
         """Write the original fixes to disk, because pairs do not contain their quality."""
