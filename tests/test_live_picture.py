@@ -133,7 +133,8 @@ def test_jumps_and_late_pairs_of_a_previous_segment(tmp_path: Path) -> None:
     for epoch in range(2):
         scene.groundtruth(stamps, rows, epoch=epoch)
         scene.pairs("vio", stamps, rows, rows, (epoch, 1 + epoch))
-    scene.pairs("vio", stamps[-1:] + 1, rows[:1] + 7.0, rows[:1] + 7.0, (0, 1))
+    late = stamps[-1:] + NANOSECONDS
+    scene.pairs("vio", late, rows[:1] + 7.0, rows[:1] + 7.0, (0, 1))
     scene.event("vio", int(stamps[-1]), "vio jumps")
     scene.leave()
     recording.flush()
