@@ -7,7 +7,7 @@ from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.trajectory import add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, Peak, alarms
 from trajeval_ros.online.error_topics import status_values
 from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first

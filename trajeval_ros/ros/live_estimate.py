@@ -14,10 +14,12 @@ import numpy as np
 from trajeval_ros.consistency.marginal_covariances import unknown_covariances
 from trajeval_ros.diagnosis.vertical import doubt_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
 from trajeval_ros.io.live.revised_file import REVISED_SUFFIX, write_revised

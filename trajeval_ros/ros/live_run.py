@@ -12,9 +12,10 @@ from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import MARKERS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter
 from trajeval_ros.online.live_settings import OnlineSettings

@@ -9,7 +9,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_fixes import LiveFixes
