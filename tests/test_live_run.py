@@ -36,6 +36,7 @@ from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.segmentation import Segmentation
 from trajeval_ros.ros.sides import Side, TimeAt
 from trajeval_ros.ros.subscriptions import ReceivedMessages
+from trajeval_ros.ros.unused_messages import why_no_pair
 
 TRUTH, ESTIMATE = "/truth", "/vio"
 COUNT = 160
@@ -306,7 +307,7 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     assert [each.text for each in stream.news] == [
         "/vio: no message with a valid pose: 10 zero stamp"
     ]
-    assert live.run.why_no_pair().endswith(
+    assert why_no_pair(live.run).endswith(
         f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
     )
     live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))

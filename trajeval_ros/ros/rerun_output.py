@@ -46,7 +46,7 @@ class RerunOutput:
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
         self._told: set[str] = set()
         self.trouble = self.address = ""
-        folder = run.finisher.folder
+        folder = run.folders.finisher.folder
         names = [each.name for each in run.estimates]
         try:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
